@@ -16,8 +16,8 @@ import numpy as np
 
 from atoll.terminal.output import say, table
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.inference.standard_errors import estimate_errors
-from atoll_coordinator.model.regression.covariance import student_95
+from atoll_coordinator.model.constants.standard_errors import student_95
+from atoll_coordinator.model.inference.final_model import estimate_errors
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import JobConfig

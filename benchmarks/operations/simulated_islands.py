@@ -25,7 +25,7 @@ from typing import Any, Final
 from atoll_core.compilation.cache import WORKER, source_digest
 from atoll_core.config import JobConfig
 from atoll_core.search.commit_order import CommitOrder, Position
-from atoll_core.wire.bus.interface import Bus
+from atoll_core.wire.bus.interface import Bus, Query
 from atoll_core.wire.bus.zenoh_bus import open_client
 from atoll_core.wire.messages.epochs import Addition, IslandReport
 from atoll_island_worker.compute.compute_thread import WarmedUp
@@ -44,8 +44,8 @@ TICK_S: Final = 1.0
 class Counts:
     """What the workers of a process did until the second `at` (monotonic, the same in all processes).
 
-    `epochs` of islands that ended; messages and bytes of reports and of mail; `waits`: milliseconds from the end of an
-    island's epoch to the beginning of its next one.
+    `epochs` of islands that ended; messages and bytes of reports and of answers to pulls (migrants); `waits`:
+    milliseconds from the end of an island's epoch to the beginning of its next one.
     """
 
     at: float = 0.0
@@ -70,7 +70,7 @@ class Books:
             if key.endswith("/report"):
                 self._counts.reports += 1
                 self._counts.report_bytes += size
-            elif "/to/" in key:
+            elif key.endswith("/pull"):
                 self._counts.mails += 1
                 self._counts.mail_bytes += size
 
@@ -103,6 +103,11 @@ class CountedBus:
         """See `Bus.put`."""
         self._books.note_put(key, len(payload))
         self._bus.put(key, payload)
+
+    def reply(self, query: Query, payload: bytes | None, party: str | None = None) -> None:
+        """See `Bus.reply`."""
+        self._books.note_put(query.key, len(payload or b""))
+        self._bus.reply(query, payload, party)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._bus, name)

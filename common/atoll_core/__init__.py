@@ -11,7 +11,7 @@
 VERSION = "0.1.0"
 """Version of the distribution; kept equal to pyproject.toml by a test."""
 
-PROTOCOL_VERSION = 13
+PROTOCOL_VERSION = 14
 """Raised whenever a message on the wire changes its shape or meaning."""
 
 ENGINE_REVISION = 13

@@ -110,6 +110,11 @@ class EffortSettings:
     """Programs kept for the next stage if there are hundreds."""
 
     @property
+    def evaluations(self) -> int:
+        """Point evaluations of the fits to one target after which no new program is tried."""
+        return self.work // 5
+
+    @property
     def fitted_sensitivities(self) -> int:
         """Constants of many states are fitted to at most this many rows times the square of the number of states (the
         sensitivities of a row to its initial states), so that a fit takes `work` at most."""
@@ -142,22 +147,6 @@ class CriterionSettings:
     """A sine, an exponential, a power with a constant exponent: one of thirty-two choices."""
     nested: float = 5.0
     """A function inside a function, in addition to the prices of both."""
-
-
-@dataclass(frozen=True)
-class RegressionSettings:
-    """The equation of one variable on the rows of its target."""
-
-    most_evaluations: int = 12_000_000
-    """Point evaluations after which no new program is tried; a fit counts its evaluations and its linear algebra."""
-    denominators: tuple[int, ...] = (1, 2, 3, 4, 6)
-    """Denominators of simple fractions."""
-    rounding_reach: float = 4.0
-    """Simple numbers are considered within this many standard errors of a constant."""
-    numerators_beside: int = 2
-    """Numerators on either side of the nearest that are considered."""
-    pi_nats: float = 5.0
-    """Price of a multiple of pi: more than two digits, so that short decimals are not mistaken for one."""
 
 
 @dataclass(frozen=True)
@@ -307,6 +296,8 @@ class InferenceSettings:
     distinct_nats: float = 3.0
     """Alternatives within this Δ description length may be right (odds of 20: one in twenty good verdicts may be
     wrong)."""
+    denominators: tuple[int, ...] = (1, 2, 3, 4, 6)
+    """Denominators of simple fractions."""
 
 
 @dataclass(frozen=True)
@@ -317,18 +308,6 @@ class ProcessSettings:
     """Fewest steps from row to row for which a process is sought: they give a variance within 14 %."""
     least_noise: float = 1e-4
     """Least noise as a share of the median step: with less, the process counts as deterministic."""
-    bins: int = 512
-    """Bins of steps to which candidates are fitted: enough to decide some twenty terms of two or three states."""
-    compared: int = 8
-    """Candidates of the regression that the likelihood compares; its ranking differs from regression by few nats."""
-    rounds: int = 4
-    """Most passes over all equations; nearly all end after the second, which changes nothing."""
-    relinearisations: int = 2
-    """Number of linearisations of a process about states that it has smoothed itself; after these its constants move by
-    less than a hundredth of their standard errors."""
-    settled: float = 1e-3
-    """Nats: a fit of the likelihood ends when a step gains less: a hundredth of the smallest difference of descriptions
-    that counts."""
 
 
 @dataclass(frozen=True)
@@ -341,7 +320,6 @@ class Settings:
     rows: RowSettings = RowSettings()
     effort: EffortSettings = EffortSettings()
     criterion: CriterionSettings = CriterionSettings()
-    regression: RegressionSettings = RegressionSettings()
     sparse: SparseSettings = SparseSettings()
     rates: RateSettings = RateSettings()
     windows: WindowSettings = WindowSettings()

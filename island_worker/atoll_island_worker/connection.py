@@ -24,34 +24,31 @@ from atoll_core.machine import total_memory_bytes, usable_cores
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.epochs import Mail, Pull, PullAnswer, PullStates
+from atoll_core.wire.messages.epochs import EpochReport, Pull, PullAnswer
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import MAX_MESSAGE
-from atoll_core.wire.messages.tasks import PullBatch, TaskChunk, TaskFailed, TaskReport
+from atoll_core.wire.messages.tasks import PullBatch, TaskReport
 from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
 from atoll_island_worker.session import interface as io
 
 PULL_TIMEOUT_S: Final = 5.0
+MIGRANTS_TIMEOUT_S: Final = 1.0
+"""Migrants are asked for before they exist: an answer that is lost costs so much time."""
+
 FETCH_TIMEOUT_S: Final = 20.0
-FETCH_PAUSE_S: Final = 0.5
-FETCH: Final = "fetch/"
-FETCH_INPUTS: Final = "inputs/"
-"""Beginnings of the names of timers, after which a dataset or the inputs of a task are asked for again."""
 
 
 @dataclass(frozen=True, slots=True)
 class PendingRequest:
-    """A request that has no reply yet: a `question` about `subject` (a job, task, peer or fingerprint) or `states`.
+    """A request that has no reply yet: a `question` about `subject` (a digest, task or fingerprint), or a `pull`.
 
-    `index` is the number of a chunk, of the blob `digest` if the subject is a task; for a greeting it is the number of
-    welcomes before it.
+    `index` is the number of a chunk; for a greeting it is the number of welcomes before it.
     """
 
     question: str
     subject: str = ""
     index: int = 0
-    digest: str = ""
-    states: PullStates | None = None
+    pull: io.Ask | None = None
 
 
 class Requests:
@@ -71,65 +68,31 @@ class Requests:
         """Remove and return the request that a reply answers."""
         return self._open.pop(token, None)
 
-    def ask_announcement(self, job: str) -> None:
-        """Ask the coordinator for a job's announcement."""
-        self.ask(topics.job(self.cluster, job), b"", PULL_TIMEOUT_S, PendingRequest("job", job))
-
-    def ask_chunk(self, job: str, blob: str, index: int) -> None:
-        """Ask the coordinator for one chunk of a job's dataset."""
-        self.ask(topics.blob(self.cluster, blob, index), b"", FETCH_TIMEOUT_S, PendingRequest("chunk", job, index))
-
-    def ask_later(self, job: str) -> None:
-        """Start the timer after which a job's dataset is asked for again."""
-        self._bus.call_later(FETCH_PAUSE_S, FETCH + job)
-
-    def ask_input(self, task: str, digest: str, index: int) -> None:
-        """Ask the coordinator for one chunk of an input of a task."""
-        key = topics.blob(self.cluster, digest, index)
-        self.ask(key, b"", FETCH_TIMEOUT_S, PendingRequest("input", task, index, digest))
-
-    def ask_inputs_later(self, task: str) -> None:
-        """Start the timer after which the inputs of a task are asked for again."""
-        self._bus.call_later(FETCH_PAUSE_S, FETCH_INPUTS + task)
+    def ask_chunk(self, digest: str, index: int) -> None:
+        """Ask the coordinator for one chunk of a dataset, or of an input of a task."""
+        self.ask(topics.blob(self.cluster, digest, index), b"", FETCH_TIMEOUT_S, PendingRequest("chunk", digest, index))
 
     def ask_batch(self, peer: str, pull: PullBatch) -> None:
         """Ask another worker for a batch of its task."""
         key = topics.worker(self.cluster, peer, "pull")
         self.ask(key, encode(Pull(body=pull)), PULL_TIMEOUT_S, PendingRequest("batch", pull.task))
 
-    def send_task_report(self, body: TaskChunk | TaskFailed) -> None:
-        """Send the coordinator a part of a task's result, or its failure."""
-        self._bus.put(topics.worker(self.cluster, self._name, "result"), encode(TaskReport(body=body)))
-
-    def send_status(self, status: WorkerStatus) -> None:
-        """Send a heartbeat."""
-        self._bus.put(topics.worker(self.cluster, self._name, "status"), encode(status))
-
-    def send_log(self, log: WorkerLog) -> None:
-        """Send log lines."""
-        self._bus.put(topics.worker(self.cluster, self._name, "log"), encode(log))
+    def publish(self, part: topics.WorkerPart, message: EpochReport | TaskReport | WorkerStatus | WorkerLog) -> None:
+        """Send the coordinator a report, a part of a task's result, a heartbeat or log lines."""
+        self._bus.put(topics.worker(self.cluster, self._name, part), encode(message))
 
     def send(self, action: io.Outgoing) -> None:
         """Carry out an action of the session: a message, an answer or a request."""
         match action:
-            case io.Send():
-                self._bus.put(topics.mail(self.cluster, self._name, action.peer), encode(Mail(body=action.body)))
             case io.SendReport():
-                self._bus.put(topics.worker(self.cluster, self._name, "report"), encode(action.report))
-            case io.AskPeer():
-                key = topics.worker(self.cluster, action.peer, "pull")
-                self.ask(key, encode(Pull(body=action.body)), PULL_TIMEOUT_S, PendingRequest("pull", action.peer))
+                self.publish("report", action.report)
+            case io.Ask():
+                key, timeout_s = topics.states(self.cluster, action.body.job), FETCH_TIMEOUT_S
+                if action.peer is not None:
+                    key, timeout_s = topics.worker(self.cluster, action.peer, "pull"), MIGRANTS_TIMEOUT_S
+                self.ask(key, encode(Pull(body=action.body)), timeout_s, PendingRequest("pull", pull=action))
             case io.Respond():
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
-            case io.FetchStates():
-                key, request = (
-                    topics.job(self.cluster, action.body.job, "state"),
-                    PendingRequest("states", states=action.body),
-                )
-                self.ask(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, request)
-            case io.FetchPlacements():
-                key = topics.job(self.cluster, action.job, "placement")
-                self.ask(key, b"", PULL_TIMEOUT_S, PendingRequest("placement", action.job))
 
 
 _LOG = logging.getLogger(__name__)
@@ -392,7 +355,6 @@ class CoordinatorConnection:
         self._clusters.add(cluster)
         self._bus.subscribe(topics.control(cluster))
         self._bus.subscribe(topics.control(cluster, self._name))
-        self._bus.subscribe(topics.inbox(cluster, self._name))
         self._bus.serve(topics.worker(cluster, self._name, "pull"))
         self._bus.announce(topics.worker(cluster, self._name, "alive"))
         _LOG.info("joined", extra=fields(realm=cluster))

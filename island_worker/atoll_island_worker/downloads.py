@@ -1,17 +1,19 @@
-"""Bytes that a worker fetches in chunks, by digest: downloads, a cache of them, and the datasets of jobs."""
+"""Bytes that a worker fetches in chunks, by digest: downloads, a cache of them, and the datasets of jobs.
+
+Datasets and tasks say which bytes they want; `Downloads` has these, and no others, under way. A chunk that does not
+come is asked for again at the worker's next tick.
+"""
 
 import hashlib
 import itertools
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.wire.codec import decode
-from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE, chunk_count
-from atoll_core.wire.messages.workers import Control, JobAnnouncement
+from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
+from atoll_core.wire.messages.workers import JobAnnouncement
 from atoll_island_worker.compute.compute_thread import ComputeThread
-from atoll_island_worker.connection import Requests
 
 WINDOW: Final = 2
 """Chunks asked for at the same time."""
@@ -37,15 +39,11 @@ class Download:
         self._under_way.update(taken)
         return taken
 
-    def give_back(self, index: int) -> None:
-        """Mark chunk `index`, which did not come, as missing again."""
+    def offer(self, index: int, data: bytes | None) -> bool:
+        """Take in chunk `index`; return False, and mark it as missing, if it did not come or has the wrong size."""
         self._under_way.discard(index)
-
-    def offer(self, index: int, data: bytes) -> bool:
-        """Take in chunk `index`; return False if it has the wrong size."""
-        if len(data) != min(CHUNK_SIZE, self.size - index * CHUNK_SIZE):
+        if data is None or len(data) != min(CHUNK_SIZE, self.size - index * CHUNK_SIZE):
             return False
-        self._under_way.discard(index)
         self._chunks[index] = data
         return True
 
@@ -58,6 +56,34 @@ class Download:
             return data
         self._chunks.clear()
         return None
+
+
+class Downloads:
+    """The downloads of a worker, by digest."""
+
+    def __init__(self, ask: Callable[[str, int], None], done: Callable[[str, bytes], None]) -> None:
+        """`ask` asks for a chunk of a digest; `done` takes the bytes of a digest once they have arrived."""
+        self._ask = ask
+        self._done = done
+        self._open: dict[str, Download] = {}
+
+    def fetch(self, wanted: Mapping[str, int]) -> None:
+        """Ask for the next missing chunks of the `wanted` bytes (digest to size), and forget all others."""
+        self._open = {digest: self._open.get(digest) or Download(digest, size) for digest, size in wanted.items()}
+        for download in self._open.values():
+            for index in download.take():
+                self._ask(download.digest, index)
+
+    def chunk_came(self, digest: str, index: int, payload: bytes | None) -> bool:
+        """Handle the answer to a request for a chunk; return whether it was of use, so that more is fetched at once."""
+        download = self._open.get(digest)
+        if download is None or not download.offer(index, payload):
+            return False
+        data = download.finish()
+        if data is not None:
+            del self._open[digest]
+            self._done(digest, data)
+        return True
 
 
 class ByteCache:
@@ -97,18 +123,14 @@ class ByteCache:
 class Datasets:
     """The datasets of all jobs: announced, loading, loaded."""
 
-    def __init__(self, requests: Requests, compute: ComputeThread, is_wanted: Callable[[str], bool]) -> None:
-        """`is_wanted` tells whether islands of a job are placed on this worker."""
-        self._requests = requests
+    def __init__(self, compute: ComputeThread) -> None:
         self._compute = compute
-        self._is_wanted = is_wanted
         self._announcements: dict[str, JobAnnouncement] = {}
-        self._downloads: dict[str, Download] = {}
         self._here: set[str] = set()
         self._loading: dict[str, int] = {}
 
     def announced(self, announcement: JobAnnouncement) -> None:
-        """Start to fetch a job's dataset, once; a later announcement may change the job's share of the worker.
+        """Want a job's dataset, once; a later announcement may change the job's share of the worker.
 
         Raises RemoteProtocolError for an invalid announcement.
         """
@@ -117,55 +139,25 @@ class Datasets:
             raise RemoteProtocolError(f"a dataset of {size} bytes cannot come in {announcement.chunks} chunks")
         if job in self._here:
             self._share(announcement)
-        elif job in self._downloads and self._downloads[job].digest == announcement.blob:
+        else:
             self._announcements[job] = announcement
-        elif job not in self._downloads:
-            self._announcements[job] = announcement
-            self._downloads[job] = Download(announcement.blob, size)
-            self.fetch(job)
 
-    def announcement_came(self, job: str, payload: bytes | None) -> None:
-        """Handle the answer to `Requests.ask_announcement`; raises RemoteProtocolError for another message."""
-        if payload is None:
-            if self._is_wanted(job):
-                self._requests.ask_later(job)
-            return
-        body = decode(payload, Control, MAX_MESSAGE).body
-        if not isinstance(body, JobAnnouncement) or body.job != job:
-            raise RemoteProtocolError(f"the announcement of job {job} was asked for, and {body.kind!r} came")
-        self.announced(body)
+    def wanted(self) -> dict[str, int]:
+        """Return digests and sizes of the datasets that are missing."""
+        return {announcement.blob: announcement.size for announcement in self._announcements.values()}
 
-    def chunk_came(self, job: str, index: int, payload: bytes | None) -> None:
-        """Handle the answer to `Requests.ask_chunk`."""
-        download = self._downloads.get(job)
-        if download is None:
-            return
-        if payload is None or not download.offer(index, payload):
-            download.give_back(index)
-            self._requests.ask_later(job)
-            return
-        data = download.finish()
-        if data is None:
-            self.fetch(job)
-            return
-        del self._downloads[job]
-        announcement = self._announcements.pop(job)
-        self._here.add(job)
-        self._loading[job] = self._loading.get(job, 0) + 1
-        self._share(announcement)
-        self._compute.load(job, announcement.config, data)
+    def arrived(self, digest: str, data: bytes) -> None:
+        """Load a dataset that has arrived."""
+        arrived = [job for job, announcement in self._announcements.items() if announcement.blob == digest]
+        for job in arrived:
+            announcement = self._announcements.pop(job)
+            self._here.add(job)
+            self._loading[job] = self._loading.get(job, 0) + 1
+            self._share(announcement)
+            self._compute.load(job, announcement.config, data)
 
     def _share(self, announcement: JobAnnouncement) -> None:
         self._compute.share(announcement.job, 2.0**announcement.priority, announcement.submitter or "")
-
-    def fetch(self, job: str) -> None:
-        """Ask for the next missing chunks of a job's dataset, or for its announcement."""
-        download = self._downloads.get(job)
-        if download is not None:
-            for index in download.take():
-                self._requests.ask_chunk(job, download.digest, index)
-        elif self._is_wanted(job) and job not in self._here:
-            self._requests.ask_announcement(job)
 
     def finish_loading(self, job: str) -> bool:
         """Return whether a dataset that was loaded is still the current one, and was not forgotten meanwhile."""
@@ -176,12 +168,11 @@ class Datasets:
 
     def forget(self, job: str) -> None:
         """Stop fetching a job's dataset; discard it if it is loaded."""
-        self._downloads.pop(job, None)
         self._announcements.pop(job, None)
         if job in self._here:
             self._here.discard(job)
             self._compute.discard_job(job)
 
     def jobs(self) -> tuple[str, ...]:
-        """Return the jobs whose datasets are loaded or loading."""
-        return (*self._downloads, *self._here)
+        """Return the jobs whose datasets are loaded or on their way."""
+        return (*self._announcements, *sorted(self._here))

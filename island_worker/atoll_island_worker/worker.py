@@ -20,7 +20,7 @@ from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
-from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.codec import decode
 from atoll_core.wire.messages import epochs
 from atoll_core.wire.messages import tasks as task_messages
 from atoll_core.wire.messages import workers as messages
@@ -30,7 +30,7 @@ from atoll_core.wire.rejects import Rejects
 from atoll_island_worker import connection as timers
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.connection import GRACE_S, START_S, CoordinatorConnection, PendingRequest, Requests
-from atoll_island_worker.downloads import Datasets
+from atoll_island_worker.downloads import Datasets, Downloads
 from atoll_island_worker.job_logs import JobLogs
 from atoll_island_worker.session import interface as io
 from atoll_island_worker.session.worker_session import Session
@@ -71,11 +71,10 @@ class Worker:
         self._last_event_at = bus.now()
         self._compute = compute
         self._requests = Requests(self._bus, name)
-        self._datasets = Datasets(self._requests, compute, self.session.wants)
+        self._datasets = Datasets(compute)
+        self._downloads = Downloads(self._requests.ask_chunk, self._bytes_came)
         self._task_process = task_process or TaskProcess()
-        self._tasks = TaskRunner(
-            self._requests, self._task_process, lambda query, answer: self._bus.reply(query, encode(answer)), bus.now
-        )
+        self._tasks = TaskRunner(self._requests, self._task_process, self._bus.reply, bus.now)
         self._connection = CoordinatorConnection(self._bus, self._requests, name, wait_s, lifetime_s, grace_s)
         self._is_drain_requested = False
         self._detail = "loading kernels"
@@ -185,7 +184,8 @@ class Worker:
                 self._drain()
             if self._tasks.is_idle:
                 self._task_process.stop_if_idle()
-            self._handle(io.Tick(self._bus.now()))
+            self._handle(io.Tick())
+            self._fetch()
             self._bus.call_later(TICK_S, _TICK)
         elif name == timers.LIFETIME:
             self._drain()
@@ -193,21 +193,14 @@ class Worker:
             self._connection.grace_over()
         elif name == timers.GREET:
             self._connection.greet()
-        elif name.startswith(timers.FETCH):
-            self._datasets.fetch(name.removeprefix(timers.FETCH))
-        elif name.startswith(timers.FETCH_INPUTS):
-            self._tasks.fetch(name.removeprefix(timers.FETCH_INPUTS))
 
     def _on_message(self, event: Message) -> None:
         key = topics.parse(event.key)
-        if not isinstance(key, topics.ControlKey | topics.MailKey):
+        if not isinstance(key, topics.ControlKey):
             raise RemoteProtocolError(f"nothing is expected on key {event.key}")
         if key.cluster != self._requests.cluster:
             raise RemoteProtocolError(f"a message of cluster {key.cluster} came, which is not ours")
-        if isinstance(key, topics.ControlKey):
-            self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
-        else:
-            self._handle(io.Mailed(key.worker, decode(event.payload, epochs.Mail, MAX_MESSAGE).body))
+        self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
 
     def _on_query(self, event: Query) -> None:
         try:
@@ -220,36 +213,36 @@ class Worker:
         else:
             self._handle(io.PullAsked(event, body))
 
-    def _on_reply(self, event: Reply) -> None:  # noqa: C901  # a table of requests
+    def _on_reply(self, event: Reply) -> None:  # a table of requests
         request, payload = self._requests.pop(event.token), event.payload
-        if payload is not None and request is not None and request.question not in ("pull", "batch"):
+        is_of_peer = request is None or request.question == "batch" or (request.pull and request.pull.peer)
+        if payload is not None and not is_of_peer:
             self._connection.coordinator_heard()
         match request:
             case PendingRequest("hello"):
                 self._on_greeting_answer(request, payload)
             case PendingRequest("enquiry"):
                 self._connection.handle_enquiry(payload)
-            case PendingRequest("job"):
-                self._datasets.announcement_came(request.subject, payload)
             case PendingRequest("chunk"):
-                self._datasets.chunk_came(request.subject, request.index, payload)
-            case PendingRequest("input" | "batch"):
-                self._tasks.answered(request, payload)
-            case PendingRequest("placement"):
-                if payload is not None:
-                    self._on_control(decode(payload, messages.Control, MAX_MESSAGE).body)
-                self.session.forget_pending(request.subject)
-            case PendingRequest("states", states=epochs.PullStates() as pull):
-                states: object = None  # without an answer the states are asked for again
+                if self._downloads.chunk_came(request.subject, request.index, payload):
+                    self._fetch()
+            case PendingRequest("batch"):
+                self._tasks.batch_came(request.subject, payload)
+            case PendingRequest("pull", pull=io.Ask() as asked):
+                body: object = None  # without an answer it is asked again
                 try:
-                    states = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
+                    body = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
                 finally:
-                    self._handle(io.StatesCame(pull, states if isinstance(states, epochs.States) else None))
-            case PendingRequest("pull") if payload is not None:
-                answer = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body
-                if isinstance(answer, task_messages.GivenBatch | task_messages.NoTask):
-                    raise RemoteProtocolError(f"epochs were asked for, and {answer.kind!r} came")
-                self._handle(io.PullAnswered(request.subject, answer))
+                    answer = body if isinstance(body, epochs.Migrants | epochs.States) else None
+                    self._handle(io.PullEnded(asked, answer))
+
+    def _fetch(self) -> None:
+        """Ask for missing chunks of datasets and inputs of tasks."""
+        self._downloads.fetch({**self._datasets.wanted(), **self._tasks.wanted()})
+
+    def _bytes_came(self, digest: str, data: bytes) -> None:
+        self._datasets.arrived(digest, data)
+        self._tasks.arrived(digest, data)
 
     # -------------------------------------------------------------------------------------- coordinator
 
@@ -258,6 +251,7 @@ class Worker:
         match body:
             case messages.JobAnnouncement():
                 self._datasets.announced(body)
+                self._fetch()
             case messages.Placements():
                 for placement in body.placements:
                     self._connection.incarnation_heard(placement.incarnation)
@@ -272,6 +266,7 @@ class Worker:
                 self._datasets.forget(body.job)
             case task_messages.Lease() | task_messages.Help() | task_messages.Release():
                 self._tasks.handle(body)
+                self._fetch()
                 self._send_heartbeat()
             case messages.Shutdown():
                 self._connection.shut_down(body)
@@ -325,7 +320,7 @@ class Worker:
             progress=self._compute.progress,
             holdings=session.assignment_statuses(),
             failures=session.failures(),
-            jobs=tuple(dict.fromkeys((*session.jobs(), *self._datasets.jobs()))),
+            jobs=self._datasets.jobs(),
             detail=self._detail,
             doing=doing,
             tasks=self._tasks.statuses(),
@@ -337,10 +332,10 @@ class Worker:
             available_bytes=available_bytes(),
             counters=counters,
         )
-        self._requests.send_status(status)
+        self._requests.publish("status", status)
         log = self._logs.take() if self._logs is not None else None
         if log is not None:
-            self._requests.send_log(log)
+            self._requests.publish("log", log)
 
     def _handle(self, event: io.SessionEvent) -> None:
         """Give the session an event, and carry out its actions."""
@@ -355,10 +350,6 @@ class Worker:
                     self._compute.stop_at(action.shard, action.hit, action.commit_order)
                 case io.Discard():
                     self._compute.discard(action.shard)
-                case io.DiscardJob():
-                    self._datasets.forget(action.job)
-                case io.FetchJob():
-                    self._datasets.fetch(action.job)
                 case io.SendHeartbeat():
                     self._send_heartbeat()
                 case _:

@@ -84,17 +84,6 @@ def test_run_finds_the_equations_writes_the_result_and_leaves_no_process(tmp_pat
     )
 
 
-@pytest.mark.slow
-def test_a_target_error_that_is_not_met_is_exit_code_4_with_the_models_written(tmp_path: Path) -> None:
-    options = ["--workers", "1", "--target-error", "1e-300", "--max-epochs", "1", "--id", "hopeless"]
-    ended = coordinator("run", DATA, *options, cwd=tmp_path)
-    assert ended.returncode == 4, ended.stderr
-    assert "--target-error 1e-300 was not met" in ended.stderr
-    result = json.loads((tmp_path / "runs" / "hopeless" / "result.json").read_text())
-    assert [equation["epoch"] for equation in result["equations"]] == [1, 1]
-    assert "dx/dt = " in ended.stdout
-
-
 ENDLESS = ["--target-error", "1e-300", "--max-epochs", "1000000", "--workers", "2", "--out", "out"]
 
 

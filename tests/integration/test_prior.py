@@ -8,33 +8,11 @@ from pathlib import Path
 import pytest
 
 from atoll.api.model import Model
-from benchmarks.harness.systems import trajectories, write_csv
 from tests.programs import LIMIT_S, done
 
 
 def run(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     return done(folder, "coordinator", "run", "data.csv", "--workers", "1", "--out", "out", *options)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(LIMIT_S + 50)
-def test_a_guess_a_known_equation_and_allowed_variables_come_together(tmp_path: Path) -> None:
-    write_csv(tmp_path / "data.csv", trajectories("van_der_pol", 0.02, seed=100))
-    (tmp_path / "job.toml").write_text(
-        '[prior]\nknown = {"dy/dt" = "-x/10"}\n[space.operators_of]\nx = ["+", "-", "*"]\n'
-    )
-    options = ["--config", "job.toml", "--guess", "dx/dt=2*y-x**3+x", "--allow", "x=x,y", "--islands", "2"]
-    answer = run(tmp_path, *options)
-    assert answer.returncode == 0, answer.stderr
-    assert "known: dy/dt = -x/10\nguess: dx/dt = 2*y-x**3+x\n" in answer.stderr
-    x, y = json.loads((tmp_path / "out" / "result.json").read_text())["equations"]
-    assert (x["why"], x["converged"]) == ("target", True)
-    assert x["generation"] == 10, "the guess has the right form, so that nothing needs to be searched"
-    assert (y["expression"], y["why"], y["converged"]) == ("-x/10.0", "known", True)
-    assert y["point_evaluations"] == 0
-    assert [member["selected"] for member in y["front"]] == [True]
-    assert "dy/dt = -0.1*x\n" in answer.stdout
-    assert "    known: error" in answer.stdout
 
 
 @pytest.mark.timeout(LIMIT_S + 50)

@@ -223,13 +223,17 @@ def speak_for_others(hostile: ZenohBus, cluster: str) -> None:
         hostile.put(key, encode(Control(body=Shutdown())))
     for part in ("status", "report"):
         hostile.put(topics.worker(cluster, "lab1-0", part), b"nonsense")  # type: ignore[arg-type]
-    hostile.put(topics.mail(cluster, "lab1-0", "lab1-1"), b"nonsense")
     if getattr(hostile, "has_asked", False):
         return
     hostile.has_asked = True  # type: ignore[attr-defined]
-    for expression in ("atoll/**", topics.all_workers(cluster, "report"), topics.inbox(cluster, "lab1-0")):
+    for expression in ("atoll/**", topics.all_workers(cluster, "report"), topics.control(cluster, "lab1-0")):
         hostile.subscribe(expression)
-    for expression in (topics.all_jobs(cluster), topics.all_clients(cluster), topics.all_blobs(cluster), topics.HELLO):
+    for expression in (
+        topics.all_states(cluster),
+        topics.all_clients(cluster),
+        topics.all_blobs(cluster),
+        topics.HELLO,
+    ):
         hostile.serve(expression)
     hostile.announce(topics.worker(cluster, "lab1-7", "alive"))
     hostile.watch(topics.all_workers(cluster, "alive"))

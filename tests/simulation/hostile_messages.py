@@ -29,7 +29,7 @@ from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire import topics
 from atoll_core.wire.codec import decode
 from atoll_core.wire.messages.clients import Answer, ClientRequest
-from atoll_core.wire.messages.epochs import EpochReport, Mail, Pull, PullAnswer
+from atoll_core.wire.messages.epochs import EpochReport, Pull, PullAnswer
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import Control, WorkerStatus
@@ -119,8 +119,6 @@ def put_kind(key: str) -> Any:
             return WorkerStatus
         case topics.WorkerKey(part="report"):
             return EpochReport
-        case topics.MailKey():
-            return Mail
     return None
 
 
@@ -145,8 +143,6 @@ def answered_kind(key: str) -> Any:
             return Answer
         case topics.WorkerKey(part="pull"):
             return PullAnswer
-        case topics.JobKey(part="job" | "placement"):
-            return Control
     return None
 
 
@@ -275,8 +271,6 @@ def key_for(message: Overheard, cluster: str, understood: bool, mutator: Mutator
         return None
     if message.kind is Pull:
         return topics.worker(cluster, f"w{mutator.below(2)}", "pull")
-    if message.kind is Mail:
-        return topics.mail(cluster, "stranger", f"w{mutator.below(2)}")
     return topics.worker(cluster, "stranger", "report" if message.kind is EpochReport else "status")
 
 

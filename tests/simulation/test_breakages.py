@@ -7,7 +7,7 @@ import contextlib
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, get_args
 
@@ -19,6 +19,7 @@ from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
+from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
@@ -37,12 +38,14 @@ LEFT_OUT = {
     (Breakages, "tolerated"),  # it is what holds the others
     (Service, "start"),  # before the loop begins
     (Service, "step"),
+    (JobController, "_commit_checkpoint"),  # what it does is guarded, it is not
     (WorkerChannel, "take_pull"),  # one look into a dict; without it nobody knows whose answer came
 }
 LEFT_OUT_ALWAYS = {
     (JobController, "guarded"),  # what ends a job over which something breaks, and what does nothing but call that
     (JobController, "_change"),
     (JobController, "_advance_checkpoint"),
+    (Service, "_add_report"),
     (RequestDispatcher, "_answer"),
     (RequestDispatcher, "_tell_worker"),
     (JobController, "_end_broken"),
@@ -130,8 +133,7 @@ def ask_everything(world: World) -> None:
     stranger = world.network.bus(f"stranger-{world.network.now}")
     pull = Pull(body=PullStates(job="first", variable="x", term=1, epoch=2, islands=(0,), offset=0))
     for key, payload in (
-        (topics.job(cluster, "first"), b""), (topics.job(cluster, "first", "placement"), b""),
-        (topics.job(cluster, "first", "state"), encode(pull)), (topics.blob(cluster, "0" * 64, 0), b""),
+        (topics.states(cluster, "first"), encode(pull)), (topics.blob(cluster, "0" * 64, 0), b""),
     ):  # fmt: skip
         stranger.get(key, payload)
     for ask in (
@@ -240,13 +242,18 @@ def test_what_breaks_over_an_event_of_any_kind_ends_one_job_at_most(
     assert_it_goes_on(world, calls)
 
 
+def open_archipelagos(world: World, job: str) -> Sequence[Archipelago]:
+    """Return the archipelagos of a job that are searched."""
+    return world.service.controller.jobs[job].open_archipelagos if job in world.service.controller.jobs else ()
+
+
 def test_a_report_of_generations_without_end_is_refused() -> None:
     """Their slices are not even listed."""
     world = World(workers=2)
     world.submit(config(), job="first")
-    while not world.service.controller.placements("first").placements:
+    while not (placements := [one.placement for one in open_archipelagos(world, "first") if one.placement]):
         world.client.pause(0.01)
-    placement = world.service.controller.placements("first").placements[0]
+    placement = placements[0]
     said = IslandReport(
         island=placement.islands_of("w0")[0], generations=2**62, hit=None, additions=(), counters=(), best_error=None,
         digest="ab" * 16,

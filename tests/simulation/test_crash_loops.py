@@ -76,6 +76,8 @@ def test_a_coordinator_that_is_started_again_at_each_death_finds_the_poison_all_
         assert ward.deaths() == deaths
     view = ward.world.finish()
     assert (view.state, view.fault) == ("failed", "poison")
+    assert f"in {FAIL_AFTER} placements in a row workers" in (view.reason or "")
+    assert "(the last was w" in (view.reason or "")
     assert ward.world.store.deaths("job") == ()
 
 
@@ -117,7 +119,7 @@ def test_the_last_checkpoint_of_a_poisonous_job_can_still_be_read_and_those_of_o
     ward.restart()
     stranger, cluster = bus_of(ward.world, "stranger"), ward.world.store.cluster
     pull = PullStates(job="job", variable="x", term=1, epoch=epoch, islands=(0, 1, 2), offset=0)
-    stranger.get(topics.job(cluster, "job", "state"), encode(Pull(body=pull)))
+    stranger.get(topics.states(cluster, "job"), encode(Pull(body=pull)))
     reply = stranger.receive(5.0)
     assert isinstance(reply, Reply)
     assert reply.payload is not None

@@ -1,17 +1,15 @@
 """What cannot go well: it ends with a sentence, never in silence."""
 
 from functools import partial
-from pathlib import Path
 
 import pytest
 
-from atoll_coordinator.service.store.store import Store
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import DataError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Reply
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.epochs import Block, EpochReport, IslandFinished, IslandReport, Mail, Migrants
+from atoll_core.wire.messages.epochs import EpochReport, IslandReport
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import (
@@ -19,6 +17,7 @@ from atoll_core.wire.messages.workers import (
     IslandFailure,
     WorkerStatus,
 )
+from atoll_island_worker.compute.compute_thread import ComputeFailed
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 from tests.simulation.harness.stub_islands import OURS
@@ -64,6 +63,14 @@ def test_two_workers_that_disagree_fail_the_job_as_diverged_and_are_both_named()
     assert (view.state, view.fault) == ("failed", "diverged")
     assert "w0" in (view.reason or "")
     assert "liar" in (view.reason or "")
+
+
+def test_a_worker_whose_compute_thread_fails_ends_with_its_error_and_another_goes_on() -> None:
+    world = World(workers=2)
+    broken = world.workers["w0"]
+    world.at(1.2, lambda: world.network._buses["w0"].post(ComputeFailed("the compute thread failed: KeyError: 'job'")))
+    assert comparable(world.run(config())) == undisturbed()
+    assert (broken.exit_code, str(broken.error)) == (1, "the compute thread failed: KeyError: 'job'")
 
 
 def test_a_second_worker_of_the_same_name_is_refused_and_told_which_option_to_use() -> None:
@@ -151,27 +158,6 @@ def test_a_worker_without_work_stays_as_long_as_the_coordinator_behind_a_router(
 # ----------------------------------------------------------------------------------------- coordinator
 
 
-def test_ended_jobs_are_still_known_after_a_restart(tmp_path: Path) -> None:
-    world = World(workers=2)
-    world.network.crash("coordinator")
-    world.store = Store.open(tmp_path)
-    world.service = world.start_service()
-    world.submit(config())
-    before = world.finish()
-    result = world.result()
-    world.network.crash("coordinator")
-    world.store.close()
-    world.store = Store.open(tmp_path)
-    world.service = world.start_service()
-    after = world.client.status("job")
-    assert world.result() == result
-    assert [variable.expression for variable in after.variables] == [
-        variable.expression for variable in before.variables
-    ]
-    assert (after.state, after.point_evaluations) == (before.state, before.point_evaluations)
-    world.close()
-
-
 # --------------------------------------------------------------------------------------------- clients
 
 
@@ -206,23 +192,16 @@ def nonsense(cluster: str) -> list[tuple[str, bytes]]:
         island=0, generations=1, hit=None, additions=(), counters=(), best_error=None, digest="ab" * 16
     )
     reports = EpochReport(job="job", variable="x", term=1, epoch=0, islands=(report,))
-    migrants = Migrants(
-        job="job", variable="x", term=1, epoch=0, blocks=(Block(source=0, destination=1, data=b"junk"),)
-    )
-    hit = IslandFinished(job="job", variable="x", term=1, epoch=0, generation=1, island=1)
     keys = [
         topics.control(cluster),
         topics.control(cluster, "w0"),
         topics.worker(cluster, "w0", "status"),
         topics.worker(cluster, "w0", "report"),
-        topics.mail(cluster, "stranger", "w0"),
     ]
     return [
         *((key, payload) for key in keys for payload in (b"", b"\xc1", b"\x81\xa4body\x80", bytes(MAX_MESSAGE + 1))),
         (topics.worker(cluster, "stranger", "status"), encode(status)),
         (topics.worker(cluster, "stranger", "report"), encode(reports)),
-        (topics.mail(cluster, "stranger", "w0"), encode(Mail(body=migrants))),
-        (topics.mail(cluster, "stranger", "w1"), encode(Mail(body=hit))),
     ]
 
 
@@ -236,13 +215,12 @@ def test_foreign_malformed_and_oversized_messages_are_counted_and_change_nothing
             world.at(0.8 + 0.05 * repeat, lambda key=key, payload=payload: stranger.put(key, payload))  # type: ignore[misc]
     assert comparable(world.run(config())) == undisturbed()
     cluster = world.store.cluster
-    w0 = {topics.control(cluster), topics.control(cluster, "w0"), topics.mail(cluster, "stranger", "w0")}
+    w0 = {topics.control(cluster), topics.control(cluster, "w0")}
     assert w0 <= world.workers["w0"].rejects.counts.keys()
     assert {
         topics.worker(cluster, "w0", "status"),
         topics.worker(cluster, "w0", "report"),
     } <= world.service.rejects.counts.keys()
-    assert topics.mail(cluster, "stranger", "w1") in world.workers["w1"].rejects.counts
     assert min(world.workers["w0"].rejects.counts.values()) > 20
     lines = [record.getMessage() for record in caplog.records if "dropped message" in record.getMessage()]
     sources = world.service.rejects.counts.keys()

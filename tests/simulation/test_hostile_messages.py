@@ -13,7 +13,6 @@ KINDS = {
     "EpochReport",
     "Greeting",
     "GreetingAnswer",
-    "Mail",
     "Pull",
     "PullAnswer",
 }

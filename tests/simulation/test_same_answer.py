@@ -6,7 +6,7 @@ from functools import cache, partial
 import pytest
 
 from atoll_coordinator.model.sparse import laws
-from tests.simulation.bus.fault_plan import Plan
+from tests.simulation.bus.fault_plan import Partition, Plan
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, comparable
 
@@ -36,6 +36,14 @@ def answer(world: World, seed: int) -> str:
 def test_any_number_of_workers_gives_the_same_answer(workers: int) -> None:
     for seed in FEW_SEEDS:
         assert answer(World(workers=workers, seed=seed), seed) == undisturbed(seed)
+
+
+@pytest.mark.parametrize("duration_s", [1.0, 15.0])
+def test_all_workers_cut_off_at_once_do_not_change_the_answer(duration_s: float) -> None:
+    plan = Plan(partitions=tuple(Partition(name, 0.8, 0.8 + duration_s) for name in ("w0", "w1", "w2")))
+    world = World(workers=3, seed=1, plan=plan)
+    assert answer(world, 1) == undisturbed(1)
+    assert world.network.now > 0.8 + duration_s
 
 
 @pytest.mark.slow

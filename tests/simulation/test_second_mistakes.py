@@ -189,9 +189,8 @@ def test_a_coordinator_whose_disk_was_full_starts_again_when_there_is_room(tmp_p
         "from atoll.cli.main import main\nsys.exit(main(sys.argv[1:]))"
     )
     words = ["serve", "--listen", "tcp/127.0.0.1:0", "--state", "state"]
-    ended = subprocess.run(
-        [sys.executable, "-c", program, *words], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
-    )
+    command = [sys.executable, "-B", "-c", program, *words]  # without -B, compiled modules are cut off and kept
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
     assert ended.returncode == 1, "exit code 2 keeps the service down for good"
     assert len(ended.stderr.splitlines()) == 1
     with Store.open(tmp_path / "state") as store:

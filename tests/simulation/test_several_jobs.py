@@ -149,7 +149,7 @@ def test_counters_say_what_went_through() -> None:
     first, *_ = world.client.workers()
     traffic = {traffic_kind.kind: traffic_kind for traffic_kind in first.counters.traffic}
     assert traffic["report"].messages_out > 0
-    assert traffic["mail"].bytes_in > 0
+    assert traffic["pull"].bytes_in > 0
     assert first.counters.memory_bytes > 1_000_000
     own = world.client.coordinator()
     assert own is not None

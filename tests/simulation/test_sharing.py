@@ -4,7 +4,6 @@ from functools import cache, partial
 
 import pytest
 
-from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Total
 from atoll_core.wire.messages.clients import Submit
 from tests.simulation.harness.schedule_run import hurried
@@ -136,8 +135,6 @@ def test_a_worker_whose_certificate_is_revoked_is_sent_away_and_its_islands_go_o
     world = World(workers=2, seed=1, slowness=5.0)
     world.submit(config(1), VARIABLE)
     world.client.pause(2.0)
-    authorization = world.service._authorization
-    assert isinstance(authorization, Authorization)
     world.service.set_policy(Limits(), RoleBindings({**roles, "w0": "revoked"}))  # type: ignore[dict-item]
     world.client.pause(2.0)
     assert world.workers["w0"].exit_code not in (None, 0)
@@ -184,7 +181,8 @@ def test_a_job_that_is_paused_before_a_worker_prepares_it_gives_its_place_back()
     assert comparable(world.result()) == alone()
 
 
-def test_a_job_that_is_paused_before_it_is_refined_waits_and_ends_as_it_would_have() -> None:
+@pytest.mark.parametrize("is_paused", [False, True])
+def test_no_time_passes_for_a_job_whose_refining_waits_for_a_worker_or_is_paused(is_paused: bool) -> None:
     with hurried():
         world = World(workers=1, seed=1, slowness=5.0)
         world.submit(config(1, max_time=60.0), VARIABLE)
@@ -193,26 +191,14 @@ def test_a_job_that_is_paused_before_it_is_refined_waits_and_ends_as_it_would_ha
         assert set(islands(world).values()) == {4}
         world.client.set_worker("w0", "cordoned")  # it keeps its islands and gets no task
         until(world, "refining")
-        assert world.client.pause_job("job").paused
-        world.client.set_worker("w0", "open")
+        if is_paused:
+            assert world.client.pause_job("job").paused
+            world.client.set_worker("w0", "open")
         world.client.pause(100.0)
         view = world.client.status("job")
-        assert (view.state, "coordinator resume job" in (view.reason or "")) == ("refining", True)
-        world.client.pause_job("job", paused=False)
-        assert world.finish().state == "done"
-    assert comparable(world.result()) == comparable(World(workers=1, seed=1).run(config(1, max_time=60.0), VARIABLE))
-
-
-def test_no_time_passes_for_a_job_whose_refining_waits_for_a_worker() -> None:
-    with hurried():
-        world = World(workers=1, seed=1, slowness=5.0)
-        world.submit(config(1, max_time=60.0), VARIABLE)
-        until(world, "running")
-        world.client.pause(1.0)
-        world.client.set_worker("w0", "cordoned")
-        until(world, "refining")
-        world.client.pause(100.0)
+        assert (view.state, "coordinator resume job" in (view.reason or "")) == ("refining", is_paused)
         world.client.set_worker("w0", "open")
+        world.client.pause_job("job", paused=False)
         assert world.finish().state == "done"
         assert not world.result()["warnings"]
     assert comparable(world.result()) == comparable(World(workers=1, seed=1).run(config(1, max_time=60.0), VARIABLE))

@@ -5,6 +5,7 @@ Measurements are in `atoll_core.data.table.Table`; preparing a job smooths and d
 """
 
 import hashlib
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -48,6 +49,15 @@ class Target:
     def is_noisy(self) -> bool:
         """Whether the true equation would have residuals so large that errors alone cannot identify it."""
         return self.noise > 0.0 or self.uncertainty >= CLEAN_UNCERTAINTY
+
+    def normalized(self, error: float) -> float:
+        """Return an error over the standard deviation, infinite for a target that does not vary."""
+        return error / self.standard_deviation if self.standard_deviation else math.inf
+
+    def r2(self, mse: float) -> float | None:
+        """Return the share of the variance that an equation with this mean squared error explains; None if unknown."""
+        variance = self.standard_deviation * self.standard_deviation
+        return 1.0 - mse / variance if variance and math.isfinite(mse) else None
 
     def convergence_threshold(self, target_error: float | None = None) -> float:
         """Return the largest normalized error of a converged equation of this target.

@@ -1,11 +1,13 @@
-"""Values of a program and their derivatives with respect to its constants, on all rows at once, by numpy.
+"""Values of programs and their derivatives with respect to constants: by numpy on all rows, or as a Python function.
 
 For use after the search, where the last bit does not matter; the search uses `atoll_core.expression.kernels.tape`.
 Letters: N nodes, R rows, K constants.
 """
 
+import math
+from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from atoll_core.expression.operators import (
     definitions,
     partial_definitions,
 )
-from atoll_core.expression.program import Program, dependent_nodes
+from atoll_core.expression.program import Program, ProgramBuilder, dependent_nodes
 
 
 def _periodic(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatArray], FloatArray]:
@@ -92,3 +94,67 @@ def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[i
                     adjoint[argument] = adjoint[argument] + amount if argument in adjoint else amount
     zero = np.zeros_like(values[-1])
     return values[-1], np.array([adjoint.get(place, zero) for place in places]).reshape(len(places), len(zero))
+
+
+# -------------------------------------------------------------------------------------------- as one Python function
+
+
+_LONGEST: Final = 200
+"""Longest text of a part without a name: Python reads at most 200 nested brackets."""
+
+
+def function_of(programs: Sequence[Program], variables: int, functions: Functions) -> Callable[..., tuple[Any, ...]]:
+    """Return a function of this many variables (numbers or arrays) that returns the values of `programs`.
+
+    It raises the errors of `functions` and of divisions where there is no value.
+    """
+    # Any, because the types depend on the arguments and on `functions`, and the text is compiled here.
+    builder = ProgramBuilder()
+    outputs = [builder.copy(program.nodes())[-1] for program in programs]
+    uses = Counter(argument for code, *pair, _ in builder.nodes for argument in pair[: ARITY[code]]) + Counter(outputs)
+    names, lines = [], [f"def function({', '.join(f'x{index}' for index in range(variables))}):"]
+    for place, (code, left, right, value) in enumerate(builder.nodes):
+        if not ARITY[code]:
+            names.append(_Formula(f"({value!r})" if code == CONSTANT else f"x{left}"))
+            continue
+        text = _OPERATORS[code].value(names[left], names[right])
+        if uses[place] == 1 and len(text) < _LONGEST:
+            names.append(_Formula(f"({text})"))
+        else:
+            names.append(_Formula(f"n{place}"))
+            lines.append(f"    n{place} = {text}")
+    lines.append(f"    return ({''.join(f'{names[place]}, ' for place in outputs)})")
+    scope: dict[str, Any] = {**functions._asdict(), "inf": math.inf, "nan": math.nan}
+    exec("\n".join(lines), scope)
+    function: Callable[..., tuple[Any, ...]] = scope["function"]
+    return function
+
+
+class _Formula(str):
+    """A part of a formula; arithmetic on it writes text."""
+
+    def __add__(self, other: str) -> str:
+        return f"{self} + {other}"
+
+    def __sub__(self, other: str) -> str:
+        return f"{self} - {other}"
+
+    def __mul__(self, other: str) -> str:  # type: ignore[override]
+        return f"{self} * {other}"
+
+    def __truediv__(self, other: str) -> str:
+        return f"{self} / {other}"
+
+    def __rtruediv__(self, other: float) -> str:
+        return f"{other} / {self}"
+
+    def __neg__(self) -> str:
+        return f"-{self}"
+
+
+def _call(name: str) -> Callable[..., str]:
+    return lambda *arguments: f"{name}({', '.join(arguments)})"
+
+
+_FUNCTIONS: Final = Functions(*map(_call, Functions._fields))
+_OPERATORS: Final = {**definitions(_FUNCTIONS), **partial_definitions(_FUNCTIONS)}

@@ -8,8 +8,6 @@ them.
     atoll/hello/{name}                         served by the coordinator: greeting of the worker or client of this name
     atoll/{cluster}/control                    put by the coordinator, to all workers
     atoll/{cluster}/control/{worker}           put by the coordinator, to one worker
-    atoll/{cluster}/job/{job}                  served by the coordinator: announcement
-    atoll/{cluster}/job/{job}/placement        served by the coordinator: current placements
     atoll/{cluster}/job/{job}/state            served by the coordinator: states of islands at a checkpoint
     atoll/{cluster}/blob/{digest}/{index}      served by the coordinator: one chunk of a dataset
     atoll/{cluster}/worker/{worker}/alive      presence of a worker
@@ -17,8 +15,7 @@ them.
     atoll/{cluster}/worker/{worker}/report     put by the worker: finished epochs
     atoll/{cluster}/worker/{worker}/result     put by the worker: results of tasks
     atoll/{cluster}/worker/{worker}/log        put by the worker: lines of its log
-    atoll/{cluster}/worker/{worker}/pull       served by the worker: messages that it sent and still keeps
-    atoll/{cluster}/worker/{worker}/to/{peer}  put by the worker: migrants for islands of `peer`
+    atoll/{cluster}/worker/{worker}/pull       served by the worker: migrants, reports, states, batches of its task
     atoll/{cluster}/client/{client}/ask        served by the coordinator: requests of a client
     atoll/{cluster}/client/{client}/changes    put by the coordinator: changes that the client follows
 
@@ -39,7 +36,6 @@ ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 DIGEST: Final = re.compile(r"[0-9a-f]{64}")
 MAX_CHUNKS: Final = 1 << 16
 
-JobPart = Literal["job", "placement", "state"]
 WorkerPart = Literal["alive", "status", "report", "result", "pull", "log"]
 ClientPart = Literal["ask", "changes"]
 
@@ -63,12 +59,11 @@ class ControlKey:
 
 
 @dataclass(frozen=True, slots=True)
-class JobKey:
-    """A job's announcement (`part` "job"), its current placements, or the states of its islands at checkpoints."""
+class StatesKey:
+    """The states of a job's islands at checkpoints."""
 
     cluster: str
     job: str
-    part: JobPart = "job"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,15 +85,6 @@ class WorkerKey:
 
 
 @dataclass(frozen=True, slots=True)
-class MailKey:
-    """Migrants from `worker` to `peer`."""
-
-    cluster: str
-    worker: str
-    peer: str
-
-
-@dataclass(frozen=True, slots=True)
 class ClientKey:
     """A request of a client, or changes of a job that it follows."""
 
@@ -107,7 +93,7 @@ class ClientKey:
     part: ClientPart = "ask"
 
 
-Key = HelloKey | ControlKey | JobKey | BlobKey | WorkerKey | MailKey | ClientKey
+Key = HelloKey | ControlKey | StatesKey | BlobKey | WorkerKey | ClientKey
 
 
 def is_id(text: str) -> bool:
@@ -124,9 +110,8 @@ def control(cluster: str, worker: str | None = None) -> str:
     return base if worker is None else f"{base}/{_id(worker)}"
 
 
-def job(cluster: str, job_id: str, part: JobPart = "job") -> str:
-    base = f"{ROOT}/{_id(cluster)}/job/{_id(job_id)}"
-    return base if part == "job" else f"{base}/{part}"
+def states(cluster: str, job_id: str) -> str:
+    return f"{ROOT}/{_id(cluster)}/job/{_id(job_id)}/state"
 
 
 def blob(cluster: str, digest: str, index: int) -> str:
@@ -139,18 +124,12 @@ def worker(cluster: str, name: str, part: WorkerPart) -> str:
     return f"{ROOT}/{_id(cluster)}/worker/{_id(name)}/{part}"
 
 
-def mail(cluster: str, name: str, peer: str) -> str:
-    """Return the key on which worker `name` sends migrants to worker `peer`."""
-    return f"{ROOT}/{_id(cluster)}/worker/{_id(name)}/to/{_id(peer)}"
-
-
 def client(cluster: str, name: str, part: ClientPart = "ask") -> str:
     return f"{ROOT}/{_id(cluster)}/client/{_id(name)}/{part}"
 
 
-def all_jobs(cluster: str) -> str:
-    """Return the expression of all announcements, placements and states."""
-    return f"{ROOT}/{_id(cluster)}/job/**"
+def all_states(cluster: str) -> str:
+    return f"{ROOT}/{_id(cluster)}/job/*/state"
 
 
 def all_blobs(cluster: str) -> str:
@@ -166,11 +145,6 @@ def all_clients(cluster: str) -> str:
     return f"{ROOT}/{_id(cluster)}/client/*/ask"
 
 
-def inbox(cluster: str, name: str) -> str:
-    """Return the expression of all mail to worker `name`."""
-    return f"{ROOT}/{_id(cluster)}/worker/*/to/{_id(name)}"
-
-
 def parse(key: str) -> Key:
     """Return the meaning of `key`.
 
@@ -184,16 +158,12 @@ def parse(key: str) -> Key:
             parsed = HelloKey(*name)
         case [cluster, "control", *worker] if len(worker) <= 1:
             parsed = ControlKey(cluster, *worker)
-        case [cluster, "job", name]:
-            parsed = JobKey(cluster, name)
-        case [cluster, "job", name, "placement" | "state" as part]:
-            parsed = JobKey(cluster, name, part)
+        case [cluster, "job", name, "state"]:
+            parsed = StatesKey(cluster, name)
         case [cluster, "blob", digest, index] if DIGEST.fullmatch(digest) and re.fullmatch("0|[1-9][0-9]{0,4}", index):
             parsed = BlobKey(cluster, digest, int(index)) if int(index) < MAX_CHUNKS else None
         case [cluster, "worker", name, part] if part in get_args(WorkerPart):
             parsed = WorkerKey(cluster, name, cast(WorkerPart, part))
-        case [cluster, "worker", name, "to", peer]:
-            parsed = MailKey(cluster, name, peer)
         case [cluster, "client", name, "ask" | "changes" as part]:
             parsed = ClientKey(cluster, name, part)
     if parsed is None:

@@ -388,7 +388,7 @@ class Client:
             raise RefusedError(
                 f"the coordinator at {self._address} has no job {prefix!r}: ids are 1 to 64 letters, digits, _ or -"
             )
-        return self._ask(messages.FindJob(prefix=prefix), messages.JobFound, f"the id of job {prefix}").job
+        return self._ask(messages.FindJob(prefix=prefix), messages.JobStatus, f"the id of job {prefix}").job.job
 
     def pause(self, seconds: float) -> None:
         """Let time pass on the bus."""

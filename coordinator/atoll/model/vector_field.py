@@ -22,9 +22,8 @@ from atoll_coordinator.result.findings import Covariance
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-from atoll_core.expression.compiled import function_of
 from atoll_core.expression.derivative import derivative, with_variables
-from atoll_core.expression.evaluation import NUMPY
+from atoll_core.expression.evaluation import NUMPY, function_of
 from atoll_core.expression.operators import VARIABLE, Functions
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.export import to_sympy

@@ -29,7 +29,7 @@ from atoll.report.markup import (
     table,
 )
 from atoll.text.conclusion import conclusion
-from atoll.text.render import checks_text, constants_line
+from atoll.text.render import ENDS, checks_text, constants_line
 from atoll_coordinator.result.equations import Check, Equation, Estimate, SimpleNumber
 from atoll_coordinator.result.findings import Correlation
 from atoll_core.redaction import without_secrets
@@ -330,17 +330,6 @@ def _decision(equation: Equation) -> list[Element]:
         "The candidates predict different trajectories from other initial states. " if prediction.is_disputed else ""
     )
     return [paragraph(f"{disputed}A measurement from the initial state {start} would distinguish them best.")]
-
-
-ENDS: Final = {
-    "target": "the target error was reached",
-    "law": "regression found laws with residuals like the noise",
-    "stagnation": "no better equation was found for a long time",
-    "max-epochs": "the last epoch was reached",
-    "max-time": "the time was up",
-    "cancelled": "it was cancelled",
-    "known": "the equation was given",
-}
 
 
 def search(findings: Findings) -> list[Element]:

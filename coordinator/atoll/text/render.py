@@ -370,13 +370,14 @@ def _bars(values: Sequence[float | None]) -> str:
 FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 
 _NUMBER: Final = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")
-_ENDS: Final = {
+ENDS: Final = {
     "target": "the target error was met",
     "law": "laws by regression describe the data up to noise",
     "stagnation": "no better equation was found for long",
     "max-epochs": "the number of epochs was used up",
     "max-time": "the time was used up",
     "cancelled": "it was cancelled",
+    "known": "the equation was given",
 }
 
 
@@ -541,7 +542,7 @@ def _standing(equation: Equation) -> str:
     text = f"{outcome}error {number_text(equation.normalized_error)} of the target's standard deviation"
     text += f", size {equation.complexity}, epoch {equation.epoch}"
     if not equation.converged and equation.why not in (None, "target"):  # "target": another member met it
-        text += f"; {_ENDS.get(equation.why, equation.why)}"
+        text += f"; {ENDS.get(equation.why, equation.why)}"
     return text
 
 

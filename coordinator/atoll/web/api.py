@@ -250,8 +250,7 @@ class Api:
         return [(handler.operation, handler) for handler in handlers if hasattr(handler, "operation")]
 
     async def close(self) -> None:
-        """End all streams, and the process that reads files."""
-        self._readers.close()
+        """End all streams."""
         for feed in self._feeds.values():
             feed.stop()
 

@@ -7,22 +7,19 @@ import asyncio
 import contextlib
 import fcntl
 import json
+import multiprocessing
 import os
 import shutil
 import signal
-import socket
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from multiprocessing import forkserver
 from pathlib import Path
 from typing import Final, Literal
 
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 
-from atoll.client.local_processes import start_apart
-from atoll.client.over_http import TOKEN
 from atoll.web.problems import UnreadableError
 from atoll_core.machine import total_memory_bytes
 
@@ -40,6 +37,12 @@ READERS: Final = 2
 
 REFUSED: Final = 3
 """Exit code of a reader whose answer is JSON: status, sentence and columns of an `UnreadableError`."""
+
+_NOT_FORKED: Final = 255
+"""Exit code of a reader when the process that forks has ended."""
+
+_FORKS: Final = multiprocessing.get_context("forkserver")
+_FORKS.set_forkserver_preload(["atoll.web.reading_process"])
 
 LATE: Final = -int(signal.SIGALRM)
 """Exit code of a reader that exceeded the total time."""
@@ -135,18 +138,11 @@ def split_files(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
 
 
 class Readers:
-    """Has files read, a few at a time, by a process that is started again after its death."""
+    """Has files read, a few at a time, each by a fork of a process that has loaded everything."""
 
     def __init__(self, limits: Limits | None = None) -> None:
         self.limits = limits or Limits()
         self._slots = asyncio.Semaphore(READERS)
-        self._process: subprocess.Popen[bytes] | None = None
-        self._control: socket.socket | None = None
-
-    @property
-    def pid(self) -> int | None:
-        """The number of the process, if there is one."""
-        return None if self._process is None else self._process.pid
 
     async def read(
         self, files: Sequence[Path], options: str, media_type: str, wanted: Literal["table", "outline", "preview"]
@@ -161,57 +157,41 @@ class Readers:
             limits=self.limits,
         )  # fmt: skip
         async with self._slots:
-            code = await self._ask_reader(task.model_dump_json().encode() + b"\n")
+            code = await _exit_code_of_fork(task)
         if code == REFUSED:
             raise UnreadableError(**json.loads(answer.read_bytes()))
-        if code is None:
+        if code == _NOT_FORKED:
             raise HTTPException(503, "files cannot be read at the moment; ask again", {"retry-after": "1"})
         if code:
             raise HTTPException(*self.limits.of_code(code, ", ".join(file.name for file in files)))
         return answer
 
-    async def _ask_reader(self, line: bytes) -> int | None:
-        """Return the exit code of a reader; None when none could be started."""
-        ours, theirs = socket.socketpair()
-        with theirs:
-            is_sent = self._send(theirs) or self._send(theirs)
-        reader, writer = await asyncio.open_connection(sock=ours)
-        try:
-            writer.write(line)
-            code = await reader.readline() if is_sent else b""
-        except OSError:
-            return None
-        finally:
-            writer.close()
-        return int(code) if code else None
-
-    def _send(self, theirs: socket.socket) -> bool:
-        try:
-            self.start()
-            assert self._control is not None
-            socket.send_fds(self._control, [b"r"], [theirs.fileno()])
-        except OSError:
-            self.close()
-            return False
-        return True
-
     def start(self) -> None:
-        """Start the process, unless it is running; raises OSError."""
-        if self._control is not None:
-            return
-        self._control, theirs = socket.socketpair()
-        with theirs:
-            command = [sys.executable, "-P", "-m", "atoll.web.reading_process", str(theirs.fileno())]
-            given = {TOKEN: "", "OPENBLAS_NUM_THREADS": "1"}  # no thread may be there when it forks
-            self._process = start_apart(
-                command, given, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, pass_fds=[theirs.fileno()]
-            )
+        """Start the process that forks, unless it is running; it ends with this one. Raises OSError."""
+        forkserver.ensure_running()
 
-    def close(self) -> None:
-        """End the process and its readers."""
-        if self._control is not None:
-            self._control.close()
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-        self._control = self._process = None
+
+async def _exit_code_of_fork(task: Reading) -> int:
+    """Return the exit code of a reader, which is killed, with its own children, if nobody waits for it any more."""
+    process, ended = _FORKS.Process(target=_read, args=(task,), daemon=True), asyncio.Event()
+    try:
+        process.start()
+    except (OSError, EOFError):
+        return _NOT_FORKED
+    loop = asyncio.get_running_loop()
+    loop.add_reader(process.sentinel, ended.set)
+    try:
+        await ended.wait()
+    finally:
+        loop.remove_reader(process.sentinel)
+        with contextlib.suppress(OSError):
+            os.killpg(process.pid or 0, signal.SIGKILL)
+        process.join()
+    return _NOT_FORKED if process.exitcode is None else process.exitcode
+
+
+def _read(task: Reading) -> None:
+    """Read in a fork, without the end of an interpreter, which a file could disturb."""
+    from atoll.web.reading_process import answer
+
+    os._exit(answer(task))

@@ -188,7 +188,7 @@ def configure(application: Any, listener: Listener) -> uvicorn.Config:
 
 
 def build_application(access: Access, readers: Readers | None = None) -> Starlette:
-    """Return the application, which closes its gateways and the process that reads files at its end."""
+    """Return the application, which closes its gateways at its end."""
     readers = readers or Readers()
     api = Api(readers)
 

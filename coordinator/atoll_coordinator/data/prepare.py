@@ -8,26 +8,269 @@
 A stochastic process is not smoothed, and given left-hand sides are not differentiated.
 """
 
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Final
 
-from atoll_coordinator.data.assembly import assemble_differentiated, assemble_given
+import numpy as np
+
 from atoll_coordinator.data.columns.examination import Examination, examine
-from atoll_coordinator.data.differentiation.derivatives import Differentiation
+from atoll_coordinator.data.differentiation.derivatives import (
+    Differentiation,
+    StateEstimate,
+    derivative_standard_deviation,
+    representable_standard_deviation,
+)
 from atoll_coordinator.data.differentiation.held_inputs import estimate_driven_states
+from atoll_coordinator.data.differentiation.inputs import (
+    choose_input_kind,
+    estimate_input_slopes,
+    relative_curve_error,
+)
+from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.increments import assemble_process
 from atoll_coordinator.data.prior_knowledge import resolve_equations
-from atoll_coordinator.data.recording import Preparation, Source
+from atoll_coordinator.data.recording import InputKind, Method, Preparation, Recording, Smoothing, Source, Trajectory
 from atoll_coordinator.data.roles.roles import assign_symbols
-from atoll_coordinator.data.row_selection.row_means import average_oversampled_rows, estimates_of_means
-from atoll_coordinator.data.row_selection.selected_rows import (
+from atoll_coordinator.data.selected_rows import (
+    SelectedRows,
+    average_oversampled_rows,
+    estimates_of_means,
     normalize_weights,
     select_rows,
     select_weighty_rows,
     thin_searched_rows,
 )
-from atoll_coordinator.data.trajectories.measurements import split_at_gaps
+from atoll_coordinator.data.trajectories.measurements import Measurements, split_at_gaps
+from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
+from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, Target
 from atoll_core.data.table import Table
+from atoll_core.errors import DataError
+
+_MOST_OUTLIERS: Final = 0.1
+"""Share of the rows beyond which outliers are hardly errors of measurement."""
+_MANY_OUTLIERS: Final = "; so many suggest that rows are too far apart for --robust, not that they are wrong"
+
+
+def assemble_given(
+    measurements: Measurements,
+    weights: FloatArray | None,
+    selected: list[int],
+    equations: Collection[str],
+    symbols: Mapping[str, str],
+) -> Preparation:
+    """Return the problems of a table that contains the left-hand sides: labels or derivatives, treated as exact.
+
+    Problems are made of the `equations`, over the rows `selected`; fits use every row that is not held out. `weights`
+    (R,) are 1 on average, None: all are 1; `symbols` has by column name the name in expressions.
+    """
+    roles, warnings = measurements.roles, measurements.warnings
+    searched = measurements.searched_rows
+    if len(selected) < len(searched):
+        count = f"{len(searched) - len(selected)} of {len(searched)} rows"
+        warnings = (
+            *warnings, f"{count} have little weight and are left out of the search; fits count them by their weight."
+        )  # fmt: skip
+    targets = []
+    for name, column in zip(roles.equations, roles.derivatives or roles.equations, strict=True):
+        values = measurements.columns[column]
+        deviation = representable_standard_deviation(column, values[selected])
+        if name in equations:
+            targets.append(Target(name, roles.left_hand_side(name), values, 0.0, deviation))
+    inputs = np.array([measurements.columns[name] for name in roles.variables])
+    whole = Dataset(tuple(symbols.values()), inputs, tuple(targets), dict(symbols), warnings)
+    held_out = _take_rows(whole, measurements.held_out_rows) if any(measurements.held_out) else None
+    return Preparation(
+        _take_rows(whole, selected),
+        held_out=held_out,
+        weights=None if weights is None else weights[searched],
+        counted=_take_rows(whole, searched) if len(selected) < len(searched) else None,
+    )
+
+
+def assemble_differentiated(
+    measurements: Measurements,
+    weights: FloatArray | None,
+    estimates: Sequence[StateEstimate],
+    selected: SelectedRows,
+    equations: Collection[str],
+    symbols: Mapping[str, str],
+) -> Preparation:
+    """Return the problems and the recording of smoothed and differentiated states.
+
+    The `measurements` have trajectories, `weights` (R,) are the weights of all rows, and there is one of the
+    `estimates` for each state. Raises DataError where too few rows are selected, or a derivative cannot be a target.
+    """
+    roles = measurements.roles
+    warnings = [*measurements.warnings, *selected.warnings, *_remarks(measurements, estimates, selected)]
+    values = [estimate.values if estimate.points is None else estimate.points for estimate in estimates]
+    values += [estimate.velocity for estimate in estimates if roles.velocities]
+    values += [np.concatenate(parts) for parts in measurements.inputs]
+    targets = [
+        _target(name, roles.left_hand_side(name), estimate, selected.searched)
+        for name, estimate in zip(roles.states, estimates, strict=True)
+    ]
+    sought = tuple(target for target in targets if target.variable in equations)
+    recording = _recording(measurements, weights, estimates, selected, symbols)
+    error, noise = recording.input_error, max(part.relative_noise for part in recording.smoothing)
+    if error > max(noise, SETTINGS.selection.least_noise):
+        of_inputs = f"Between rows, inputs ({', '.join(recording.inputs)}) are uncertain by {100.0 * error:.2g} %"
+        more = "equations that differ by less are not told apart; sample inputs more often"
+        warnings.append(f"{of_inputs} of their standard deviation, more than the noise of the states: {more}.")
+    names, groups = tuple(symbols.values()), measurements.group_of_row
+    whole = Dataset(names, np.array(values), sought, dict(symbols), tuple(warnings), groups)
+    held_out = _take_rows(whole, selected.held_out) if selected.held_out else None
+    return Preparation(_take_rows(whole, selected.searched), recording, held_out)
+
+
+def _take_rows(dataset: Dataset, rows: list[int]) -> Dataset:
+    targets = [replace(target, values=np.ascontiguousarray(target.values[rows])) for target in dataset.targets]
+    groups = None if dataset.groups is None else np.ascontiguousarray(dataset.groups[rows])
+    inputs = np.ascontiguousarray(dataset.inputs[:, rows])
+    return replace(dataset, inputs=inputs, targets=tuple(targets), groups=groups)
+
+
+def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Target:
+    """Return the target over all rows, with the uncertainty and the standard deviation of the selected rows.
+
+    A derivative without noise that differs from row to row by no more than its uncertainty may be constant, and is
+    judged by its size: relative to such a small standard deviation any equation would seem uncertain, and the search
+    would not end.
+    """
+    values = np.ascontiguousarray(estimate.derivative[rows])
+    scale = derivative_standard_deviation(name, values)
+    uncertainty, _ = moments(np.ascontiguousarray(estimate.uncertainty[rows] / scale))
+    if not math.isfinite(uncertainty):
+        raise DataError(f"the uncertainty of the derivative of '{name}' cannot be told; sample more often")
+    mean, deviation = moments(values)
+    if not estimate.target_noise and uncertainty >= 1.0 and uncertainty * scale < CLEAN_UNCERTAINTY * abs(mean):
+        uncertainty, scale = uncertainty * scale / abs(mean), abs(mean)
+    if deviation < scale:  # constant except for rounding, which a comparison of two orders shows only in part
+        uncertainty = max(uncertainty, deviation / scale)
+    return Target(name, lhs, estimate.derivative, uncertainty, scale, estimate.target_noise)
+
+
+def _remarks(measurements: Measurements, estimates: Sequence[StateEstimate], selected: SelectedRows) -> list[str]:
+    states = measurements.roles.states
+    if len(selected.searched) < SETTINGS.common.fewest_rows:
+        named = ", ".join(states)
+        raise DataError(f"only {len(selected.searched)} rows of {named} can be differentiated; sample more of them")
+    remarks = []
+    for state, estimate in zip(states, estimates, strict=True):
+        if estimate.outliers:
+            count = f"{estimate.outliers} {'outlier' if estimate.outliers == 1 else 'outliers'} without weight"
+            is_likely = estimate.outliers <= _MOST_OUTLIERS * measurements.row_count
+            remarks.append(f"State '{state}' has {count}{'' if is_likely else _MANY_OUTLIERS}.")
+    tailed = ", ".join(state for state, estimate in zip(states, estimates, strict=True) if estimate.has_heavy_tails)
+    if tailed:
+        remarks.append(f"Some measurements of {tailed} look like outliers; --robust takes their weight away.")
+    if any(measurements.held_out) and not selected.held_out:
+        remarks.append("No row that was held out can be differentiated well; equations are not judged by them.")
+    return remarks
+
+
+# ---------------------------------------------------------------------------------------------------------- recording
+
+
+def _recording(
+    measurements: Measurements,
+    weights: FloatArray | None,
+    estimates: Sequence[StateEstimate],
+    selected: SelectedRows,
+    symbols: Mapping[str, str],
+) -> Recording:
+    roles, whole = measurements.roles, measurements.trajectories
+    assert whole is not None
+    known: dict[str, InputKind] = dict.fromkeys(roles.held, "held")
+    if roles.time is not None:
+        known[roles.time] = "smooth"
+    pairs = zip(roles.inputs, measurements.inputs, strict=True)
+    kinds = tuple(known.get(name) or choose_input_kind(whole.times, along) for name, along in pairs)
+    smoothing = []
+    for state, estimate, rows, excluded in zip(
+        roles.states, estimates, selected.uncertain, selected.excluded, strict=True
+    ):
+        smoother = estimate.smoother
+        method: Method = "loess" if estimate.outliers is None else "robust loess"
+        smoothing.append(
+            Smoothing(
+                state,
+                "interpolation" if smoother is None else method,
+                estimate.noise,
+                estimate.relative_noise,
+                None if smoother is None else smoother.rows,
+                None if smoother is None else smoother.degree,
+                len(rows),
+                estimate.outliers or 0,
+                excluded,
+                estimate.narrower_noise,
+                estimate.narrower_span,
+                estimate.quantisation,
+            )
+        )
+    return Recording(
+        roles.states,
+        tuple(symbols[name] for name in roles.states),
+        tuple(symbols[name] for name in roles.velocities),
+        roles.inputs,
+        tuple(symbols[name] for name in roles.inputs),
+        roles.order,
+        whole.offset,
+        tuple(smoothing),
+        _trajectories(measurements, weights, estimates, kinds),
+        roles.offsets,
+        measurements.group_names,
+        measurements.rows_of_mean,
+        kinds,
+        max(map(partial(relative_curve_error, whole.times), measurements.inputs, kinds), default=0.0),
+    )
+
+
+def _trajectories(
+    measurements: Measurements,
+    weights: FloatArray | None,
+    estimates: Sequence[StateEstimate],
+    kinds: Sequence[InputKind],
+) -> tuple[Trajectory, ...]:
+    roles, whole, ranges = measurements.roles, measurements.trajectories, measurements.ranges
+    assert whole is not None
+    inputs = measurements.inputs
+    nothing = [None] * len(ranges)
+
+    def parts(columns: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return columns (R,) of all rows as the rows of one array, for each trajectory, in C order."""
+        stacked = np.array(columns, dtype=np.float64).reshape(len(columns), measurements.row_count)
+        return [np.ascontiguousarray(stacked[:, slice(*place)]) for place in ranges]
+
+    slopes = [estimate_input_slopes(whole.times, along, kind) for along, kind in zip(inputs, kinds, strict=True)]
+    if roles.time in roles.inputs:
+        slopes[roles.inputs.index(roles.time)] = [np.ones(len(times)) for times in whole.times]
+    is_known = np.array([estimate.is_known for estimate in estimates])
+    robustness_weights = [estimate.robustness_weights for estimate in estimates]
+    is_robust = any(own is not None for own in robustness_weights)
+    is_between = any(estimate.points is not None for estimate in estimates)
+    ones = np.ones(measurements.row_count)
+    columns = zip(
+        whole.names,
+        whole.times,
+        parts([np.concatenate(along) for along in whole.states.values()]),
+        parts([estimate.values for estimate in estimates]),
+        parts([estimate.velocity for estimate in estimates]),
+        parts([np.concatenate(along) for along in inputs]),
+        parts([np.concatenate(along) for along in slopes]),
+        measurements.held_out,
+        parts([ones if own is None else own for own in robustness_weights]) if is_robust else nothing,
+        nothing if weights is None else [np.ascontiguousarray(weights[slice(*place)]) for place in ranges],
+        nothing if is_known.all() else [np.ascontiguousarray(is_known[:, slice(*place)]) for place in ranges],
+        nothing if is_between else parts([estimate.derivative for estimate in estimates]),
+        nothing if is_between else parts([estimate.total_uncertainty for estimate in estimates]),
+        measurements.groups or [""] * len(ranges),
+        strict=True,
+    )
+    return tuple(Trajectory(*column) for column in columns)
 
 
 def prepare(table: Table, config: JobConfig) -> Preparation:

@@ -3,7 +3,7 @@
 1. The programs of the search are decoded and joined with guesses and known equations (selection/candidates.py).
 2. A stochastic process goes its own way from there (stochastic/).
 3. Without trajectories, each variable's equation is fitted to its target, and that is all (regression/equation.py).
-4. With trajectories, equations of noise-free targets that converged are fitted first, and stand.
+4. With trajectories, equations of noise-free targets that converged are fitted to these first: they are candidates.
 5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model
    (selection/stages.py, which says in which order candidates are proposed and when no more are).
 6. Its constants get errors, it is compared with its alternatives, simulated and judged (inference/conclusion.py).
@@ -19,7 +19,7 @@ from atoll_coordinator.model.batches import Batches, spreading
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import conclude
 from atoll_coordinator.model.inference.remarks import stochastic_remarks, unexplained_remarks
-from atoll_coordinator.model.inference.target_evidence import target_evidence
+from atoll_coordinator.model.inference.target_checks import TargetChecks
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.pools import LawsByGroup, Member, Pools
 from atoll_coordinator.model.refinement import Refined, Refinement
@@ -81,8 +81,8 @@ def _judged_by_target(made: Refinement, preparation: Preparation, deadline: Dead
     equations = {}
     for name, equation in made.equations.items():
         problem = (preparation.counted or preparation.dataset).problem(name)
-        verdict = judge(target_evidence(equation, problem, preparation.weights, stopped=stopped))
-        equations[name] = replace(equation, grade=verdict.grade, reason=verdict.reason, checks=verdict.checks)
+        verdict = judge(TargetChecks(equation, problem, preparation.weights, stopped=stopped))
+        equations[name] = replace(equation, **vars(verdict))
     return replace(made, equations=equations)
 
 

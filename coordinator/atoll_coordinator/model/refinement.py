@@ -18,9 +18,9 @@ from atoll_core.expression.program import Program
 from atoll_core.expression.writing.expansion import Shape
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
-JobKind = Literal["trajectories", "groups", "target", "process"]
-"""Kinds of job by what an equation is tested against: simulated trajectories; the same with constants for each
-group of trajectories; a target on rows; the steps of a stochastic process."""
+JobKind = Literal["trajectories", "target", "process"]
+"""Kinds of job by what an equation is tested against: simulated trajectories, a target on rows, or the steps of a
+stochastic process."""
 CheckOutcome = Literal["passed", "failed", "not made", "not applicable"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
 """How refining ended: by itself, by ``--max-time`` with the best so far, or without a result of its own."""

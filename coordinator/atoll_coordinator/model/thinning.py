@@ -6,6 +6,7 @@ ranges in distant parts.
 """
 
 import math
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -46,3 +47,8 @@ def curve(values: FloatArray, digits: int = 7) -> tuple[float | None, ...]:
     Curves have many numbers and are looked at, so that seven digits are enough.
     """
     return tuple(finite(float(f"{value:.{digits}g}")) for value in values.tolist())
+
+
+def curves(names: Iterable[str], values: Iterable[FloatArray], digits: int = 7) -> dict[str, tuple[float | None, ...]]:
+    """Return the curve of each row of values by its name."""
+    return {name: curve(row, digits) for name, row in zip(names, values, strict=True)}

@@ -84,7 +84,7 @@ from atoll_core.wire.messages.clients import AskAnalysis, QueueDepth, Submit
 from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
 from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.views import TaskView, WorkerService
-from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, Placements, WorkerStatus
+from atoll_core.wire.messages.workers import Close, CloseJob, WorkerStatus
 
 _SAVE_S: Final = 10.0
 """Interval of storing task time: a commit takes milliseconds, and a killed coordinator loses no more."""
@@ -113,7 +113,7 @@ class JobController:
         self.queue: Final = JobQueue()
         self.live_of: Final[Counter[str | None]] = Counter()
         """Number of jobs of each user that have not ended."""
-        self._task_time = TaskTime(_day_of(store), store.usage(_day_of(store)))
+        self.queue.task_time = TaskTime(_day_of(store), store.usage(_day_of(store)))
         self._saved_at = 0.0
         self._rested_at: float | None = None
         self.events: Final = EventLog(store, clock)
@@ -189,7 +189,6 @@ class JobController:
         if not job.has_ended:
             job.hold(job.state == "running")
             self.events.record("resumed", "the coordinator was started again; the job continues from the store", job.id)
-            self._channel.publish(job.announcement())
         return actions
 
     def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
@@ -369,7 +368,6 @@ class JobController:
         self._store.update_job(job.id, state="running")
         sought = ", ".join(job.archipelagos)
         self.events.record("prepared", f"data are prepared; sought: {sought or 'nothing'}", job.id)
-        self._channel.publish(job.announcement())
         return actions
 
     def _set_up(self, job: Job, dataset: str | None, prepared: Prepared, now: float) -> Sequence[JobAction]:
@@ -417,19 +415,6 @@ class JobController:
     def fail_job(self, job_id: str, fault: Fault, sentence: str, now: float) -> None:
         """Let a job fail; without effect when it has ended."""
         self._change(job_id, "ending", now, lambda job: job.fail(fault, sentence))
-
-    def announcement(self, job_id: str) -> JobAnnouncement | None:
-        """Return the announcement of a job that is being searched; None: it is not."""
-        job = self.jobs.get(job_id)
-        return job.announcement() if job is not None and job.state == "running" else None
-
-    def placements(self, job_id: str) -> Placements:
-        """Return the current placements of a job."""
-        job = self.jobs.get(job_id)
-        open_ones = job.open_archipelagos if job is not None else ()
-        return Placements(
-            placements=tuple(archipelago.placement for archipelago in open_ones if archipelago.placement is not None)
-        )
 
     def job_of_dataset(self, digest: str) -> str | None:
         """Return the id of a live job whose prepared dataset this is; None: there is none."""
@@ -494,7 +479,7 @@ class JobController:
         is_known = self.workers.add_heartbeat(worker, status, now)
         if is_known:
             computed = ((amount.submitter, amount.seconds) for amount in status.computed)
-            self._task_time.add_heartbeat(worker, status.instance, computed)
+            self.queue.task_time.add_heartbeat(worker, status.instance, computed)
             with self.breakages.tolerated("comparing the tasks of a worker"):
                 self.tasks.add_heartbeat(worker, status, now)
         for assignment_status in status.holdings if is_known else ():
@@ -559,7 +544,7 @@ class JobController:
         """Charge the user of a job, or of a question, for the time of workers."""
         charged = self._of_turn(turn)
         if charged is not None:
-            self._task_time.charge(charged.submitter, seconds)
+            self.queue.task_time.charge(charged.submitter, seconds)
             self._turns.charge(charged.submitter, seconds)
 
     def add_report(self, worker: str, report: EpochReport, now: float) -> None:
@@ -597,15 +582,13 @@ class JobController:
             self.events.flush()
 
     def _count_time(self, now: float) -> None:
-        """Find the users who have used up their task time, and store the task time of all."""
-        self.queue.exhausted = self._task_time.exhausted(self.queue.limits)
-        self.queue.is_exhausted = self._task_time.is_used_up(self.queue.limits)
+        """Store the task time of all users."""
         if now - self._saved_at >= _SAVE_S:
             self._saved_at = now
-            unsaved = self._task_time.take_unsaved()
+            unsaved = self.queue.task_time.take_unsaved()
             if unsaved or self.jobs:
                 self._store.add_usage(_day_of(self._store), unsaved)
-            self._task_time.begin_day(_day_of(self._store))
+            self.queue.task_time.begin_day(_day_of(self._store))
 
     def _rest(self, now: float) -> None:
         """Leave out the time in which jobs to be refined wait for a worker, as for islands without workers.
@@ -657,7 +640,7 @@ class JobController:
             return
         commit = archipelago.mark_durable(checkpoint, now)
         self.counters.add(checkpoint.job, commits=1)
-        self.workers.add_commit(checkpoint)
+        self.workers.crash_loops.add_commit(checkpoint.key, checkpoint.epoch)
         self.events.record_commit(checkpoint)
         if commit is not None:
             self._channel.publish(commit)
@@ -739,7 +722,7 @@ class JobController:
         with self.breakages.tolerated("forgetting the counters of a job"):
             self.counters.forget(job_id)
         with self.breakages.tolerated("forgetting a job"):
-            self.workers.forget(job_id)
+            self.workers.crash_loops.forget(job_id)
 
     def _compose(self, ending: Ending) -> None:
         """Let the end of a job take effect when its result is composed."""
@@ -841,7 +824,7 @@ class JobController:
         self._remove(job.id)
         self.events.record_end(job)
         self.counters.forget(job.id)
-        self.workers.forget(job.id)
+        self.workers.crash_loops.forget(job.id)
         self._take_turns(now)
 
     def _fitting(self, job: Job, text: str | None) -> str | None:

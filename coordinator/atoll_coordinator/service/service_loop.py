@@ -151,7 +151,7 @@ class Service:
         self._bus.subscribe(topics.all_workers(cluster, "result"))
         self._bus.subscribe(topics.all_workers(cluster, "log"))
         self._bus.watch(topics.all_workers(cluster, "alive"))
-        for expression in (topics.all_jobs(cluster), topics.all_blobs(cluster), topics.all_clients(cluster)):
+        for expression in (topics.all_states(cluster), topics.all_blobs(cluster), topics.all_clients(cluster)):
             self._bus.serve(expression)
         for expression in (topics.HELLO, topics.ALL_GREETINGS):
             self._bus.serve(expression)

@@ -29,9 +29,8 @@ import numpy as np
 
 from atoll_coordinator.stochastic import Discretisation
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.compiled import function_of
 from atoll_core.expression.derivative import derivative, with_variables
-from atoll_core.expression.evaluation import NUMPY, values_of
+from atoll_core.expression.evaluation import NUMPY, function_of, values_of
 from atoll_core.expression.program import Program, constant_places, structure
 
 Pair = tuple[int, int]
@@ -90,6 +89,17 @@ def step_moments(
             covariance += weight * steps * np.einsum("ijr,jkr,lkr->ilr", left, at_node, left)
         covariance[:, :, (variances < 0.0).any(axis=0)] = np.nan
         return StepMoments(mean, covariance, _propagator(powers, steps))
+
+
+def factors_of(covariance: FloatArray) -> FloatArray:
+    """Return the factors L of Cholesky (S, S, R) of covariances L L': zero for no noise, NaN for negative variances."""
+    factor = np.zeros_like(covariance)
+    with np.errstate(all="ignore"):
+        for i in range(len(covariance)):
+            for j in range(i + 1):
+                rest = covariance[i, j] - (factor[i, :j] * factor[j, :j]).sum(axis=0)
+                factor[i, j] = np.sqrt(rest) if i == j else np.where(rest == 0.0, 0.0, rest / factor[j, j])
+    return factor
 
 
 def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps: FloatArray) -> FloatArray:

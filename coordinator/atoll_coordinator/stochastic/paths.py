@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.stochastic.moments import StepMoments
+from atoll_coordinator.stochastic.moments import StepMoments, factors_of
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
 
@@ -71,14 +71,8 @@ class Simulator:
         points = np.concatenate([states, np.repeat(inputs[:, None], count, axis=1)])
         moments = self.moments(points, np.full(count, length))
         normal = self.random.standard_normal(states.shape)
-        factor = np.zeros_like(moments.covariance)
-        moved = states + moments.mean
         with np.errstate(all="ignore"):
-            for i in range(len(states)):
-                for j in range(i + 1):
-                    rest = moments.covariance[i, j] - (factor[i, :j] * factor[j, :j]).sum(axis=0)
-                    factor[i, j] = np.sqrt(rest) if i == j else np.where(rest == 0.0, 0.0, rest / factor[j, j])
-                moved[i] += (factor[i, : i + 1] * normal[: i + 1]).sum(axis=0)
+            moved = states + moments.mean + np.einsum("ijp,jp->ip", factors_of(moments.covariance), normal)
         return np.where(np.isfinite(moved).all(axis=0), moved, np.nan)
 
 

@@ -2,10 +2,10 @@
 
 - ``interface``: events in, actions out, and the keys of shards and epochs.
 - ``worker_session``: the whole worker; one ``shard`` for each archipelago that is placed here under a term.
-- ``kept_messages``: mail that has arrived; emigrants, reports and snapshots that others may ask for again.
+- ``kept_messages``: emigrants, reports and snapshots that others ask for.
 
-The life of an epoch: an island of a shard is ready, a `RunTask` computes it, its report waits until all islands here
-have reported, and its emigrants go to the shards of other workers (`Send`) or into the mailbox here. A migrant that
-arrives is filed by (epoch, destination, source). When the migrants of all senders are there, the island is ready again.
-Missing migrants are pulled from the retransmit buffer of the sender.
+The life of an epoch: an island of a shard is ready, a `RunTask` computes it, and the emigrants of other workers are
+asked for (`Ask`). Its report waits until all islands here have reported; its emigrants go to islands here, or answer
+the pulls of other workers (`Respond`). A migrant that arrives is filed by epoch and source. When the migrants of all
+senders are there, the island is ready again.
 """

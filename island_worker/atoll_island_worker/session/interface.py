@@ -71,35 +71,19 @@ class LoadFailed:
 
 
 @dataclass(frozen=True, slots=True)
-class Mailed:
-    """Another worker sent migrants, or a message that none will come."""
-
-    sender: str
-    body: epochs.Migrants | epochs.IslandFinished
-
-
-@dataclass(frozen=True, slots=True)
 class PullAsked:
-    """Another worker or the coordinator asks for messages that we sent; the answer refers to `handle`."""
+    """Another worker or the coordinator asks for migrants, reports or states; the answer refers to `handle`."""
 
     handle: Query
     body: epochs.PullMigrants | epochs.PullReports | epochs.PullStates
 
 
 @dataclass(frozen=True, slots=True)
-class PullAnswered:
-    """Worker `peer` answered our pull."""
+class PullEnded:
+    """A pull that we `asked` has ended, with an answer or (None) without one."""
 
-    peer: str
-    body: epochs.Sent | epochs.Reports | epochs.States | epochs.NotYet | epochs.NewerTerm
-
-
-@dataclass(frozen=True, slots=True)
-class StatesCame:
-    """The coordinator answered a request for states; None: not in time, or it has none."""
-
-    asked: epochs.PullStates
-    body: epochs.States | None
+    asked: "Ask"
+    body: epochs.Migrants | epochs.States | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +138,7 @@ Outcome = EpochComputed | Rejected | Broken | Abandoned
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Time has passed; `now` is the bus's monotonic seconds."""
-
-    now: float
+    """Time has passed: what is missing and not under way is asked for again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,33 +152,12 @@ class Reset:
 
 
 SessionEvent = (
-    Placement | Commit | Close | CloseJob | JobReady | LoadFailed | Mailed | PullAsked | PullAnswered | StatesCame
-    | Snapshot | Outcome | Tick | Reset
+    Placement | Commit | Close | CloseJob | JobReady | LoadFailed | PullAsked | PullEnded | Snapshot | Outcome | Tick
+    | Reset
 )  # fmt: skip
 
 
 # --------------------------------------------------------------------------------------------- actions
-
-
-@dataclass(frozen=True, slots=True)
-class FetchJob:
-    """Load the job's configuration and dataset; JobReady follows."""
-
-    job: str
-
-
-@dataclass(frozen=True, slots=True)
-class FetchPlacements:
-    """Ask the coordinator for the job's current placements; Placement follows."""
-
-    job: str
-
-
-@dataclass(frozen=True, slots=True)
-class FetchStates:
-    """Ask the coordinator for states of a checkpoint; StatesCame follows."""
-
-    body: epochs.PullStates
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,21 +189,6 @@ class Discard:
 
 
 @dataclass(frozen=True, slots=True)
-class DiscardJob:
-    """Forget the job's dataset."""
-
-    job: str
-
-
-@dataclass(frozen=True, slots=True)
-class Send:
-    """Send mail to worker `peer`."""
-
-    peer: str
-    body: epochs.Migrants | epochs.IslandFinished
-
-
-@dataclass(frozen=True, slots=True)
 class SendReport:
     """Report to the coordinator."""
 
@@ -250,11 +196,11 @@ class SendReport:
 
 
 @dataclass(frozen=True, slots=True)
-class AskPeer:
-    """Pull from worker `peer`; PullAnswered may follow."""
+class Ask:
+    """Pull migrants from worker `peer`, or states of a checkpoint from the coordinator (None); PullEnded follows."""
 
-    peer: str
-    body: epochs.PullMigrants
+    peer: str | None
+    body: epochs.PullMigrants | epochs.PullStates
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,10 +208,10 @@ class Respond:
     """Answer the pull that came under `handle`."""
 
     handle: Query
-    body: epochs.Sent | epochs.Reports | epochs.States | epochs.NotYet | epochs.NewerTerm
+    body: epochs.Migrants | epochs.Reports | epochs.States | epochs.NotYet
 
 
-Outgoing = Send | SendReport | AskPeer | Respond | FetchPlacements | FetchStates
+Outgoing = SendReport | Ask | Respond
 """The messages that are sent on the bus."""
 
-Action = RunTask | StopAt | Discard | DiscardJob | FetchJob | SendHeartbeat | Outgoing
+Action = RunTask | StopAt | Discard | SendHeartbeat | Outgoing

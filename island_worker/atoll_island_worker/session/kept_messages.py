@@ -1,93 +1,19 @@
-"""Messages that a worker keeps: immigrants, mail that came before its placement, and messages that others may request.
-Pure.
+"""Messages that a worker keeps because other programs may request them. Pure.
 
-Immigrants are filed by (epoch, destination, source), each once, so the order in which mail arrives cannot matter.
 Emigrants and reports are kept until every island has reported their epoch; snapshots are kept until they, or a later
 checkpoint, are durable at the coordinator.
 """
 
-import math
-from collections.abc import Collection, Container, Iterable, KeysView, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, Final
 
 from atoll_core.wire.messages import epochs
+from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.workers import Placement
 from atoll_core.wire.state_pieces import IslandState, split_states
-from atoll_island_worker.session.interface import Mailed
-
-MAX_PENDING: Final = 256
-"""Messages kept of terms whose placement has not come yet."""
 
 ADDITIONS_PER_ANSWER: Final = 20_000
 """An answer with reports ends after this many additions to the front; the rest is asked for again."""
-
-
-class Mailbox:
-    """The immigrants that have arrived for the islands of a shard and have not been handed over."""
-
-    def __init__(self) -> None:
-        self._blocks: dict[tuple[int, int], dict[int, bytes]] = {}
-
-    def file(self, epoch: int, block: epochs.Block) -> bool:
-        """File a block of an epoch; return whether it is the first of its source and destination."""
-        filed = self._blocks.setdefault((epoch, block.destination), {})
-        is_first = block.source not in filed
-        filed.setdefault(block.source, block.data)
-        return is_first
-
-    def sources(self, epoch: int, destination: int) -> KeysView[int]:
-        """Return the islands whose blocks of an epoch for `destination` have arrived."""
-        return self._blocks.get((epoch, destination), {}).keys()
-
-    def blocks(self, epoch: int, destination: int, sources: Iterable[int]) -> dict[int, bytes]:
-        """Return the blocks of these sources, by source in ascending order; all of them have arrived."""
-        filed = self._blocks[epoch, destination]
-        return {source: filed[source] for source in sorted(sources)}
-
-    def keep_only(self, epoch: int, destination: int, sources: Container[int]) -> None:
-        """Forget the blocks of other sources than these."""
-        filed = self._blocks[epoch, destination]
-        self._blocks[epoch, destination] = {source: data for source, data in filed.items() if source in sources}
-
-    def forget(self, epoch: int, destination: int) -> None:
-        """Forget the blocks of an epoch for `destination`, if any."""
-        self._blocks.pop((epoch, destination), None)
-
-    def filed(self) -> KeysView[tuple[int, int]]:
-        """Return (epoch, destination) of all blocks."""
-        return self._blocks.keys()
-
-
-class PendingMessages:
-    """The last messages of terms whose placement has not come yet, in the order in which they came."""
-
-    def __init__(self) -> None:
-        self._messages: list[Mailed] = []
-
-    def keep(self, mail: Mailed) -> bool:
-        """Keep a message; return whether it is the first of its archipelago."""
-        key = (mail.body.job, mail.body.variable)
-        is_first = all((message.body.job, message.body.variable) != key for message in self._messages)
-        self._messages = [*self._messages[-(MAX_PENDING - 1) :], mail]
-        return is_first
-
-    def take(self, job: str, variable: str) -> list[Mailed]:
-        """Remove the messages of an archipelago and return them."""
-        taken = [message for message in self._messages if (message.body.job, message.body.variable) == (job, variable)]
-        self.forget(job, variable)
-        return taken
-
-    def forget(self, job: str, variable: str | None = None, term: float = math.inf) -> None:
-        """Forget the messages of an archipelago, or of a whole job (`variable` None), up to a term."""
-        self._messages = [
-            message
-            for message in self._messages
-            if message.body.job != job or variable not in (None, message.body.variable) or message.body.term > term
-        ]
-
-    def clear(self) -> None:
-        """Forget all messages."""
-        self._messages.clear()
 
 
 class RetransmitBuffer:
@@ -136,18 +62,20 @@ class RetransmitBuffer:
         islands = tuple(kept[island] for island in sorted(kept))
         return epochs.EpochReport(**self._shard, epoch=epoch, islands=islands)
 
-    def migrants(self, epoch: int, blocks: Iterable[epochs.Block]) -> epochs.Migrants:
-        """Return a message with blocks of one epoch."""
-        return epochs.Migrants(**self._shard, epoch=epoch, blocks=tuple(blocks))
-
-    def sent(self, pull: epochs.PullMigrants) -> epochs.Migrants | None:
-        """Return the emigrants of islands here to one destination in one epoch; None: none are kept."""
-        blocks = [
-            epochs.Block(source=source, destination=pull.destination, data=data)
-            for source in pull.sources
-            if (data := self._sent.get((pull.epoch, source), {}).get(pull.destination)) is not None
-        ]
-        return self.migrants(pull.epoch, blocks) if blocks else None
+    def migrants(self, pull: epochs.PullMigrants) -> epochs.Migrants | None:
+        """Return the emigrants asked for, as many as fit one message; None: a source has not finished the epoch."""
+        if not all((pull.epoch, source) in self._sent for source in pull.sources):
+            return None
+        blocks: list[epochs.Block] = []
+        size = 0
+        for source in pull.sources:
+            sent = self._sent[pull.epoch, source]
+            own = [epochs.Block(source=source, destination=to, data=sent[to]) for to in pull.destinations if to in sent]
+            size += sum(len(block.data) for block in own)
+            if blocks and size > CHUNK_SIZE:
+                break
+            blocks += own
+        return epochs.Migrants(blocks=tuple(blocks))
 
     def answer_reports(self, pull: epochs.PullReports, reported: int) -> epochs.Reports | epochs.NotYet:
         """Return the reports asked for, of epochs below `reported` that are kept, as many as fit one message."""

@@ -1,25 +1,29 @@
-"""A shard: the islands of an archipelago that one worker computes under one term, and their mail. Pure.
+"""A shard: the islands of an archipelago that one worker computes under one term, and their migrants. Pure.
 
 An island waits for exactly the senders that the reshuffle of the last epoch names, and gets all immigrants together. So
-it computes the same bits regardless of the times and the order in which mail arrives. A term that begins at a
-checkpoint begins with the states of its islands, which are pulled from the coordinator.
+it computes the same bits regardless of the times and the order in which they arrive. They are pulled: when the first
+island here begins an epoch, every other worker is asked for the emigrants of that epoch, and answers when its islands
+have finished it. A pull that ends without them is repeated at a tick. A term that begins at a checkpoint begins with
+the states of its islands, which are pulled from the coordinator in the same way.
 
-A hit ends the archipelago at one position in the commit order. A `Finished` message tells the other workers, and every
-shard stops computing after that position. Slices before it are still computed and reported, because they may contain an
-earlier hit.
+A hit ends the archipelago at one position in the commit order. Heartbeats tell the coordinator, its commits tell the
+other workers, and every shard stops computing after that position. Slices before it are still computed and reported,
+because they may contain an earlier hit. None of them needs emigrants of the epoch of the hit, so that nothing depends
+on when a worker learns of it.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
+from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.messages import epochs
 from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement
 from atoll_core.wire.state_pieces import Assembly
 from atoll_island_worker.session import interface as io
-from atoll_island_worker.session.kept_messages import Mailbox, RetransmitBuffer
+from atoll_island_worker.session.kept_messages import RetransmitBuffer
 
 IslandState = Literal["restoring", "ready", "computing", "waiting", "at barrier", "stopped"]
 IslandStep = Literal["restore", "begin", "emigrate", "complete", "end", "reject", "reach barrier"]
@@ -35,25 +39,28 @@ ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]
 """State of one island -> event -> next state. `restoring`: its state is on its way; `computing`: it is in the run
 queue; `at barrier`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last epoch."""
 
-PULL_AFTER_S: Final = 1.0
-"""An island that has waited this long asks the senders; the pause doubles with every question."""
-
-PULL_PAUSE_MAX_S: Final = 8.0
-
-MOST_AHEAD: Final = 1024
-"""Mail is filed of epochs at most this far beyond the last one that may begin here."""
+MAX_HELD: Final = 4096
+"""Pulls of migrants that wait for their answers; further ones are answered at once, and repeated."""
 
 
 @dataclass(slots=True)
 class LocalIsland:
-    """One island computed here. `epoch` is the one it computes, or will begin; `needs` its sources while it waits."""
+    """One island computed here. `epoch` is the one it computes, or will begin; `needs` its sources while it waits.
+
+    `immigrants` have arrived, by epoch and source, and have not been handed over. Each is filed once, so that the order
+    in which answers arrive cannot matter.
+    """
 
     index: int
     state: IslandState = "ready"
     epoch: int = 0
     needs: frozenset[int] = frozenset()
-    pause_s: float = PULL_AFTER_S
-    pull_at: float | None = None
+    immigrants: dict[int, dict[int, bytes]] = field(default_factory=dict)
+
+    @property
+    def arrived(self) -> dict[int, bytes]:
+        """The immigrants of the epoch before `epoch` that have arrived, by source."""
+        return self.immigrants.get(self.epoch - 1, {})
 
     def step(self, step: IslandStep) -> None:
         """Go to the next state by the table; raises LocalProtocolError for a pair that is not in it."""
@@ -73,22 +80,17 @@ class Shard:
         self.schedule = placement.schedule
         first, mine = placement.epoch, placement.islands_of(worker)
         self.islands = {island: LocalIsland(island, "restoring" if first else "ready", first) for island in mine}
-        self.hits: dict[int, epochs.IslandFinished] = {}
+        self.stop: Position | None = None
+        """The earliest known position at which the target was met; nothing after it is needed."""
         self.commit = self.reported = first
         self.waited_s = 0.0
         self.duplicates = 0
         self._names: dict[str, Any] = self.key._asdict()
         self._states = Assembly(mine if first else ())
-        self._is_state_asked = False
-        self._mailbox = Mailbox()
+        self._under_way: set[tuple[str | None, int]] = set()
+        self._pulled = first - 1
+        self._held: dict[epochs.PullMigrants, Query] = {}
         self._buffer = RetransmitBuffer(placement, self.islands)
-        self._others = tuple(dict.fromkeys(name for name in placement.workers if name != worker))
-
-    @property
-    def stop(self) -> Position | None:
-        """The earliest known position at which the target was met; nothing after it is needed."""
-        hits = (Position(hit.epoch, hit.generation, hit.island) for hit in self.hits.values())
-        return min(hits, key=self.placement.commit_order.rank, default=None)
 
     @property
     def stop_epoch(self) -> int:
@@ -99,7 +101,7 @@ class Shard:
         """Return the status of this shard for heartbeats."""
         return AssignmentStatus(
             **self._names, islands=len(self.islands), reported=self.reported, commit=self.commit,
-            snapshots=self._buffer.snapshots(), waited_s=self.waited_s,
+            snapshots=self._buffer.snapshots(), waited_s=self.waited_s, hit=self.stop,
         )  # fmt: skip
 
     def elapse(self, seconds: float) -> None:
@@ -128,7 +130,7 @@ class Shard:
         local.step("begin")
         blocks = state = None
         if local.epoch > self.placement.epoch:
-            blocks = self._mailbox.blocks(local.epoch - 1, island, local.needs)
+            blocks = {source: local.arrived[source] for source in sorted(local.needs)}
         elif local.epoch > 0:
             state = self._states.states.pop(island).data
         return io.EpochTask(
@@ -146,49 +148,43 @@ class Shard:
         local = self.islands[taken.key.island]
         if taken.is_at_barrier:
             local.step("reach barrier")
-            self._mailbox.forget(local.epoch - 1, local.index)
+            local.immigrants.pop(local.epoch - 1, None)
             self._end_late_islands()
         if taken.key.epoch <= self.commit:
             return False
         self._buffer.keep_snapshot(taken.key.epoch, local.index, taken.data)
         return taken.key.epoch in self._buffer.snapshots()
 
-    def computed(self, done: io.EpochComputed) -> list[io.Send]:
-        """Store the outcome of an island for the report; return messages with its emigrants, or with a hit."""
+    def computed(self, done: io.EpochComputed) -> list[io.Action]:
+        """Store the outcome of an island for the report; return answers with its emigrants, and pulls for it."""
         local, key = self.islands[done.key.island], done.key
-        self._mailbox.forget(key.epoch - 1, local.index)
-        messages: list[io.Send] = []
+        local.immigrants.pop(key.epoch - 1, None)
+        actions: list[io.Action] = []
         if done.report.hit is not None:
             local.step("end")
-            generation = done.report.hit.generation
-            hit = epochs.IslandFinished(**self._names, epoch=local.epoch, generation=generation, island=local.index)
-            self.hits[local.index] = hit
-            messages = [io.Send(peer, hit) for peer in self._others]
+            self.stop_at(Position(local.epoch, done.report.hit.generation, local.index))
+            actions = [io.SendHeartbeat()]
         elif local.epoch >= self.stop_epoch:
             local.step("end")
         else:
             local.step("emigrate")
             local.epoch += 1
             local.needs = done.senders | (frozenset({local.index}) & frozenset(done.emigrants))
-            local.pause_s, local.pull_at = PULL_AFTER_S, None
             self._complete(local)
-            messages = self._emigrate(key, done.emigrants)
+            self._buffer.keep_emigrants(key.epoch, key.island, done.emigrants)
+            for destination in done.emigrants.keys() & self.islands.keys():
+                data = done.emigrants[destination]
+                self._deliver(key.epoch, epochs.Block(source=key.island, destination=destination, data=data))
+            actions = [*self._answers(), *self._missing(local)]
         self._end_late_islands()
         if key.epoch <= self.stop_epoch:
             self._buffer.keep_report(key.epoch, done.report)
-        return messages
+        return actions
 
-    def _emigrate(self, key: io.TaskKey, emigrants: Mapping[int, bytes]) -> list[io.Send]:
-        """Keep an island's emigrants, deliver the ones for islands here; return one message for each other worker."""
-        self._buffer.keep_emigrants(key.epoch, key.island, emigrants)
-        leaving: dict[str, list[epochs.Block]] = {}
-        for destination in sorted(emigrants):
-            block = epochs.Block(source=key.island, destination=destination, data=emigrants[destination])
-            if destination in self.islands:
-                self._deliver(key.epoch, block)
-            else:
-                leaving.setdefault(self.placement.workers[destination], []).append(block)
-        return [io.Send(peer, self._buffer.migrants(key.epoch, blocks)) for peer, blocks in leaving.items()]
+    def _answers(self) -> list[io.Respond]:
+        """Return the answers to held pulls of migrants whose sources have finished the epoch now."""
+        answers = {pull: body for pull in self._held if (body := self._buffer.migrants(pull)) is not None}
+        return [io.Respond(self._held.pop(pull), body) for pull, body in answers.items()]
 
     def abandoned(self, island: int) -> None:
         """Take in that nothing of an island's epoch is needed."""
@@ -202,9 +198,10 @@ class Shard:
         local = self.islands[island]
         if local.epoch == self.placement.epoch or local.needs <= self.islands.keys():
             return False
-        self._mailbox.keep_only(local.epoch - 1, island, self.islands)
+        local.immigrants[local.epoch - 1] = {
+            source: data for source, data in local.arrived.items() if source in self.islands
+        }
         local.step("reject")
-        local.pull_at = None
         self._end_late_islands()
         return True
 
@@ -220,32 +217,9 @@ class Shard:
 
     # ------------------------------------------------------------------------------------ coordinator
 
-    def due_fetch(self) -> epochs.PullStates | None:
-        """Return the request for states that are still missing, unless one is under way or none are needed."""
-        wanted = self._states.wanted
-        if not wanted or self._is_state_asked or self.stop_epoch < self.placement.epoch:
-            return None
-        self._is_state_asked = True
-        return epochs.PullStates(
-            **self._names, epoch=self.placement.epoch, islands=wanted, offset=self._states.offset
-        )  # fmt: skip
-
-    def fetched(self, body: epochs.States | None) -> bool:
-        """Take in the answer to `due_fetch`; return whether it contained anything new.
-
-        Raises:
-            RemoteProtocolError: A state was damaged on its way.
-        """
-        self._is_state_asked = False
-        before = (self._states.wanted, self._states.offset)
-        for island in self._states.take(body.pieces if body is not None else ()):
-            if self.islands[island].state == "restoring":
-                self.islands[island].step("restore")
-        return (self._states.wanted, self._states.offset) != before
-
-    def commit_at(self, commit: Commit) -> None:
+    def commit_at(self, commit: Commit) -> Position | None:
         """Take in how far the archipelago is durable and reported, and forget messages that no process will request
-        again.
+        again; return where the target was met, if that is earlier than known before.
 
         Raises:
             RemoteProtocolError: the epoch is later than the last one reported from here.
@@ -257,71 +231,90 @@ class Shard:
         if commit.epoch >= self.commit:
             self.commit, self.schedule = commit.epoch, commit.schedule
         self._buffer.forget(commit.reported, self.commit)
+        return self.stop_at(commit.hit)
 
-    def answer_reports(self, pull: epochs.PullReports) -> epochs.Reports | epochs.NotYet:
-        """Return the complete reports of the epochs asked for that are still kept, as many as fit one message."""
-        return self._buffer.answer_reports(pull, self.reported)
+    # ------------------------------------------------------------------------------------------ pulls
 
-    def answer_states(self, pull: epochs.PullStates) -> epochs.States | epochs.NotYet:
-        """Return states of islands of ours at a checkpoint, as many as fit one message."""
-        return self._buffer.answer_states(pull)
+    def pull_asked(
+        self, handle: Query, pull: epochs.PullMigrants | epochs.PullReports | epochs.PullStates
+    ) -> list[io.Respond]:
+        """Answer a pull; hold a pull of migrants while a source has not finished the epoch."""
+        match pull:
+            case epochs.PullReports():
+                return [io.Respond(handle, self._buffer.answer_reports(pull, self.reported))]
+            case epochs.PullStates():
+                return [io.Respond(handle, self._buffer.answer_states(pull))]
+        if not self.islands.keys() >= set(pull.sources) or len(self._held) >= MAX_HELD:
+            return [io.Respond(handle, epochs.NotYet())]
+        self._held[pull] = handle  # in place of the same pull, which has timed out
+        return self._answers()
 
-    # ------------------------------------------------------------------------------------------ peers
+    def early_pulls(self, epoch: int) -> list[io.Ask]:
+        """Return pulls of all emigrants of an epoch that begins here, once."""
+        if epoch <= self._pulled or epoch + 1 >= self.placement.epochs or epoch > self.schedule.limit:
+            return []
+        self._pulled = epoch
+        return self._pulls(epoch, range(len(self.placement.workers)), self.islands)
 
-    def deliver(self, sender: str, body: epochs.Migrants | epochs.IslandFinished) -> None:
-        """File mail of this shard's term.
+    def due_pulls(self) -> list[io.Ask]:
+        """Return pulls of the states and migrants that are missing, except those that are under way."""
+        pulls: list[io.Ask] = []
+        first, wanted = self.placement.epoch, self._states.wanted
+        if wanted and (None, first) not in self._under_way and self.stop_epoch >= first:
+            self._under_way.add((None, first))
+            states = epochs.PullStates(**self._names, epoch=first, islands=wanted, offset=self._states.offset)
+            pulls.append(io.Ask(None, states))
+        return pulls + [pull for local in self.islands.values() for pull in self._missing(local)]
+
+    def _missing(self, local: LocalIsland) -> list[io.Ask]:
+        """Return pulls of the migrants that an island waits for, except those that are under way."""
+        if local.state != "waiting":
+            return []
+        return self._pulls(local.epoch - 1, sorted(local.needs - local.arrived.keys()), (local.index,))
+
+    def _pulls(self, epoch: int, sources: Iterable[int], destinations: Iterable[int]) -> list[io.Ask]:
+        """Return one pull for each other worker of these sources, except those that are under way."""
+        by_worker: dict[str, list[int]] = {}
+        for source in sources:
+            by_worker.setdefault(self.placement.workers[source], []).append(source)
+        peers = [peer for peer in by_worker if peer != self.worker and (peer, epoch) not in self._under_way]
+        self._under_way.update((peer, epoch) for peer in peers)
+        return [
+            io.Ask(
+                peer,
+                epochs.PullMigrants(
+                    **self._names, epoch=epoch, sources=tuple(by_worker[peer]), destinations=tuple(destinations)
+                ),
+            )
+            for peer in peers
+        ]
+
+    def pull_ended(self, asked: io.Ask, body: epochs.Migrants | epochs.States | None) -> list[io.Ask]:
+        """Take in the answer to a pull; return pulls for the rest if it contained a part.
 
         Raises:
-            RemoteProtocolError: The placement does not give the sender that island, or this worker that destination,
-                or the epoch is impossible.
+            RemoteProtocolError: The answer contains what was not asked for, or a state was damaged on its way.
         """
-        if body.epoch > self.schedule.last + MOST_AHEAD or body.epoch >= self.placement.epochs:
-            raise RemoteProtocolError(f"mail of epoch {body.epoch} came, far beyond commit {self.commit}")
-        if isinstance(body, epochs.IslandFinished):
-            self._check_owner(sender, body.island)
-            self.hits.setdefault(body.island, body)
-            self._end_late_islands()
-            return
-        for block in body.blocks:
-            self._check_owner(sender, block.source)
-            if block.destination not in self.islands:
-                raise RemoteProtocolError(f"mail came for island {block.destination}, which is not computed here")
-        for block in body.blocks:
-            self._deliver(body.epoch, block)
-
-    def _check_owner(self, sender: str, island: int) -> None:
-        workers = self.placement.workers
-        if island >= len(workers) or workers[island] != sender:
-            raise RemoteProtocolError(f"worker {sender} sent mail of island {island}, which is placed elsewhere")
-
-    def answer_migrants(self, pull: epochs.PullMigrants) -> epochs.Sent | epochs.NotYet:
-        """Return the emigrants of islands of ours to one destination in one epoch."""
-        migrants = self._buffer.sent(pull)
-        finished = tuple(hit for hit in self.hits.values() if hit.island in self.islands and hit.epoch <= pull.epoch)
-        return epochs.Sent(migrants=migrants, finished=finished) if migrants or finished else epochs.NotYet()
-
-    def due_pulls(self, now: float) -> list[tuple[str, epochs.PullMigrants]]:
-        """Return (worker, pull) for islands that have waited too long, and set when they ask next."""
-        pulls = []
-        for local in self.islands.values():
-            if local.state != "waiting":
-                continue
-            if local.pull_at is None:
-                local.pull_at = now + local.pause_s
-            elif now >= local.pull_at:
-                pulls += self._pulls_of(local)
-                local.pause_s = min(2 * local.pause_s, PULL_PAUSE_MAX_S)
-                local.pull_at = now + local.pause_s
-        return pulls
-
-    def _pulls_of(self, local: LocalIsland) -> list[tuple[str, epochs.PullMigrants]]:
-        epoch, missing = local.epoch - 1, dict[str, list[int]]()
-        for source in sorted(local.needs - self._mailbox.sources(epoch, local.index) - self.islands.keys()):
-            missing.setdefault(self.placement.workers[source], []).append(source)
-        return [
-            (peer, epochs.PullMigrants(**self._names, epoch=epoch, destination=local.index, sources=tuple(sources)))
-            for peer, sources in missing.items()
-        ]
+        pull = asked.body
+        self._under_way.discard((asked.peer, pull.epoch))
+        match pull, body:
+            case epochs.PullStates(), epochs.States(pieces=pieces):
+                for island in self._states.take(pieces):
+                    if self.islands[island].state == "restoring":
+                        self.islands[island].step("restore")
+            case epochs.PullMigrants(), epochs.Migrants(blocks=blocks) if blocks:
+                for block in blocks:
+                    if block.source not in pull.sources or block.destination not in pull.destinations:
+                        raise RemoteProtocolError(
+                            f"migrants of island {block.source} to {block.destination} came, which were not asked for"
+                        )
+                for block in blocks:
+                    self._deliver(pull.epoch, block)
+                if {block.source for block in blocks} >= set(pull.sources):
+                    return []
+            case _:
+                return []
+        return self.due_pulls()
 
     def _deliver(self, epoch: int, block: epochs.Block) -> None:
         """File one block, once; a block that is no longer needed is dropped."""
@@ -331,12 +324,23 @@ class Shard:
         if is_late or local.state == "stopped":
             self.duplicates += 1
             return
-        self.duplicates += not self._mailbox.file(epoch, block)
+        filed = local.immigrants.setdefault(epoch, {})
+        self.duplicates += block.source in filed
+        filed.setdefault(block.source, block.data)
         self._complete(local)
 
     def _complete(self, local: LocalIsland) -> None:
-        if local.state == "waiting" and local.needs <= self._mailbox.sources(local.epoch - 1, local.index):
+        if local.state == "waiting" and local.needs <= local.arrived.keys():
             local.step("complete")
+
+    def stop_at(self, hit: Position | None) -> Position | None:
+        """Take in where the target was met; return it if it is earlier than known before."""
+        order = self.placement.commit_order
+        if hit is None or (self.stop is not None and order.rank(self.stop) <= order.rank(hit)):
+            return None
+        self.stop = hit
+        self._end_late_islands()
+        return hit
 
     def _end_late_islands(self) -> None:
         """Stop the islands whose next epoch is not needed."""
@@ -355,15 +359,13 @@ class Shard:
     def validate(self) -> None:
         """Check the invariants; raises LocalProtocolError."""
         for local in self.islands.values():
-            have = self._mailbox.sources(local.epoch - 1, local.index)
-            complete = local.epoch == self.placement.epoch or local.needs <= have
+            complete = local.epoch == self.placement.epoch or local.needs <= local.arrived.keys()
             _require(local.state != "ready" or complete, f"island {local.index} is ready without its immigrants")
             _require(local.state != "waiting" or not complete, f"island {local.index} waits for nothing")
             _require(local.epoch < self.placement.epochs, f"island {local.index} is beyond the last epoch")
+            _require(all(epoch >= local.epoch - 1 for epoch in local.immigrants), "old immigrants are kept")
         _require(all(epoch >= self.placement.epoch for epoch in self._buffer.epochs_sent()), "emigrants are too old")
         _require(all(epoch > self.commit for epoch in self._buffer.snapshots()), "snapshots of a commit are kept")
-        is_young = (epoch >= self.islands[island].epoch - 1 for epoch, island in self._mailbox.filed())
-        _require(all(is_young), "old immigrants are kept")
 
 
 def _require(condition: bool, sentence: str) -> None:

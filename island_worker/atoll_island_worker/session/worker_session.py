@@ -3,31 +3,18 @@
 Events go in, actions come out (both in `atoll_island_worker.session.interface`); there is no clock, I/O or thread.
 `Session.handle` is called by the worker's loop, by the simulation and by tests. It keeps the rules of docs/protocol.md.
 
-Each archipelago that is placed here has a `Shard` of the newest term that this worker knows; messages of older terms
-are ignored, and messages of newer ones make it ask for the placement. So nothing depends on the order in which
-messages arrive, and a message that is lost costs time only: mail, reports and states can all be asked for again.
+Each archipelago that is placed here has a `Shard` of the newest term that this worker knows; pulls under other terms
+get nothing and are repeated, and heartbeats bring missing placements. So nothing depends on the order in which messages
+arrive, and a message that is lost costs time only: migrants, reports and states can all be asked for again.
 """
 
-from collections.abc import Mapping
-from typing import Final, Literal
+from typing import Final
 
-from atoll_core.errors import LocalProtocolError, RemoteProtocolError
-from atoll_core.search.commit_order import Position
+from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.messages import epochs, workers
 from atoll_core.wire.messages.views import WorkerState
 from atoll_island_worker.session import interface as io
-from atoll_island_worker.session.kept_messages import PendingMessages
 from atoll_island_worker.session.shard import Shard
-
-JobState = Literal["unknown", "loading", "loaded"]
-JobStep = Literal["placed", "ready", "close"]
-
-JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
-    "unknown": {"placed": "loading", "ready": "loaded", "close": "unknown"},
-    "loading": {"placed": "loading", "ready": "loaded", "close": "unknown"},
-    "loaded": {"placed": "loaded", "ready": "loaded", "close": "unknown"},
-}
-"""State of a job's configuration and dataset on this worker -> event -> next state."""
 
 MAX_TERMS: Final = 1024
 """The newest terms of this many archipelagos that are not computed here are remembered."""
@@ -42,9 +29,8 @@ class Session:
     def __init__(self, worker: str) -> None:
         self.worker = worker
         self._shards: dict[ArchipelagoKey, Shard] = {}
-        self._jobs: dict[str, JobState] = {}
+        self._loaded: dict[str, None] = {}
         self._terms: dict[ArchipelagoKey, int] = {}
-        self._pending = PendingMessages()
         self._failures: list[workers.IslandFailure] = []
         self._waited_before_s = 0.0
         self._duplicates_before = 0
@@ -79,16 +65,12 @@ class Session:
         return tuple(self._failures)
 
     def jobs(self) -> tuple[str, ...]:
-        """Return the jobs whose configuration and dataset are loaded or loading."""
-        return tuple(job for job, state in self._jobs.items() if state != "unknown")
+        """Return the jobs whose configuration and dataset are loaded."""
+        return tuple(self._loaded)
 
     def wants(self, job: str) -> bool:
         """Tell whether the job's dataset is still wanted."""
         return any(name == job for name, _ in self._shards)
-
-    def forget_pending(self, job: str) -> None:
-        """Forget the mail of a job for which the coordinator has answered with no placement: it can be pulled."""
-        self._pending.forget(job)
 
     def validate(self) -> None:
         """Check the invariants; raises LocalProtocolError."""
@@ -109,49 +91,45 @@ class Session:
         runnable = [
             (shard, local.index)
             for (job, _), shard in self._shards.items()
-            if self._jobs.get(job) == "loaded"
+            if job in self._loaded
             for local in shard.runnable()
         ]
-        return [*(io.RunTask(shard.begin(island)) for shard, island in runnable), *actions]
+        begun = [io.RunTask(shard.begin(island)) for shard, island in runnable]
+        early = [pull for shard, island in runnable for pull in shard.early_pulls(shard.islands[island].epoch)]
+        return [*begun, *actions, *early]
 
     def _on(self, event: io.SessionEvent) -> list[io.Action]:  # noqa: C901  # a table of events
         match event:
             case workers.Placement():
                 return self._placed(event)
             case io.JobReady():
-                self._step_job(event.job, "ready")
+                self._loaded[event.job] = None
             case io.LoadFailed():
                 self._load_failed(event)
             case workers.Commit():
                 shard = self._shards.get((event.job, event.variable))
                 if shard is not None and shard.placement.term == event.term:
-                    shard.commit_at(event)
+                    hit = shard.commit_at(event)
+                    stops = [io.StopAt(shard.key, hit, shard.placement.commit_order)] if hit is not None else []
+                    return [*stops, *shard.due_reports()]
             case workers.Close():
-                self._pending.forget(event.job, event.variable, event.term)
                 shard = self._shards.get((event.job, event.variable))
                 return self._drop((event.job, event.variable)) if shard and shard.placement.term <= event.term else []
             case workers.CloseJob():
                 return self._job_closed(event.job)
             case io.Reset():
                 return self._reset(event.incarnation)
-            case io.Mailed():
-                return self._mailed(event)
-            case io.PullAsked():
-                return [io.Respond(event.handle, self._answer(event.body))]
-            case io.PullAnswered():
-                return self._pull_answered(event)
-            case io.StatesCame():
-                shard = self._shards.get((event.asked.job, event.asked.variable))
-                if shard is not None and shard.placement.term == event.asked.term and shard.fetched(event.body):
-                    return self._fetches(shard)  # otherwise the next tick asks again
+            case io.PullAsked(handle=handle, body=pull):
+                shard = self._shards.get((pull.job, pull.variable))
+                if shard is None or pull.term != shard.placement.term:
+                    return [io.Respond(handle, epochs.NotYet())]
+                return [*shard.pull_asked(handle, pull)]
+            case io.PullEnded(asked=io.Ask(body=pull)):
+                shard = self._shards.get((pull.job, pull.variable))
+                if shard is not None and shard.placement.term == pull.term:
+                    return [*shard.pull_ended(event.asked, event.body)]
             case io.Tick():
-                return [
-                    action
-                    for shard in self._shards.values()
-                    for action in (
-                        *(io.AskPeer(peer, pull) for peer, pull in shard.due_pulls(event.now)), *self._fetches(shard),
-                    )
-                ]  # fmt: skip
+                return [pull for shard in self._shards.values() for pull in shard.due_pulls()]
             case io.EpochComputed() | io.Snapshot() | io.Rejected() | io.Broken() | io.Abandoned():
                 return self._task_done(event)
             case _:
@@ -164,23 +142,12 @@ class Session:
         key = (placement.job, placement.variable)
         if placement.term <= self._terms.get(key, 0):
             return []
-        was_wanted = self.wants(placement.job)
         actions = self._drop(key)
         self._record_term(key, placement.term)
         if self.worker not in placement.workers:
             return actions
         shard = self._shards[key] = Shard(placement, self.worker)
-        # Also while the job is loading: a fetch for islands that were placed elsewhere may have been given up.
-        if not was_wanted and self._jobs.get(placement.job) != "loaded":
-            actions.append(io.FetchJob(placement.job))
-        self._step_job(placement.job, "placed")
-        for message in self._pending.take(*key):
-            if message.body.term == placement.term:
-                try:
-                    shard.deliver(message.sender, message.body)
-                except RemoteProtocolError:  # dropped, it can be pulled
-                    continue
-        return actions + self._fetches(shard) + self._stop_from(shard, None)
+        return [*actions, *shard.due_pulls()]
 
     def _load_failed(self, event: io.LoadFailed) -> None:
         for (job, variable), shard in self._shards.items():
@@ -191,61 +158,17 @@ class Session:
     def _job_closed(self, job: str) -> list[io.Action]:
         keys = [key for key in self._shards if key[0] == job]
         actions: list[io.Action] = [action for key in keys for action in self._drop(key)]
-        self._pending.forget(job)
-        if self._jobs.get(job, "unknown") != "unknown":
-            self._step_job(job, "close")
-            del self._jobs[job]
-            actions.append(io.DiscardJob(job))
+        self._loaded.pop(job, None)
         return actions
 
     def _reset(self, incarnation: int) -> list[io.Action]:
         void = [key for key, shard in self._shards.items() if shard.placement.incarnation != incarnation]
         actions: list[io.Action] = [action for key in void for action in self._drop(key)]
-        actions += [io.DiscardJob(job) for job in self.jobs() if not self.wants(job)]
-        self._jobs = {job: state for job, state in self._jobs.items() if self.wants(job)}
+        self._loaded = {job: None for job in self._loaded if self.wants(job)}
         self._terms = {key: shard.placement.term for key, shard in self._shards.items()}
-        self._pending.clear()
         return actions
 
     # ------------------------------------------------------------------------------------------ peers
-
-    def _mailed(self, event: io.Mailed) -> list[io.Action]:
-        key = (event.body.job, event.body.variable)
-        term = self._terms.get(key, 0)
-        if event.body.term > term:
-            is_first = self._pending.keep(event)
-            return [io.FetchPlacements(event.body.job)] if is_first else []
-        shard = self._shards.get(key)
-        if shard is None or event.body.term < term:
-            return []
-        before = shard.stop
-        shard.deliver(event.sender, event.body)
-        return self._stop_from(shard, before) + list(shard.due_reports())
-
-    def _answer(
-        self, pull: epochs.PullMigrants | epochs.PullReports | epochs.PullStates
-    ) -> epochs.Sent | epochs.Reports | epochs.States | epochs.NotYet | epochs.NewerTerm:
-        key = (pull.job, pull.variable)
-        shard = self._shards.get(key)
-        if shard is None or pull.term != shard.placement.term:
-            return epochs.NewerTerm(job=pull.job, variable=pull.variable, term=self._terms.get(key, 0))
-        match pull:
-            case epochs.PullReports():
-                return shard.answer_reports(pull)
-            case epochs.PullStates():
-                return shard.answer_states(pull)
-            case epochs.PullMigrants():
-                return shard.answer_migrants(pull)
-
-    def _pull_answered(self, event: io.PullAnswered) -> list[io.Action]:
-        body = event.body
-        if isinstance(body, epochs.NewerTerm) and body.term > self._terms.get((body.job, body.variable), 0):
-            return [io.FetchPlacements(body.job)]
-        if not isinstance(body, epochs.Sent):
-            return []
-        mail: list[epochs.Migrants | epochs.IslandFinished] = [body.migrants] if body.migrants else []
-        mail += body.finished
-        return [action for message in mail for action in self._mailed(io.Mailed(event.peer, message))]
 
     def _task_done(self, event: io.Snapshot | io.Outcome) -> list[io.Action]:
         key = event.key
@@ -272,17 +195,6 @@ class Session:
         return [*actions, *shard.due_reports()]
 
     # ---------------------------------------------------------------------------------------- private
-
-    def _fetches(self, shard: Shard) -> list[io.Action]:
-        """Ask for the states with which the term begins, one message at a time."""
-        pull = shard.due_fetch()
-        return [io.FetchStates(pull)] if pull is not None else []
-
-    def _stop_from(self, shard: Shard, before: Position | None) -> list[io.Action]:
-        """Tell the compute thread where to stop, if that has changed since `before`."""
-        if shard.stop is None or shard.stop == before:
-            return []
-        return [io.StopAt(shard.key, shard.stop, shard.placement.commit_order)]
 
     def _add_failure(self, shard: Shard, key: io.TaskKey, sentence: str) -> None:
         local = shard.islands[key.island]
@@ -312,6 +224,3 @@ class Session:
         elsewhere = [other for other in self._terms if other not in self._shards and other != key]
         for archipelago in elsewhere[:-MAX_TERMS]:
             del self._terms[archipelago]
-
-    def _step_job(self, job: str, step: JobStep) -> None:
-        self._jobs[job] = JOB_TRANSITIONS[self._jobs.get(job, "unknown")][step]

@@ -15,12 +15,12 @@ from typing import Final, Literal
 from atoll_core import task_frames as frames
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire.bus.interface import Query
-from atoll_core.wire.codec import decode
+from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages import tasks as messages
 from atoll_core.wire.messages.epochs import NotYet, PullAnswer
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
-from atoll_island_worker.connection import PendingRequest, Requests
-from atoll_island_worker.downloads import ByteCache, Download
+from atoll_island_worker.connection import Requests
+from atoll_island_worker.downloads import ByteCache
 from atoll_island_worker.tasks.task_process import TaskProcess
 
 NEXT: Final = {"prepare": "refine"}
@@ -43,12 +43,13 @@ TASK_TRANSITIONS: Final[dict[messages.TaskState, dict[TaskStep, messages.TaskSta
 class _Leased:
     """A task that is leased to this worker; `result` or `failed` once it has ended.
 
-    `inputs` are the inputs that have arrived, until it runs; `life` says which process runs it.
+    `inputs` are the inputs that have arrived, until it runs; `missing` the sizes of the others, by digest. `life` says
+    which process runs it.
     """
 
     lease: messages.Lease
     state: messages.TaskState = "fetching"
-    downloads: dict[str, Download] = field(default_factory=dict)
+    missing: dict[str, int] = field(default_factory=dict)
     inputs: dict[str, bytes] = field(default_factory=dict)
     life: int = 0
     result: bytes = b""
@@ -78,10 +79,10 @@ class TaskRunner:
     """The tasks of one worker."""
 
     def __init__(
-        self, requests: Requests, process: TaskProcess, reply: Callable[[Query, PullAnswer], None],
+        self, requests: Requests, process: TaskProcess, reply: Callable[[Query, bytes | None], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
-        """`reply` answers a question of another worker; `clock` gives seconds."""
+        """`reply` answers a question of another worker, or (None) refuses it; `clock` gives seconds."""
         self._requests = requests
         self._process = process
         self._reply = reply
@@ -146,8 +147,7 @@ class TaskRunner:
             if data is not None:
                 leased.inputs[given.digest] = data
             else:
-                leased.downloads[given.digest] = Download(given.digest, given.size)
-        self.fetch(lease.task)
+                leased.missing[given.digest] = given.size
         self._run_next()
 
     def _release(self, task: str) -> None:
@@ -168,43 +168,24 @@ class TaskRunner:
 
     # ------------------------------------------------------------------------------------------- inputs
 
-    def fetch(self, task: str) -> None:
-        """Ask for the next missing chunks of a task's inputs."""
-        leased = self._leased.get(task)
-        for download in leased.downloads.values() if leased is not None else ():
-            for index in download.take():
-                self._requests.ask_input(task, download.digest, index)
+    def wanted(self) -> dict[str, int]:
+        """Return digests and sizes of the inputs that are missing."""
+        return {digest: size for leased in self._leased.values() for digest, size in leased.missing.items()}
 
-    def answered(self, request: PendingRequest, payload: bytes | None) -> None:
-        """Handle the answer to `Requests.ask_input` or `Requests.ask_batch`; None: no answer came."""
-        if request.question == "input":
-            self._chunk_came(request.subject, request.digest, request.index, payload)
-        else:
-            self._batch_came(request.subject, payload)
-
-    def _chunk_came(self, task: str, digest: str, index: int, payload: bytes | None) -> None:
-        leased = self._leased.get(task)
-        download = leased.downloads.get(digest) if leased is not None else None
-        if leased is None or download is None:
-            return
-        if payload is None or not download.offer(index, payload):
-            download.give_back(index)
-            self._requests.ask_inputs_later(task)
-            return
-        data = download.finish()
-        if data is None:
-            self.fetch(task)
-            return
-        self._cache.add(digest, data)
-        leased.inputs[digest] = data
-        del leased.downloads[digest]
+    def arrived(self, digest: str, data: bytes) -> None:
+        """Take in an input that has arrived."""
+        waiting = [leased for leased in self._leased.values() if leased.missing.pop(digest, None) is not None]
+        if waiting:
+            self._cache.add(digest, data)
+        for leased in waiting:
+            leased.inputs[digest] = data
         self._run_next()
 
     def _run_next(self) -> None:
         """Run the first task whose inputs are complete, if none is running."""
         if any(leased.state in ("waiting", "running") for leased in self._leased.values()):
             return
-        ready = (one for one in self._leased.values() if one.state == "fetching" and not one.downloads)
+        ready = (one for one in self._leased.values() if one.state == "fetching" and not one.missing)
         leased = next(ready, None)
         if leased is None:
             return
@@ -280,7 +261,7 @@ class TaskRunner:
     def _push(self, leased: _Leased) -> None:
         """Send the result of a task, if it has ended; the coordinator releases the task when it has all of it."""
         if leased.failed is not None:
-            self._requests.send_task_report(leased.failed)
+            self._requests.publish("result", messages.TaskReport(body=leased.failed))
         elif leased.state == "done":
             digest, size = hashlib.sha256(leased.result).hexdigest(), len(leased.result)
             for offset in range(0, max(size, 1), CHUNK_SIZE):
@@ -288,7 +269,7 @@ class TaskRunner:
                 chunk = messages.TaskChunk(
                     task=leased.lease.task, digest=digest, size=size, offset=offset, data=data, seconds=leased.seconds
                 )
-                self._requests.send_task_report(chunk)
+                self._requests.publish("result", messages.TaskReport(body=chunk))
 
     # ------------------------------------------------------------------------------ batches, as the helper
 
@@ -298,13 +279,13 @@ class TaskRunner:
         contexts = self._cache.digests[-64:]
         self._requests.ask_batch(helped.worker, messages.PullBatch(task=helped.task, result=result, contexts=contexts))
 
-    def _batch_came(self, task: str, payload: bytes | None) -> None:
+    def batch_came(self, task: str, payload: bytes | None) -> None:
         """Handle the answer of the worker that has the task; without a batch or a task there, helping ends."""
         helped = self._helped
         if helped is None or helped.help.task != task:
             return
         self._helped = None  # also if the answer cannot be read: the coordinator will send another Help
-        body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else messages.NoTask()
+        body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
         match body:
             case messages.GivenBatch():
                 if body.context:
@@ -325,7 +306,7 @@ class TaskRunner:
         """Handle a helper's question: pass its result on to the process, which answers when it has a batch."""
         leased = self._leased.get(pull.task)
         if leased is None or leased.state != "running":
-            self._reply(query, PullAnswer(body=messages.NoTask()))
+            self._reply(query, None)
             return
         if pull.result is not None:
             self._process.send(frames.Take(pull.result.number, pull.result.result))
@@ -339,18 +320,18 @@ class TaskRunner:
         _, query = self._questions.pop(message.token)
         batch = message.batch
         if batch is None:
-            self._reply(query, PullAnswer(body=NotYet()))
+            self._reply(query, encode(PullAnswer(body=NotYet())))
             return
         given = messages.GivenBatch(
             number=batch.number, function=batch.function, digest=batch.digest, context=batch.context, item=batch.item
         )
-        self._reply(query, PullAnswer(body=given))
+        self._reply(query, encode(PullAnswer(body=given)))
 
     def _answer_helpers(self, task: str) -> None:
         """Notify helpers that wait for batches of a task that the task has ended."""
         for token in [token for token, (asked, _) in self._questions.items() if asked == task]:
             _, query = self._questions.pop(token)
-            self._reply(query, PullAnswer(body=messages.NoTask()))
+            self._reply(query, None)
 
     def close(self) -> None:
         """End the process."""

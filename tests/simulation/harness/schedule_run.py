@@ -227,7 +227,6 @@ class ScheduleRun:
             "shards": session.assignment_statuses(),
             "failures": session.failures(),
             "states of jobs": session.jobs(),
-            "pending messages": session._pending._messages,
             "datasets": worker._datasets.jobs(),
             "configurations": list(compute._jobs),
             "islands": list(compute._islands),

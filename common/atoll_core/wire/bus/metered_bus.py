@@ -1,4 +1,4 @@
-"""A bus that counts messages and bytes by the kind in their keys: report, mail, status, ask and so on."""
+"""A bus that counts messages and bytes by the kind in their keys: report, pull, status, ask and so on."""
 
 from collections import Counter, defaultdict
 from functools import lru_cache
@@ -76,8 +76,8 @@ def kind_of(key: str) -> str:
             return "hello"
         case topics.ControlKey():
             return "control"
+        case topics.StatesKey():
+            return "state"
         case topics.BlobKey():
             return "blob"
-        case topics.MailKey():
-            return "mail"
     return parsed.part

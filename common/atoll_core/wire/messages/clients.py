@@ -80,7 +80,7 @@ class ListJobs(Frozen):
 
 
 class FindJob(Frozen):
-    """Return the id of the one job whose id is `prefix` or begins with it."""
+    """Return the one job whose id is `prefix` or begins with it."""
 
     kind: Literal["find-job"] = "find-job"
     prefix: Id
@@ -263,13 +263,6 @@ class JobList(Frozen):
     before: Count | None = None
 
 
-class JobFound(Frozen):
-    """The id of the requested job."""
-
-    kind: Literal["job-found"] = "job-found"
-    job: Id
-
-
 class JobStatus(Frozen):
     """One job; the answer to all requests that change a job."""
 
@@ -396,7 +389,7 @@ class Failure(Frozen):
 
 
 AnswerBody = (
-    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | ResultText | IslandList | TableChunk
+    Uploaded | JobList | JobStatus | WorkerList | QueueDepth | ResultText | IslandList | TableChunk
     | AnalysisAnswer | Deleted | EventList | Following | Failure
 )  # fmt: skip
 

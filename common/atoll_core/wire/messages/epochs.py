@@ -1,7 +1,6 @@
 """Results of epochs: reports, migrants, states, and the pulls for them.
 
-Envelopes: EpochReport (worker to coordinator); Mail (worker to worker); Pull (to a worker; for states also to the
-coordinator) and PullAnswer.
+Envelopes: EpochReport (worker to coordinator); Pull (to a worker; for states also to the coordinator) and PullAnswer.
 """
 
 from typing import Annotated, Literal
@@ -11,6 +10,7 @@ from pydantic import Field
 from atoll_core.config import Frozen
 from atoll_core.wire.messages.limits import (
     CHUNK_SIZE,
+    MAX_ISLANDS,
     MAX_RUNNERS_UP,
     MAX_STATE,
     Count,
@@ -21,7 +21,7 @@ from atoll_core.wire.messages.limits import (
     Term,
     Variable,
 )
-from atoll_core.wire.messages.tasks import GivenBatch, NoTask, PullBatch
+from atoll_core.wire.messages.tasks import GivenBatch, PullBatch
 
 
 class OfTerm(Frozen):
@@ -99,39 +99,23 @@ class Block(Frozen):
     data: bytes
 
 
-class Migrants(OfTerm):
-    """Emigrants of one finished epoch for islands of one worker."""
-
-    kind: Literal["migrants"] = "migrants"
-    epoch: Count
-    blocks: Annotated[tuple[Block, ...], Field(min_length=1)]
-
-
-class IslandFinished(OfTerm):
-    """Instead of emigrants: `island` reached the target at `generation` of `epoch`; nothing after it is needed."""
-
-    kind: Literal["finished"] = "finished"
-    epoch: Count
-    generation: Count
-    island: IslandIndex
-
-
-class Mail(Frozen):
-    """From worker to worker."""
-
-    body: Annotated[Migrants | IslandFinished, Field(discriminator="kind")]
-
-
-# ---------------------------------------------------------------------------------------------- pulls
-
-
 class PullMigrants(OfTerm):
-    """Send the migrants of `epoch` from your islands `sources` to island `destination` again."""
+    """Send the migrants of `epoch` from your islands `sources`, once all of them have finished it."""
 
     kind: Literal["pull-migrants"] = "pull-migrants"
     epoch: Count
-    destination: IslandIndex
-    sources: Annotated[tuple[IslandIndex, ...], Field(min_length=1)]
+    sources: Annotated[tuple[IslandIndex, ...], Field(min_length=1, max_length=MAX_ISLANDS)]
+    destinations: Annotated[tuple[IslandIndex, ...], Field(min_length=1, max_length=MAX_ISLANDS)]
+
+
+class Migrants(Frozen):
+    """Blocks of the requested sources, in order; without the last sources if all do not fit into one message."""
+
+    kind: Literal["migrants"] = "migrants"
+    blocks: tuple[Block, ...]
+
+
+# ---------------------------------------------------------------------------------------------- other pulls
 
 
 class PullReports(OfTerm):
@@ -155,14 +139,6 @@ class Pull(Frozen):
     """Request to a worker; for states also to the coordinator."""
 
     body: Annotated[PullMigrants | PullReports | PullStates | PullBatch, Field(discriminator="kind")]
-
-
-class Sent(Frozen):
-    """The requested migrants that exist already, and the sources that finished instead."""
-
-    kind: Literal["sent"] = "sent"
-    migrants: Migrants | None
-    finished: tuple[IslandFinished, ...] = ()
 
 
 class Reports(Frozen):
@@ -190,19 +166,12 @@ class States(Frozen):
 
 
 class NotYet(Frozen):
-    """Nothing of the requested data exists yet; ask later."""
+    """Nothing of the requested data exists here, or not yet: ask later, if the term of the request is still ours."""
 
     kind: Literal["not-yet"] = "not-yet"
-
-
-class NewerTerm(OfTerm):
-    """The term of the request is over; `term` is the one that the answering side knows (0: none)."""
-
-    kind: Literal["newer-term"] = "newer-term"
-    term: Count
 
 
 class PullAnswer(Frozen):
     """Answer of a worker."""
 
-    body: Annotated[Sent | Reports | States | NotYet | NewerTerm | GivenBatch | NoTask, Field(discriminator="kind")]
+    body: Annotated[Migrants | Reports | States | NotYet | GivenBatch, Field(discriminator="kind")]

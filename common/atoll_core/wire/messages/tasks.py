@@ -138,9 +138,3 @@ class GivenBatch(Frozen):
     digest: Digest
     context: bytes
     item: bytes
-
-
-class NoTask(Frozen):
-    """The task does not run here, or no longer runs here."""
-
-    kind: Literal["no-task"] = "no-task"

@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from atoll_core.config import Frozen, JobConfig
-from atoll_core.search.commit_order import CommitOrder
+from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.messages.epochs import OfTerm
 from atoll_core.wire.messages.limits import (
     MAX_ISLANDS,
@@ -102,13 +102,15 @@ class Placements(Frozen):
 class Commit(OfTerm):
     """The checkpoint for `epoch` is durable, and these are the next ones.
 
-    Every island has reported epoch `reported` under this term: messages of earlier epochs are no longer needed.
+    Every island has reported epoch `reported` under this term: messages of earlier epochs are no longer needed. Nothing
+    after `hit`, where the target was first met as far as is known, is needed either.
     """
 
     kind: Literal["commit"] = "commit"
     epoch: Count
     schedule: Schedule
     reported: Count = 0
+    hit: Position | None = None
 
 
 class Close(OfTerm):
@@ -155,7 +157,8 @@ class AssignmentStatus(Frozen):
 
     All of these islands have finished and reported all epochs before `reported`; `commit` is the last commit that the
     worker knows of; `snapshots` are later epochs of which it has a snapshot of each of these islands. `waited_s` are
-    the seconds that they have waited for migrants, summed over islands.
+    the seconds that they have waited for migrants, summed over islands. `hit` is the first position at which the target
+    was met, as far as the worker knows.
     """
 
     job: Id
@@ -166,6 +169,7 @@ class AssignmentStatus(Frozen):
     commit: Count
     snapshots: Annotated[tuple[Count, ...], Field(max_length=8)] = ()
     waited_s: Seconds = 0.0
+    hit: Position | None = None
 
 
 class Doing(Frozen):

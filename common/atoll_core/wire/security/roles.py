@@ -87,7 +87,7 @@ def checked_role_bindings(entries: Mapping[str, object], source: str) -> RoleBin
 
 Flow = Literal["ingress", "egress"]
 
-_PUT: Final = ("status", "report", "result", "log", "to/*")
+_PUT: Final = ("status", "report", "result", "log")
 """Ends of the keys under its own name on which a worker puts messages."""
 
 _ANYBODY: Final = "(anybody)"
@@ -125,8 +125,8 @@ def permissions(name: str, role: Role) -> tuple[Permission, ...]:
         case "revoked":
             return ()
         case "worker":
-            heard = _keys("control") + _own(name, "control/{}", "worker/*/to/{}")
-            asked = _keys("job/**", "blob/**", "worker/*/pull") + _hello(name)
+            heard = _keys("control") + _own(name, "control/{}")
+            asked = _keys("job/*/state", "blob/**", "worker/*/pull") + _hello(name)
     pulls = _own(name, "worker/{}/pull")
     of_worker = (
         Permission("ingress", _SPEAKING, _own(name, *(f"worker/{{}}/{part}" for part in _PUT))),

@@ -319,22 +319,16 @@ def trouble(counters: Counters) -> str:
     return ", ".join(f"{number} {name}" for name, number in counts if number) or "-"
 
 
-def cordon(options: argparse.Namespace) -> int:
-    """Place no more islands on a worker."""
-    return _set_worker(options, "cordoned", "keeps the islands that it has, and gets no more")
+_SERVICES: Final[dict[str, tuple[WorkerService, str]]] = {
+    "cordon": ("cordoned", "keeps the islands that it has, and gets no more"),
+    "uncordon": ("open", "gets islands again"),
+    "drain": ("draining", "hands over its islands, and gets no more"),
+}
 
 
-def uncordon(options: argparse.Namespace) -> int:
-    """Place islands on a worker again."""
-    return _set_worker(options, "open", "gets islands again")
-
-
-def drain(options: argparse.Namespace) -> int:
-    """Move the islands of a worker to others, and place no more on it."""
-    return _set_worker(options, "draining", "hands over its islands, and gets no more")
-
-
-def _set_worker(options: argparse.Namespace, service: WorkerService, sentence: str) -> int:
+def serve_islands(options: argparse.Namespace) -> int:
+    """Change whether a worker gets islands, and whether it keeps those that it has: see `_SERVICES`."""
+    service, sentence = _SERVICES[options.verb]
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         name = options.job
         names = [view.worker for view in client.workers()]
@@ -345,6 +339,9 @@ def _set_worker(options: argparse.Namespace, service: WorkerService, sentence: s
         worker = matches[0] if matches else name  # the coordinator refuses a worker that it does not know
         views = client.set_worker(worker, service)
     return _tell(options, [view for view in views if view.worker == worker], f"worker {worker} {sentence}")
+
+
+cordon = uncordon = drain = serve_islands
 
 
 def queue(options: argparse.Namespace) -> int:

@@ -116,7 +116,9 @@ def web(options: argparse.Namespace) -> int:
     users = Path(options.users) if options.users is not None else None
     access = access_of(listener, at, token, users, look_without_token=options.look_without_token)
     _end_with(os.environ.get(OWNER))
-    serve(listener, access, lambda url: say(opening(url, token, sys.stdout.isatty(), TOKEN in os.environ)))
+    is_known = TOKEN in os.environ
+    os.environ |= {TOKEN: "", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}  # of the process that reads files
+    serve(listener, access, lambda url: say(opening(url, token, sys.stdout.isatty(), is_known)))
     return DONE
 
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from atoll_coordinator.data.columns.finding import ExaminedColumns, Finding
 from atoll_coordinator.data.columns.motion import check_map, check_second_order
-from atoll_coordinator.data.columns.relations import check_relations
 from atoll_coordinator.data.columns.values import (
     check_clipping,
     check_counters,
     check_few_levels,
     check_fill_values,
     check_held_inputs,
+    check_relations,
     fill_values,
 )
 from atoll_coordinator.data.roles.roles import Roles, assign_roles

@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.data.reading.cells import NumberCell, cell_of
-from atoll_coordinator.data.reading.matlab_child import parts_of
 from atoll_coordinator.data.reading.raw_table import RawTable, named_by_place, with_breaks
 from atoll_coordinator.data.roles.columns import TIME_NAMES, named_columns, split_unit
 from atoll_core.config import DataConfig
@@ -32,12 +31,6 @@ from atoll_core.errors import DataError
 _MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK: Final = 512
 """Bytes of text with which MATLAB begins an HDF5 file."""
-_DEEPEST: Final = 8
-"""Levels of structures and cells within each other; a file may lead back to where it came from."""
-_MOST: Final = 1_000_000
-"""Values in a MATLAB 7.3 file, of which one may be reached by many references."""
-_NOTHING: Final = ""
-"""Stands for what holds no numbers: texts, functions, tables, arrays without elements."""
 
 # ------------------------------------------------------------------------------------------------------ arrays -> table
 
@@ -248,20 +241,19 @@ def read_matlab(path: Path, config: DataConfig) -> RawTable:
     """Read a MATLAB file; raises DataError.
 
     Columns of matrices are counted from 1; fields of structures are treated as arrays; elements of a structure array or
-    of cells are trajectories, below each other.
+    of cells are trajectories, below each other, in files of versions 5 to 7.
     """
     with path.open("rb") as file:
         beginning = file.read(_USER_BLOCK + len(_MAGIC))
     if beginning[:8] == _MAGIC or beginning[_USER_BLOCK:] == _MAGIC:
-        with _opened(path) as (hdf5, h5py):
-            reader = _MatlabReader(path.name, hdf5, h5py)
-            values = {name: reader.value(hdf5[name], 0) for name in hdf5 if not name.startswith("#")}
-        (arrays, *runs), version = parts_of(values), "MATLAB 7.3"
+        (arrays, *runs), version = [_read_version_7_3(path)], "MATLAB 7.3"
     else:
         (arrays, *runs), version = _read_by_child(path, beginning), "MATLAB"
     if not runs:
         if not any(np.ndim(array) for array in arrays.values()):
-            raise DataError(f"{path.name} holds no numeric arrays; save vectors or matrices, tables with table2struct")
+            raise DataError(
+                f"{path.name} holds no numeric arrays; save vectors or matrices, tables with table2struct and -v7"
+            )
         return table_of_arrays(path.name, arrays, config, (version,), first=1)
     raws = [
         table_of_arrays(f"run {place} of {path.name}", run, config, (), first=1)
@@ -303,56 +295,26 @@ def _read_by_child(path: Path, beginning: bytes) -> Sequence[dict[str, AnyArray]
         return parts
 
 
-class _MatlabReader:
-    """Reads the values of one open file of version 7.3 as scipy returns the values of earlier versions.
+def _read_version_7_3(path: Path) -> dict[str, AnyArray]:
+    """Return the arrays of a file of version 7.3, matrices transposed; what holds no numbers is a single empty text.
 
-    A structure is a group with its fields; cells are a dataset of references, and so is each field of a structure
-    array. References lead to ``#refs#``. Matrices are transposed.
+    Cells and structure arrays are references there, which are not followed.
     """
+    arrays: dict[str, AnyArray] = {}
+    with _opened(path) as (file, h5py):
 
-    def __init__(self, name: str, file: Any, h5py: Any) -> None:
-        self._name, self._file, self._h5py = name, file, h5py
-        self._count = 0
+        def take(place: str, item: Any) -> None:
+            if place.startswith("#") or not isinstance(item, h5py.Dataset):
+                return
+            _refuse_elsewhere(path.name, place, item)
+            values = np.asarray(item[()])
+            if values.dtype.names == ("real", "imag"):
+                values = values["real"] + 1j * values["imag"]
+            is_other = _text_of(item.attrs.get("MATLAB_class")) in ("char", "function_handle", "table")
+            if is_other or item.attrs.get("MATLAB_empty") or values.dtype.kind not in "biufc":
+                values = np.array("")  # the numbers of an empty array are counts of its rows and columns
+            name = place.rpartition("/")[2]
+            arrays[name if name not in arrays else place.replace("/", ".")] = np.squeeze(np.transpose(values))
 
-    def value(self, item: Any, depth: int) -> object:
-        """Return the value of a group or a dataset, `depth` levels below the file; raises DataError."""
-        self._count += 1
-        if depth > _DEEPEST or self._count > _MOST:
-            found = f"{_DEEPEST} levels of structures and cells" if depth > _DEEPEST else f"{_MOST:,} values"
-            advice = "save the columns as vectors or matrices"
-            raise DataError(f"{self._name} holds more than {found} within each other; {advice}")
-        if isinstance(item, self._h5py.Group):
-            return self._structure(item, depth)
-        _refuse_elsewhere(self._name, item.name.strip("/"), item)
-        if item.attrs.get("MATLAB_empty"):  # its numbers are counts of rows and columns
-            return _NOTHING
-        if self._is_references(item):
-            return [self._referred(reference, depth) for reference in np.ravel(item[()])]
-        if _text_of(item.attrs.get("MATLAB_class")) in ("char", "function_handle", "table"):
-            return _NOTHING
-        values = item[()]
-        if getattr(values, "dtype", np.dtype("O")).names == ("real", "imag"):
-            values = values["real"] + 1j * values["imag"]
-        return np.squeeze(np.transpose(values)) if np.asarray(values).dtype.kind in "biufc" else _NOTHING
-
-    def _structure(self, group: Any, depth: int) -> object:
-        """Return the fields of a structure, or the list of the elements of an array of structures."""
-        fields = {name: group[name] for name in group}
-        arrays = {
-            name: np.ravel(field[()])
-            for name, field in fields.items()
-            if self._is_references(field) and not _text_of(field.attrs.get("MATLAB_class"))
-        }
-        if not arrays or len(arrays) < len(fields) or len({len(array) for array in arrays.values()}) > 1:
-            return {name: self.value(field, depth + 1) for name, field in fields.items()}
-        return [
-            {name: self._referred(reference, depth) for name, reference in zip(arrays, references, strict=True)}
-            for references in zip(*arrays.values(), strict=True)
-        ]
-
-    def _is_references(self, item: Any) -> bool:
-        is_dataset = isinstance(item, self._h5py.Dataset)
-        return is_dataset and self._h5py.check_ref_dtype(item.dtype) is self._h5py.Reference
-
-    def _referred(self, reference: Any, depth: int) -> object:
-        return self.value(self._file[reference], depth + 1) if reference else _NOTHING
+        file.visititems(take)
+    return arrays

@@ -1,42 +1,41 @@
 """From the chosen system to the reported model: constants with errors, alternatives, verdicts, simulations.
 
 `final_model` decides how the equations are shown; here they are simulated, compared with their alternatives, and judged
-(`evidence`, `checks`). Constants of groups of trajectories are another set of numbers of the same model.
+(`trajectory_checks`, `verdict`). Constants of groups of trajectories are another set of numbers of the same model.
 """
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.criteria import structure_length
-from atoll_coordinator.model.inference.evidence import ModelEvidence
-from atoll_coordinator.model.inference.final_model import FinalModel, finalize
-from atoll_coordinator.model.inference.long_run import long_run_of
-from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
-from atoll_coordinator.model.inference.remarks import stochastic_remarks
-from atoll_coordinator.model.inference.standard_errors import (
+from atoll_coordinator.model.constants.standard_errors import (
     ConstantErrors,
+    Known,
     describe_constants,
-    estimate_errors,
     find_correlations,
     fitted_places,
     joint_covariance,
+    student_95,
 )
+from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.inference.final_model import FinalModel, estimate_errors, finalize
+from atoll_coordinator.model.inference.long_run import long_run_of
+from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
+from atoll_coordinator.model.inference.remarks import stochastic_remarks
+from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
-    SimulatedTrajectory,
     bands,
     fit_starts,
-    listed_simulation,
+    listed_trajectories,
     r2_of,
-    scaled_covariance,
-    simulate_trajectories,
+    rows_by_trajectory,
+    simulated_states,
 )
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
-from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.errors import grouped_errors_on
 from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.selection.comparison import ModelComparison
@@ -48,6 +47,7 @@ from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.result.equations import Constant, Prediction
 from atoll_coordinator.result.findings import Errors
+from atoll_coordinator.result.listed_trajectories import Simulation
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import constant_places
@@ -55,96 +55,114 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.writing.expansion import expand_program
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """The simulations of trajectories that took no part, and their R2 by variable."""
-
-    trajectories: list[SimulatedTrajectory]
-    r2: Sequence[float | None]
-
-
 def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement | None:
     """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
     final = finalize(selection)
     if final is None:
         return None
-    task, groups = final.task, final.equations.groups
+    task, system = final.task, final.free.fit.system
     errors = estimate_errors(final.comparison, final.free)
-    of_constants = errors if groups is not None else errors.of_constants(final.free.fit.system)
-    constants, by_group = _constants(final, of_constants)
+    of_groups = [errors.of_multiples(columns, system.multiples) for columns in system.columns]
+    constants, by_group = _constants(final, of_groups)
     out = None if final.unseen is None else _held_out(final, final.unseen, errors)
     long_run = long_run_of(final)
     chaos = long_run.chaos
     predictions = _predictions(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
-    held_out_r2 = (final.ranking.validated or (None,) * len(task.variables)) if out is None else out.r2
-    evidence = ModelEvidence(final, long_run)
-    equations = {
-        name: _equation(evidence, index, constants[index], by_group[index], held_out_r2[index], predictions[index])
-        for index, name in enumerate(task.variables)
-    }
+    held_out_r2: Sequence[float | None] = final.ranking.validated or (None,) * len(task.variables)
+    if out is not None and final.unseen is not None:
+        unseen = final.unseen.estimator.measurements
+        held_out_r2 = [-math.inf for _ in held_out_r2] if out[0] is None else r2_of(unseen, out[0], slice(None))
+    compared: list[TrajectoryChecks] = []
+    for index, prediction in enumerate(predictions):
+        equation = _equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
+        compared.append(TrajectoryChecks(final, long_run, index, equation, held_out_r2[index], compared))
+    equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
     measurements = final.seen.estimator.measurements
     if measurements.rows > final.comparison.estimator.measurements.rows:
         spread = _carried_bands(final, final.seen, final.seen_fit, errors)
     else:
-        spread = bands(measurements, final.free.fit, *scaled_covariance(final.free.fit, errors))
-    trajectories = simulate_trajectories(measurements, final.seen_fit, spread, task.variables, held_out=False)
-    recording = preparation.recording
+        spread = bands(measurements, final.free.fit, errors.bounded, errors.scale)
+    recording, quantile = preparation.recording, student_95(errors.degrees_of_freedom)
     assert recording is not None
-    covariances = [] if groups is None else groups.covariances(errors, task.variables)
-    places = [] if groups is not None else fitted_places(final.comparison, task.variables, final.explicit)
-    whole = joint_covariance(places, of_constants.covariance, of_constants.degrees_of_freedom)
+    trajectories = listed_trajectories(measurements, final.seen_fit, spread, task.variables, preparation, quantile)
+    if out is not None and final.unseen is not None:
+        trajectories += listed_trajectories(
+            final.unseen.estimator.measurements, *out, task.variables, preparation, quantile
+        )
+    values, _ = simulated_states(measurements, final.seen_fit, task.variables)
+    simulated = [values[:, rows] for _, rows in rows_by_trajectory(measurements)]
+    places = fitted_places(final.comparison.fixed, task.variables, final.explicit)
+    covariances = [joint_covariance(places, one.covariance, one.degrees_of_freedom) for one in of_groups]
     return Refinement(
         equations,
-        listed_simulation(
-            [*trajectories, *(() if out is None else out.trajectories)],
-            task.variables,
-            student_95(errors.degrees_of_freedom),
-            preparation,
-        ),
-        find_correlations(places, of_constants),
+        Simulation(trajectories=tuple(trajectories)),
+        () if final.by_group else find_correlations(places, of_groups[0]),
         _state_errors(final),
         (
             *remarks(task, is_tested_in_whole=long_run.fits is True),
             *_pole_remarks(final),
-            *stochastic_remarks(recording, task.variables, trajectories),
+            *stochastic_remarks(recording, task.variables, simulated),
         ),
         chaos,
-        fluxes=final.equations.fluxes,
-        covariance=covariances[0] if groups is not None and groups.are_one else whole,
+        fluxes=final.fluxes,
+        covariance=covariances[0] if (system.columns == system.columns[0]).all() else None,
         by_group=dict(zip(task.recording.groups, covariances, strict=False)),
     )
 
 
 def _constants(
-    final: FinalModel, errors: ConstantErrors
+    final: FinalModel, of_groups: Sequence[ConstantErrors]
 ) -> tuple[Sequence[Known], Sequence[Sequence[tuple[Constant, ...]]]]:
-    """Return the estimates of the constants of each equation, and of each group if groups have their own."""
-    groups = final.equations.groups
-    if groups is None:
-        described = describe_constants(final.comparison, final.explicit, final.shown, errors)
-        pairs = zip(described, final.equations.rounded.simple, strict=True)
-        return [known.with_simple(simple) for known, simple in pairs], [[] for _ in described]
-    known, by_group = [], []
-    for equation, program in enumerate(final.shown):
-        together, of_groups = groups.of_equation(errors, equation, program, len(final.by_group))
-        known.append(Known(together, ()))
-        by_group.append(of_groups)
-    return known, by_group
+    """Return the estimates of the constants of each equation, and of each group if groups have their own.
+
+    All groups together have the constants that they share with their errors, and the means of the others without.
+    """
+    fixed, columns = final.comparison.fixed, final.free.fit.system.columns
+    described = [
+        describe_constants(fixed, final.explicit, programs, errors)
+        for programs, errors in zip(final.by_group or [final.programs], of_groups, strict=True)
+    ]
+    if not final.by_group:
+        pairs = zip(described[0], final.rounded.simple, strict=True)
+        return [known.with_simple(simple) for known, simple in pairs], [[] for _ in final.programs]
+    are_shared = iter((columns == columns[0]).all(axis=0).tolist())
+    together, by_group = list[Known](), list[list[tuple[Constant, ...]]]()
+    for equation, program in enumerate(final.programs):
+        groups = [known[equation].written for known in described]
+        if equation in fixed:
+            together.append(Known(groups[0]))
+            by_group.append([])
+            continue
+        flags = [next(are_shared) for _ in groups[0]]
+        groups = [tuple(one.replaced(shared=flag) for one, flag in zip(group, flags, strict=True)) for group in groups]
+        values = program.constants[constant_places(program)].tolist()
+        written = [_together(value, constants) for value, *constants in zip(values, *groups, strict=True)]
+        together.append(Known(tuple(written)))
+        by_group.append(groups)
+    return together, by_group
+
+
+def _together(value: float, constants: Sequence[Constant]) -> Constant:
+    """Return a constant of all groups together: the shared one, or the mean of those of the groups without errors."""
+    if constants[0].shared:
+        return constants[0]
+    fitted = float(np.mean([constant.fitted or 0.0 for constant in constants]))
+    is_known = all(constant.identifiable for constant in constants)
+    return Constant(value=value, fitted=fitted, identifiable=is_known, shared=False)
 
 
 def _equation(
-    evidence: ModelEvidence, index: int, known: Known, by_group: Sequence[tuple[Constant, ...]],
+    final: FinalModel, index: int, known: Known, by_group: Sequence[tuple[Constant, ...]],
     held_out_r2: float | None, prediction: Prediction,
 ) -> Refined:  # fmt: skip
-    """Return one equation as it is shown, compared with its alternatives and judged."""
-    final = evidence.final
+    """Return one equation as it is shown, compared with its alternatives."""
     task, ranking = final.task, final.ranking
-    name, program = task.variables[index], final.shown[index]
+    name, program = task.variables[index], final.programs[index]
     programs = [group_programs[index] for group_programs in final.by_group]
     problem = task.dataset.problem(name)
     error, mse = grouped_errors_on(problem, programs or [program], task.config.evolution.loss)
-    together = final.equations.rounded.together
-    equation = Refined(
+    together = final.rounded.together
+    return Refined(
         task.candidates[name].member_of(program),
         program,
         error,
@@ -159,11 +177,6 @@ def _equation(
         else {},
         simple_together=together[index] if together else None,
     )
-    facts = evidence.of(index, equation, held_out_r2)
-    verdict = judge(facts)
-    return replace(
-        equation, grade=verdict.grade, reason=verdict.reason, checks=verdict.checks, prediction=facts.prediction
-    )
 
 
 def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> tuple[Alternative, ...]:
@@ -173,7 +186,7 @@ def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> t
     r2 = r2_of(final.seen.estimator.measurements, final.seen_fit, slice(None))[index]
     origin = final.origin(index, best.programs[index])
     is_crossed = final.unseen is None and ranking.validated is not None
-    alternatives = [Alternative(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
+    alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
     for alternative in ranking.alternatives[index]:
         programs, nats = alternative.model.programs, alternative.model.nats - best.nats
         r2 = r2_of(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
@@ -188,16 +201,15 @@ def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> t
     return tuple(alternatives)
 
 
-def _held_out(final: FinalModel, unseen: ModelComparison, errors: ConstantErrors) -> HeldOut:
-    """Simulate the held-out trajectories from initial states that are fitted to them; with bands unless there are
-    groups."""
-    measurements, names = unseen.estimator.measurements, final.task.variables
+def _held_out(
+    final: FinalModel, unseen: ModelComparison, errors: ConstantErrors
+) -> tuple[TrajectoryFit | None, FloatArray | None]:
+    """Return the simulation of the held-out trajectories from initial states that are fitted to them, and its bands.
+
+    None if it failed; without bands if there are groups.
+    """
     fit = final.simulated_by(unseen)
-    spread = None if fit is None or final.by_group else _carried_bands(final, unseen, fit, errors)
-    return HeldOut(
-        simulate_trajectories(measurements, fit, spread, names, held_out=True),
-        [-math.inf for _ in measurements.observed] if fit is None else r2_of(measurements, fit, slice(None)),
-    )
+    return fit, None if fit is None or final.by_group else _carried_bands(final, unseen, fit, errors)
 
 
 def _carried_bands(
@@ -207,14 +219,13 @@ def _carried_bands(
 
     One trajectory after another: with dozens of states, all sensitivities together would not fit into memory.
     """
-    free = final.free.fit
-    spread, trajectory_bands = scaled_covariance(free, errors), []
+    free, trajectory_bands = final.free.fit, []
     for owner in sorted(set(comparison.estimator.measurements.owners.tolist())):
         estimator, starts = comparison.estimator.of_trajectory(owner, fit)
         near = estimator.fit(free.system, None, 0, starts, free.errors, is_stiff=fit.is_stiff)
         if near is None:
             return None
-        trajectory_bands.append(bands(estimator.measurements, near, *spread))
+        trajectory_bands.append(bands(estimator.measurements, near, errors.bounded, errors.scale))
     return np.concatenate(trajectory_bands, axis=1)
 
 
@@ -236,7 +247,7 @@ def _predictions(final: FinalModel, errors: ConstantErrors, *, is_near: bool) ->
         for equation, alternatives in enumerate(ranking.alternatives)
         for alternative in alternatives
     ]
-    drawn = draws(final.free.fit.system, scaled_covariance(final.free.fit, errors)[0])
+    drawn = draws(final.free.fit.system, errors.bounded)
     seen = final.seen.estimator
     return predict(seen.measurements, final.seen_fit.system, others, seen.tolerance, drawn, is_near=is_near)
 
@@ -289,7 +300,7 @@ def _state_errors(final: FinalModel) -> dict[str, Errors]:
 def _pole_remarks(final: FinalModel) -> Iterator[str]:
     """Yield a sentence for each pole of an equation in the region that the data visit."""
     dataset = final.task.dataset
-    for name, program in zip(final.task.variables, final.shown, strict=True):
+    for name, program in zip(final.task.variables, final.programs, strict=True):
         for part in find_poles(program, dataset.inputs):
             where = to_infix(part, dataset.names)
             yield f"The equation of {name} has a pole within the region that was measured, where {where} is 0."

@@ -13,17 +13,24 @@ from functools import cached_property
 
 import numpy as np
 
-from atoll_coordinator.model.inference.groups import GroupConstants, displayed_values, model_of_groups
+from atoll_coordinator.data.differentiation.inputs import unknown_variance
+from atoll_coordinator.data.recording import InputKind
+from atoll_coordinator.model.constants.rounding import ERROR_DIGITS, Estimates, FittedEquations, RoundedEquations
+from atoll_coordinator.model.constants.standard_errors import (
+    ConstantErrors,
+    describe_constants,
+    explicit_coefficients,
+    with_refuted_factors,
+)
+from atoll_coordinator.model.inference.groups import model_of_groups
+from atoll_coordinator.model.inference.residual_covariance import residual_covariances, widening
 from atoll_coordinator.model.inference.shared_terms import fit_together
-from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
 from atoll_coordinator.model.inference.trajectory_simulation import fit_starts
 from atoll_coordinator.model.pools import Origin
-from atoll_coordinator.model.regression.rounding import ERROR_DIGITS
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.candidates import form
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows
-from atoll_coordinator.model.selection.rounding import RoundedSystem, ShownConstants, round_system
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.system import SharedNumber
@@ -31,12 +38,7 @@ from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, structure
-from atoll_core.expression.unit_coefficients import (
-    ExplicitCoefficients,
-    as_written,
-    make_coefficients_explicit,
-    write_factors,
-)
+from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written
 from atoll_core.expression.writing.expansion import Shape
 from atoll_core.expression.writing.shortest import shortest_over
 
@@ -45,21 +47,25 @@ from atoll_core.expression.writing.shortest import shortest_over
 class ShownEquations:
     """Equations as they are shown: `rounded` and their `fit`; `free` is the fit of `explicit`, all constants free.
 
-    `fluxes` are terms that were fitted together, see `Refinement`. `groups` are the constants by group where groups
-    of trajectories have their own, and `by_group` the equations with the constants of each group.
+    `fluxes` are terms that were fitted together, see `Refinement`. `by_group` are the equations with the constants of
+    each group where groups of trajectories have their own; each number of `free` belongs to one group or to all.
     """
 
-    rounded: RoundedSystem
+    rounded: RoundedEquations
     fit: FittedModel
     explicit: tuple[ExplicitCoefficients, ...]
     free: FittedModel
     fluxes: tuple[tuple[Shape, Mapping[str, float | None]], ...] = ()
-    groups: GroupConstants | None = None
     by_group: Sequence[Sequence[Program]] = ()
 
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """The equations as they are shown."""
+        return self.rounded.programs
 
-@dataclass(frozen=True, eq=False)
-class FinalModel:
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FinalModel(ShownEquations):
     """The model on all rows.
 
     `comparison` is where constants are fitted, in pieces of at most `piece` rows; `seen` where the equations are
@@ -73,30 +79,9 @@ class FinalModel:
     origins: Sequence[Mapping[bytes, Origin]]
     unseen: ModelComparison | None
     comparison: ModelComparison
-    equations: ShownEquations
     seen: ModelComparison
     seen_fit: TrajectoryFit
     piece: int
-
-    @property
-    def shown(self) -> tuple[Program, ...]:
-        """The equations as they are shown."""
-        return self.equations.rounded.programs
-
-    @property
-    def by_group(self) -> Sequence[Sequence[Program]]:
-        """The equations with the constants of each group, where groups have constants of their own."""
-        return self.equations.by_group
-
-    @property
-    def explicit(self) -> tuple[ExplicitCoefficients, ...]:
-        """The equations with their factors of one as constants."""
-        return self.equations.explicit
-
-    @property
-    def free(self) -> FittedModel:
-        """The fit of `explicit`, all constants free."""
-        return self.equations.free
 
     @property
     def are_errors_summed(self) -> bool:
@@ -110,11 +95,43 @@ class FinalModel:
         points = np.concatenate([self.seen_fit.simulated, measurements.inputs])
         return points[[measurements.variables.index(name) for name in self.task.dataset.names]]
 
+    @cached_property
+    def visited_by_group(self) -> list[tuple[Sequence[Program], FloatArray]]:
+        """The equations as they are shown, and the rows (V, R) that they hold for: all, or the rows of each group."""
+        measurements = self.seen.estimator.measurements
+        if not self.by_group or measurements.groups is None:
+            return [(self.programs, self.visited)]
+        groups = measurements.groups[measurements.owners_of_rows]
+        return [
+            (programs, self.visited[:, groups == group])
+            for group, programs in enumerate(self.by_group)
+            if np.any(groups == group)
+        ]
+
+    @cached_property
+    def residual_covariances(self) -> list[FloatArray] | None:
+        """The covariance of the residuals of each state; None where constants were fitted to other rows than these."""
+        fitted = self.comparison.estimator.measurements
+        if fitted.rows != self.seen.estimator.measurements.rows or self.piece != self.task.piece:
+            return None
+        return residual_covariances(fitted, self.free.fit)
+
+    @cached_property
+    def unknown_variances(self) -> list[tuple[str, str, float | None]]:
+        """Name, symbol and `unknown_variance` of each input."""
+        recording = self.task.recording
+        kinds: Sequence[InputKind | None] = recording.input_kinds or [None] * len(recording.inputs)
+        times = [part.times for part in recording.trajectories]
+        return [
+            (name, symbol, unknown_variance(times, [part.inputs[place] for part in recording.trajectories], kind))
+            for place, (name, symbol, kind) in enumerate(
+                zip(recording.inputs, recording.input_symbols, kinds, strict=True)
+            )
+        ]
+
     def simulated_by(self, comparison: ModelComparison) -> TrajectoryFit | None:
         """Return the shown equations along the trajectories of a comparison, only initial states being fitted."""
-        if self.by_group:
-            return comparison.estimator.fit(self.seen_fit.system, None, SETTINGS.effort.steps)
-        return fit_starts(comparison, self.shown)
+        return comparison.estimator.fit(self.seen_fit.system, None, SETTINGS.effort.steps)
 
     def origin(self, equation: int, program: Program) -> Origin:
         """Return where a program came from, before its constants were made simple."""
@@ -145,12 +162,20 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
     unseen = None
     if any(trajectory.held_out for trajectory in task.recording.trajectories):
         unseen = task.compare(task.measurements(task.variables, held_out=True), task.variables)
-    return FinalModel(task, ranking, origins, unseen, whole.comparison, equations, seen, fit, piece)
+    return FinalModel(
+        **vars(equations), task=task, ranking=ranking, origins=origins, unseen=unseen, comparison=whole.comparison,
+        seen=seen, seen_fit=fit, piece=piece,
+    )  # fmt: skip
 
 
 def _shown_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
     task, comparison, best = whole.task, whole.comparison, whole.model
-    for programs in (round_system(comparison, best), best.programs):
+
+    def growth(programs: Sequence[Program]) -> float:
+        fit = fit_starts(comparison, programs, best.fit)
+        return np.inf if fit is None else comparison.measure(fit).misfit - best.misfit
+
+    for programs in (fitted_equations(comparison, best).simplified(growth), best.programs):
         shown = _show(comparison, best, _shortest_writings(whole, programs))
         if shown is None:
             continue
@@ -158,8 +183,8 @@ def _shown_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
         with_factors = None if written is None else _show(comparison, best, written)
         if with_factors is not None and with_factors.fit.misfit <= shown.fit.misfit:
             shown = with_factors
-        shorter = _shortest_writings(whole, shown.rounded.programs)
-        if sum(map(len, shorter)) < sum(map(len, shown.rounded.programs)):  # constants are one or equal as rounded
+        shorter = _shortest_writings(whole, shown.programs)
+        if sum(map(len, shorter)) < sum(map(len, shown.programs)):  # constants are one or equal as rounded
             shortened = _show(comparison, best, shorter)
             shown = shown if shortened is None or shortened.fit.nats > shown.fit.nats else shortened
         return _with_shared_terms(task, comparison, shown)
@@ -168,9 +193,9 @@ def _shown_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
 
 def _shown_by_group(whole: SelectedModel) -> ShownEquations | None:
     comparison = whole.comparison
-    chosen = model_of_groups(whole, lambda equation, program: _shortest_writing(whole, equation, program))
-    model = chosen.model
-    values = displayed_values(comparison, model)
+    model = model_of_groups(whole, lambda equation, program: _shortest_writing(whole, equation, program))
+    errors = estimate_errors(comparison, model)
+    values = Estimates(errors.values, errors.bounded).rounded()
     fixed = model.fit.system.with_values(values).with_fixed_constants()
     fit = comparison.estimator.fit(
         fixed, None, SETTINGS.effort.steps, model.fit.starts, model.fit.errors, is_stiff=model.fit.is_stiff
@@ -180,11 +205,10 @@ def _shown_by_group(whole: SelectedModel) -> ShownEquations | None:
     leading = len(comparison.leading)
     programs = fixed.programs[leading:]
     return ShownEquations(
-        RoundedSystem(programs, tuple(() for _ in programs)),
+        RoundedEquations(programs, tuple(() for _ in programs)),
         replace(model, programs=programs, made=fit),
         tuple(map(as_written, programs)),
         model,
-        groups=GroupConstants(comparison, chosen, values),
         by_group=[fixed.of_group(group).programs[leading:] for group in range(len(whole.task.recording.groups))],
     )
 
@@ -209,7 +233,7 @@ def _shortest_writing(whole: SelectedModel, equation: int, program: Program) -> 
 
 def _with_shared_terms(task: ModellingTask, comparison: ModelComparison, shown: ShownEquations) -> ShownEquations:
     """Return the equations with the terms that they share fitted together, if the data allow it."""
-    together = fit_together(comparison, shown.free, shown.rounded.programs)
+    together = fit_together(comparison, shown.free, shown.programs)
     if together is None or not all(map(task.may_be_shown, together.model.programs)):
         return shown
     refitted = _show(comparison, together.model, together.model.programs, together.numbers)
@@ -234,7 +258,7 @@ def _seen_in_whole(
         measurements = here.measurements(here.variables)
         if here.piece != task.piece or measurements.rows > fitted:
             seen = here.compare(measurements, here.variables, is_precise=True)
-            fit = fit_starts(seen, shown.rounded.programs)
+            fit = fit_starts(seen, shown.programs)
             if fit is not None:
                 return here, seen, fit
     return task, comparison, shown.fit.fit
@@ -249,14 +273,14 @@ def _show(
     fitted = comparison.fit_beside(near, programs, shared=shared)
     if free is None or fitted is None:
         return None
-    errors, is_exact = estimate_errors(comparison, free).of_constants(free.fit.system), comparison.score.is_exact(free)
+    errors, is_exact = errors_of_constants(comparison, free), comparison.score.is_exact(free)
     numbers = fitted.fit.system.columns[0].tolist()
 
-    def outside(rounded: RoundedSystem) -> frozenset[int]:
+    def outside(rounded: RoundedEquations) -> frozenset[int]:
         """Return the fitted numbers, by index, of constants that lie outside of their intervals as they are shown."""
         if is_exact:
             return frozenset()  # intervals would follow from integration errors
-        known = describe_constants(comparison, explicit, rounded.programs, errors)
+        known = describe_constants(comparison.fixed, explicit, rounded.programs, errors)
         sought = (constants for equation, constants in enumerate(known) if equation not in comparison.fixed)
         written = (constant for constants in sought for constant in constants.written)
         return frozenset(number for number, constant in zip(numbers, written, strict=True) if not constant.is_within)
@@ -269,27 +293,23 @@ def _without_refuted(
     task: ModellingTask, comparison: ModelComparison, shown: ShownEquations
 ) -> tuple[Program, ...] | None:
     """Return the programs with those factors of one written out that the data refute; None without such factors."""
-    programs = shown.rounded.programs
-    known = describe_constants(comparison, shown.explicit, programs, estimate_errors(comparison, shown.free))
+    programs, errors = shown.programs, estimate_errors(comparison, shown.free)
+    known = describe_constants(comparison.fixed, shown.explicit, programs, errors)
     if not any(constants.refuted_factors for constants in known):
         return None
-    written = []
-    for coefficients, fitted, constants, program in zip(
-        shown.explicit, shown.free.programs, known, programs, strict=True
-    ):
-        refuted = constants.refuted_factors
-        longer = write_factors(coefficients, fitted, refuted) if refuted else program
-        written.append(longer if task.may_be_shown(longer) else program)
-    return tuple(written)
+    written = with_refuted_factors(shown.explicit, shown.free.programs, programs, known)
+    return tuple(
+        longer if task.may_be_shown(longer) else program for longer, program in zip(written, programs, strict=True)
+    )
 
 
-_Outside = Callable[[RoundedSystem], frozenset[int]]
+_Outside = Callable[[RoundedEquations], frozenset[int]]
 """Tells the fitted numbers, by index, of constants that lie outside of their intervals."""
 
 
 def _rounded(
     comparison: ModelComparison, fitted: FittedModel, outside: _Outside
-) -> tuple[RoundedSystem, FittedModel] | None:
+) -> tuple[RoundedEquations, FittedModel] | None:
     """Return a system with constants as they are shown, in the fewest digits that do not change simulations.
 
     They are compared with simulations by the same simple numbers and all digits of the other constants. None when it
@@ -297,7 +317,7 @@ def _rounded(
     """
     *few, most = ERROR_DIGITS
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None
-    constants = ShownConstants(comparison, fitted)
+    constants = fitted_equations(comparison, fitted)
     for digits in few:
         rounded = _with_digits(comparison, fitted, constants, digits, outside)
         if rounded is None:
@@ -311,8 +331,8 @@ def _rounded(
 
 
 def _with_digits(
-    comparison: ModelComparison, fitted: FittedModel, constants: ShownConstants, digits: int, outside: _Outside
-) -> tuple[RoundedSystem, FittedModel] | None:
+    comparison: ModelComparison, fitted: FittedModel, constants: FittedEquations, digits: int, outside: _Outside
+) -> tuple[RoundedEquations, FittedModel] | None:
     rounded, estimates = constants.rounded(digits), frozenset[int]()
     while not (further := outside(rounded)) <= estimates:
         estimates |= further
@@ -326,9 +346,7 @@ def _freed(
 ) -> tuple[tuple[ExplicitCoefficients, ...], FittedModel | None]:
     """Fit the shown system with all its constants free, if possible also factors of one that are not written."""
     explicit = tuple(
-        as_written(program)
-        if equation in comparison.fixed or comparison.restrictions(equation).bounds is not None
-        else make_coefficients_explicit(program)
+        explicit_coefficients(program, comparison.restrictions(equation), is_given=equation in comparison.fixed)
         for equation, program in enumerate(shown)
     )
     nodes = {}
@@ -342,3 +360,39 @@ def _freed(
     if free is not None:
         return explicit, free
     return tuple(map(as_written, shown)), comparison.fit_beside(best, shown, shared=shared)
+
+
+def fitted_equations(comparison: ModelComparison, model: FittedModel) -> FittedEquations:
+    """Return the equations of a model with the estimates of its constants, for rounding."""
+    system, errors = model.fit.system, estimate_errors(comparison, model)
+    restrictions = [comparison.restrictions(equation) for equation in range(len(model.programs))]
+    estimates = Estimates(errors.values, errors.bounded)
+    return FittedEquations(
+        model.programs, estimates, restrictions, comparison.fixed, system.columns[0], system.multiples
+    )
+
+
+def estimate_errors(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
+    """Return the errors of the fitted numbers, by the errors of measurement by which systems are compared.
+
+    Variances are corrected for the fitted numbers, and multiplied by the number of rows that count as one
+    (`ModelComparison.inflation`), since the errors of an equation vary as slowly as the states; or by the factor of a
+    correlation that the rows do not exclude, if that is larger.
+    """
+    fit, system = model.fit, model.fit.system
+    counts, inflation = float(comparison.score.counts.sum()), comparison.score.inflation(model)
+    noisy = comparison.score.has_independent_errors
+    wide = widening(comparison.estimator.measurements, fit, noisy) if noisy.any() else 1.0
+    left = max(counts - system.count - fit.starts.size, 1.0)
+    certain = float(comparison.score.counts @ fit.errors.degrees_of_freedom) / counts
+    return ConstantErrors.of_fit(
+        system.values, fit.reduced, max(left * certain / inflation, 1.0), max(wide, inflation) * counts / left,
+        None if system.lower is None or system.upper is None else (system.lower, system.upper), fit.gradient,
+        np.diag(fit.normal),
+    )  # fmt: skip
+
+
+def errors_of_constants(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
+    """Return the errors of all constants of a model, which may be multiples of fewer fitted numbers."""
+    system = model.fit.system
+    return estimate_errors(comparison, model).of_multiples(system.columns[0], system.multiples)

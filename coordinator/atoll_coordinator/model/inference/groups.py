@@ -1,4 +1,4 @@
-"""Groups of trajectories that may differ in constants: which constants differ, and their estimates. Pure.
+"""Groups of trajectories that may differ in constants: which constants differ. Pure.
 
 All constants begin with a value for each group. One after another, constants that differ least become shared by all
 groups, as long as that makes the description shorter. A value for each group costs 1/2 ln(rows of a group), a shared
@@ -8,90 +8,80 @@ large in one group, only r differs in r*(x - k*x*x). So each coefficient in turn
 Letters: G groups, P constants of all equations, Q numbers that these are in all groups together.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator
 
 import numpy as np
 
-from atoll_coordinator.model.inference.standard_errors import ConstantErrors, joint_covariance
-from atoll_coordinator.model.regression.covariance import constant_of, student_95
-from atoll_coordinator.model.regression.rounding import Estimates
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.shooting import system
-from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance, covariance
-from atoll_coordinator.model.structure.one_sided import within_bounds
-from atoll_coordinator.result.equations import Constant
-from atoll_coordinator.result.findings import Covariance, Place
-from atoll_coordinator.settings import SETTINGS
-from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.program import Program, constant_places, structure
+from atoll_coordinator.model.shooting.trajectory_fit import covariance
+from atoll_core.expression.program import Program, structure
 from atoll_core.expression.writing.expansion import factored_forms
 
 Writer = Callable[[int, Program], Program]
 """Returns the shortest writing of the program of an equation."""
 
 
-@dataclass(frozen=True, eq=False)
-class ModelOfGroups:
-    """A fitted system, and the constants of it that all groups have in common."""
-
-    model: FittedModel
-    shared: frozenset[system.Place] = frozenset()
-
-
-def model_of_groups(whole: SelectedModel, write: Writer) -> ModelOfGroups:
+def model_of_groups(whole: SelectedModel, write: Writer) -> FittedModel:
     """Return the model with those constants shared, and in those writings, that make its description shortest."""
     comparison = whole.comparison
-    begun = best = _with_shared(comparison, ModelOfGroups(whole.model))
-    for equation in range(len(begun.model.programs)):
+    best = _with_shared(comparison, whole.model)
+    for equation in range(len(best.programs)):
         if equation in comparison.fixed:
             continue
-        for program in _writings(whole, equation, best.model.programs[equation], write):
-            programs = [*best.model.programs]
+        for program in _writings(whole, equation, best.programs[equation], write):
+            programs = [*best.programs]
             programs[equation] = program
-            kept = frozenset(place for place in best.shared if place[0] != equation)
-            fitted = comparison.fit_beside(best.model, programs, shared=_numbers(kept))
+            kept = [place for place in _shared(comparison, best) if place[0] != equation]
+            fitted = comparison.fit_beside(best, programs, shared=_numbers(kept))
             if fitted is not None:
-                trial = _with_shared(comparison, ModelOfGroups(fitted, kept))
-                best = min(best, trial, key=lambda candidate: candidate.model.nats)
+                best = min(best, _with_shared(comparison, fitted), key=lambda candidate: candidate.nats)
     return best
+
+
+def _shared(comparison: ModelComparison, model: FittedModel) -> list[system.Place]:
+    """Return the constants that have one number in all groups."""
+    columns = model.fit.system.columns
+    are_shared = (columns == columns[0]).all(axis=0).tolist()
+    places = zip(comparison.places(model.fit.system), are_shared, strict=True)
+    return [place for place, is_shared in places if is_shared]
 
 
 def _numbers(shared: Collection[system.Place]) -> frozenset[system.SharedNumber]:
     return frozenset(((place, 1.0),) for place in shared)
 
 
-def _with_shared(comparison: ModelComparison, begun: ModelOfGroups) -> ModelOfGroups:
+def _with_shared(comparison: ModelComparison, begun: FittedModel) -> FittedModel:
     """Return `begun` with constants shared, those first that differ least, as long as the description gets shorter."""
     while True:
         following = None
+        shared = _shared(comparison, begun)
         for place in _alike_first(comparison, begun)[:2]:
-            shared = begun.shared | {place}
-            fitted = comparison.fit_beside(begun.model, begun.model.programs, shared=_numbers(shared))
-            if fitted is not None and fitted.nats < begun.model.nats:
-                following = ModelOfGroups(fitted, shared)
+            fitted = comparison.fit_beside(begun, begun.programs, shared=_numbers([*shared, place]))
+            if fitted is not None and fitted.nats < begun.nats:
+                following = fitted
                 break
         if following is None:
             return begun
         begun = following
 
 
-def _alike_first(comparison: ModelComparison, begun: ModelOfGroups) -> list[system.Place]:
+def _alike_first(comparison: ModelComparison, begun: FittedModel) -> list[system.Place]:
     """Return the constants that differ between groups, those first whose differences are the smallest for their errors.
 
     The statistic is the sum of squared deviations from the weighted mean over the variances (Cochran's Q).
     """
-    fit = begun.model.fit
+    fit = begun.fit
     values, variances = fit.system.by_place(fit.system.values), fit.system.by_place(np.diag(covariance(fit)), 2)
     weights = 1.0 / np.maximum(variances, 1e-300)
     with np.errstate(all="ignore"):
         means = (weights * values).sum(axis=0) / weights.sum(axis=0)
         statistics = np.nan_to_num((weights * (values - means) ** 2).sum(axis=0))
-    places = comparison.places(fit.system)
+    places, shared = comparison.places(fit.system), _shared(comparison, begun)
     order = sorted(range(len(places)), key=lambda number: float(statistics[number]))
-    return [places[number] for number in order if places[number] not in begun.shared]
+    return [places[number] for number in order if places[number] not in shared]
 
 
 def _writings(whole: SelectedModel, equation: int, program: Program, write: Writer) -> Iterator[Program]:
@@ -102,84 +92,3 @@ def _writings(whole: SelectedModel, equation: int, program: Program, write: Writ
         if structure(writing) not in tried and whole.task.may_be_shown(writing):
             tried.add(structure(writing))
             yield writing
-
-
-def displayed_values(comparison: ModelComparison, model: FittedModel) -> FloatArray:
-    """Return the numbers (Q,) as they are shown: with two digits of their errors, simple ones where singled out."""
-    numbers = model.fit.system
-    if not numbers.count:
-        return numbers.values
-    spread = comparison.score.inflation(model) * bounded_covariance(model.fit)
-    is_many = numbers.count > SETTINGS.effort.beam
-    return Estimates(numbers.values, spread).rounded(estimates=range(numbers.count) if is_many else ()).values
-
-
-class GroupConstants:
-    """The constants of a model by group, with their errors."""
-
-    def __init__(self, comparison: ModelComparison, chosen: ModelOfGroups, values: FloatArray) -> None:
-        """`values` (Q,) are the numbers as they are shown."""
-        self._comparison = comparison
-        self._system = chosen.model.fit.system
-        self._places = comparison.places(self._system)
-        self._values = values.tolist()
-        self.shared = chosen.shared
-
-    def of_equation(
-        self, errors: ConstantErrors, equation: int, program: Program, groups: int
-    ) -> tuple[tuple[Constant, ...], list[tuple[Constant, ...]]]:
-        """Return the constants of an equation in node order, of all groups together and of each.
-
-        All groups together have the shared constants with their errors, and the means of the others without.
-        """
-        nodes = constant_places(program)
-        if equation in self._comparison.fixed:
-            return tuple(Constant(value=float(program.constants[node])) for node in nodes), []
-        by_group = [self._of_group(errors, equation, group) for group in range(groups)]
-        together = []
-        for node in nodes:
-            constants = [of_group[node] for of_group in by_group]
-            value, known = float(program.constants[node]), constants[0]
-            if not known.shared:
-                fitted = float(np.mean([constant.fitted or 0.0 for constant in constants]))
-                is_known = all(constant.identifiable for constant in constants)
-                known = Constant(value=value, fitted=fitted, identifiable=is_known, shared=False)
-            together.append(known)
-        return tuple(together), [tuple(of_group[node] for node in nodes) for of_group in by_group]
-
-    def _of_group(self, errors: ConstantErrors, equation: int, group: int) -> Mapping[int, Constant]:
-        """Return the fitted constants of an equation in one group, by node."""
-        return {
-            node: self._described(errors, int(self._system.columns[group, number]), (equation, node) in self.shared)
-            for number, (owner, node) in enumerate(self._places)
-            if owner == equation
-        }
-
-    def _described(self, errors: ConstantErrors, number: int, is_shared: bool) -> Constant:
-        """Return one of the Q numbers with its errors."""
-        error = float(np.sqrt(max(errors.covariance[number, number], 0.0)))
-        quantile = student_95(errors.degrees_of_freedom)
-        known = constant_of(self._values[number], float(errors.values[number]), error, quantile, shared=is_shared)
-        if errors.lower is None or errors.upper is None:
-            return known
-        return within_bounds(
-            known, float(errors.lower[number]), float(errors.upper[number]), errors.reaches.get(number)
-        )
-
-    def covariances(self, errors: ConstantErrors, variables: Sequence[str]) -> list[Covariance | None]:
-        """Return the joint covariance of the constants of each group."""
-        counts = dict.fromkeys(variables, 0)
-        places = []
-        for equation, _ in self._places:
-            name = variables[equation]
-            places.append(Place(variable=name, constant=counts[name]))
-            counts[name] += 1
-        return [
-            joint_covariance(places, errors.covariance[np.ix_(columns, columns)], errors.degrees_of_freedom)
-            for columns in self._system.columns
-        ]
-
-    @property
-    def are_one(self) -> bool:
-        """Whether all groups have all constants in common."""
-        return self.shared.issuperset(self._places)

@@ -109,7 +109,7 @@ def _fits_in_whole(final: FinalModel) -> bool | None:
     fitted once more, in pieces that grow to whole trajectories, with very many rows to a subset. A model that does not
     describe the pieces is not tested, and no model is when the time is over.
     """
-    task, programs = final.task, final.shown
+    task, programs = final.task, final.programs
     limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
     if task.piece >= task.longest or not final.comparison.score.excess(final.free) <= limit:
         return None

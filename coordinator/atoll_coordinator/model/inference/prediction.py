@@ -22,6 +22,7 @@ from itertools import islice
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_coordinator.model.inference.long_run import along
 from atoll_coordinator.model.shooting.integration import Unsimulated
@@ -76,13 +77,15 @@ def predict(
         return [nothing for _ in states]
     horizon = elsewhere.horizon(model, own)
     courses = [course[:, :horizon] for course in own if not isinstance(course, str)]
-    misses, misses_of_data = _Misses(courses, len(states)), _Misses(courses, len(states))
+    misses, misses_of_data = _Misses(len(states)), _Misses(len(states))
 
     def add(alternative: AlternativeSystem) -> None:
         rival_courses = elsewhere.courses(alternative.system, followed)
         compared = [course if isinstance(course, str) else course[:, :horizon] for course in rival_courses]
-        misses.add(alternative.group, alternative.odds, compared)
-        misses_of_data.add(alternative.group, alternative.odds_of_data, compared)
+        differences = _differences(compared, courses, len(states))
+        if differences is not None:
+            misses.add(alternative.group, alternative.odds, *differences)
+            misses_of_data.add(alternative.group, alternative.odds_of_data, *differences)
 
     for alternative in alternatives:
         add(alternative)
@@ -121,6 +124,7 @@ _STRIDE: Final = 4
 """One in this many simulated rows is compared with the measured rows."""
 
 
+Flags = npt.NDArray[np.bool_]
 Course = FloatArray | Unsimulated
 """The measured states (O, N) from an initial state, or why there are none."""
 
@@ -144,25 +148,21 @@ class _Elsewhere:
 
     @cached_property
     def starts(self) -> FloatArray:
-        """Initial states (G, D): between two measured ones of one group, or near measured ones."""
-        if self._measurements.has_smoothed_inputs:
-            return self._starts_near_inputs()
-        if self._is_near:
-            rows = np.linspace(0, self._measurements.rows - 1, SETTINGS.effort.beam).astype(int)
-            return np.asarray(self._measurements.smoothed[:, rows].T + self._shift)
-        if self._measurements.groups is None:
-            return points_between(self._measurements.smoothed)
-        return self._starts_of_groups(self._measurements.groups)
+        """Initial states (G, D): between two measured ones of one group, or near measured ones.
 
-    def _starts_near_inputs(self) -> FloatArray:
-        """Return initial states (G, D) a tenth of the way from initial states of trajectories to others.
-
-        Farther away states without an equation, which are inputs as they were measured, would not be as they are.
+        Where states without an equation are inputs as they were measured, initial states are a tenth of the way from
+        initial states of trajectories to others: farther away, these inputs would not be as they are.
         """
-        groups = self._measurements.groups
-        points = points_between(self._measurements.smoothed) if groups is None else self._starts_of_groups(groups)
-        begun = [self._estimator(place).measurements.smoothed[:, 0] for place in range(len(points))]
-        return np.array(begun) + SETTINGS.inference.part * (points - np.array(begun))
+        measurements = self._measurements
+        if self._is_near and not measurements.has_smoothed_inputs:
+            rows = np.linspace(0, measurements.rows - 1, SETTINGS.effort.beam).astype(int)
+            return np.asarray(measurements.smoothed[:, rows].T + self._shift)
+        groups = measurements.groups
+        points = points_between(measurements.smoothed) if groups is None else self._starts_of_groups(groups)
+        if not measurements.has_smoothed_inputs:
+            return points
+        begun = np.array([self._estimator(place).measurements.smoothed[:, 0] for place in range(len(points))])
+        return np.asarray(begun + SETTINGS.inference.part * (points - begun))
 
     def _starts_of_groups(self, groups: Ints) -> FloatArray:
         """Return initial states (G, D), each between two measured states of the group whose constants it takes."""
@@ -318,38 +318,21 @@ def _in_one_piece(measurements: Measurements, owner: int) -> Measurements:
 class _Misses:
     """The odds of alternatives that predict something different, by group and state."""
 
-    def __init__(self, courses: Sequence[FloatArray], states: int) -> None:
-        self._courses = courses
+    def __init__(self, states: int) -> None:
         self._odds: dict[int, float] = {}
         self._against: dict[int, FloatArray] = {}
         self._unlike = [(0.0, -1)] * states
 
-    def add(self, group: int, odds: float, courses: Sequence[Course]) -> None:
-        """Add an alternative, by its courses from the same initial states.
-
-        One that diverges predicts something different; where it needs too many steps, its prediction is not known.
-        """
-        states = len(self._unlike)
-        pairs = [
-            (course, own) for course, own in zip(courses, self._courses, strict=True) if not isinstance(course, str)
-        ]
-        if any(isinstance(course, str) and course == "ran away" for course in courses):
-            agrees = np.zeros(states, np.bool_)
-        elif pairs:
-            agrees = _r2([course for course, _ in pairs], [own for _, own in pairs]) > 1.0 - SETTINGS.inference.part
-        else:
-            return
+    def add(self, group: int, odds: float, agrees: Flags, sizes: FloatArray) -> None:
+        """Add an alternative, by its differences from the model."""
         self._odds[group] = self._odds.get(group, 0.0) + odds
-        against = self._against.setdefault(group, np.zeros(states))
+        against = self._against.setdefault(group, np.zeros(len(agrees)))
         against += odds * ~agrees
         for state in np.flatnonzero(~agrees).tolist():
-            for place, (course, own) in enumerate(zip(courses, self._courses, strict=True)):
-                if isinstance(course, str):
-                    size = math.inf if course == "ran away" else 0.0
-                else:
-                    size = float(np.abs(course[state] - own[state]).max())
-                if odds * size > self._unlike[state][0]:
-                    self._unlike[state] = (odds * size, place)
+            place = int(np.argmax(sizes[state]))
+            largest = odds * float(sizes[state, place])
+            if largest > self._unlike[state][0]:
+                self._unlike[state] = (largest, place)
 
     def agreement(self, state: int) -> float:
         """Return the share of the odds that predicts the same as the model."""
@@ -374,6 +357,28 @@ class _Misses:
         """Return the place of the initial state from which predictions differ most, None: nowhere."""
         place = self._unlike[state][1]
         return place if place >= 0 else None
+
+
+def _differences(courses: Sequence[Course], own: Sequence[FloatArray], states: int) -> tuple[Flags, FloatArray] | None:
+    """Return which states (O,) an alternative predicts as the model does, and the largest differences (O, G).
+
+    An alternative that diverges predicts something different; where it needs too many steps, its prediction is not
+    known: None if it is known from no initial state.
+    """
+    sizes = np.zeros((states, len(own)))
+    pairs = []
+    for place, (course, own_course) in enumerate(zip(courses, own, strict=True)):
+        if not isinstance(course, str):
+            sizes[:, place] = np.abs(course - own_course).max(axis=1)
+            pairs.append((course, own_course))
+        elif course == "ran away":
+            sizes[:, place] = math.inf
+    if any(isinstance(course, str) and course == "ran away" for course in courses):
+        return np.zeros(states, np.bool_), sizes
+    if not pairs:
+        return None
+    r2 = _r2([course for course, _ in pairs], [own_course for _, own_course in pairs])
+    return r2 > 1.0 - SETTINGS.inference.part, sizes
 
 
 def _r2(predicted: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArray:

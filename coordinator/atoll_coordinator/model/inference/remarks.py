@@ -19,7 +19,6 @@ import numpy as np
 
 from atoll_coordinator.data.columns.motion import disagreement, neighbours
 from atoll_coordinator.data.recording import Recording, Trajectory
-from atoll_coordinator.model.inference.trajectory_simulation import SimulatedTrajectory
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, IntArray
@@ -30,11 +29,11 @@ _LAGS: Final = (1, 2, 4, 8)
 
 
 def stochastic_remarks(
-    recording: Recording, states: Sequence[str] = (), simulated: Sequence[SimulatedTrajectory] = ()
+    recording: Recording, states: Sequence[str] = (), simulated: Sequence[FloatArray] = ()
 ) -> list[str]:
     """Return a sentence that proposes ``--stochastic``, if the residuals of states look like it.
 
-    `states` are those that are `simulated` along the trajectories that were not held out. Without a simulation the
+    `states` are simulated along the trajectories that were not held out (O, R). Without a simulation the
     measurements are used as residuals: models of a stochastic process can rarely be simulated.
     """
     walking = []
@@ -54,16 +53,16 @@ def stochastic_remarks(
 
 
 def _residuals(
-    measured: Sequence[FloatArray], state: str, states: Sequence[str], simulated: Sequence[SimulatedTrajectory]
+    measured: Sequence[FloatArray], state: str, states: Sequence[str], simulated: Sequence[FloatArray]
 ) -> list[FloatArray]:
     """Return measured minus simulated values of a state along each trajectory that was simulated in whole."""
     if state not in states or len(simulated) != len(measured):
         return []
     place = states.index(state)
     return [
-        values - part.values[place]
-        for values, part in zip(measured, simulated, strict=True)
-        if part.values is not None and len(part.values[place]) == len(values)
+        values - course[place]
+        for values, course in zip(measured, simulated, strict=True)
+        if len(course[place]) == len(values)
     ]
 
 

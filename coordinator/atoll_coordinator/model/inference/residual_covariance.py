@@ -22,18 +22,17 @@ _INDEPENDENT: Final = 1e-9
 """Singular values of unit columns, over the largest, below which they are linearly dependent."""
 
 
-def residual_covariance(measurements: Measurements, fit: TrajectoryFit, index: int) -> FloatArray | None:
-    """Return the covariance (n, n) of the residuals of one state in units of the variance of its errors.
+def residual_covariances(measurements: Measurements, fit: TrajectoryFit) -> list[FloatArray] | None:
+    """Return the covariance (n, n) of the residuals of each state in units of the variance of its errors.
 
-    This is its block of I - H with the projection H on the derivatives by constants and initial states. None where
-    there are too many rows.
+    These are blocks of I - H with the projection H on the derivatives by constants and initial states. None where there
+    are too many rows.
     """
     columns = whitened_columns(measurements, fit)
     if columns is None:
         return None
-    counts = measurements.weights > 0.0
-    first = int(counts[:index].sum())
-    return projected_away(columns, slice(first, first + int(counts[index].sum())))
+    ends = np.cumsum((measurements.weights > 0.0).sum(axis=1))
+    return [np.eye(len(rows)) - rows @ rows.T for rows in np.split(orthonormal(columns), ends[:-1])]
 
 
 def whitened_columns(measurements: Measurements, fit: TrajectoryFit) -> FloatArray | None:
@@ -54,12 +53,11 @@ def whitened_columns(measurements: Measurements, fit: TrajectoryFit) -> FloatArr
     return np.asarray(columns[measurements.weights > 0.0])
 
 
-def projected_away(columns: FloatArray, rows: slice) -> FloatArray:
-    """Return the block of I - H of these rows, H the projection on the columns (M, K)."""
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """Return orthonormal columns that span the same space as the columns (M, K), as many as are independent."""
     sizes = np.sqrt((columns**2).sum(axis=0))
     basis, singular, _ = np.linalg.svd(columns[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
-    basis = basis[rows, singular > _INDEPENDENT * singular.max(initial=0.0)]
-    return np.asarray(np.eye(len(basis)) - basis @ basis.T)
+    return np.asarray(basis[:, singular > _INDEPENDENT * singular.max(initial=0.0)])
 
 
 _CORRELATIONS: Final = tuple(step / 10 for step in range(10))

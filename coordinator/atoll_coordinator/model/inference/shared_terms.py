@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.constants.rounding import Estimates
 from atoll_coordinator.model.criteria import structure_length
-from atoll_coordinator.model.regression.rounding import find_simple
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
@@ -38,32 +38,13 @@ _ROUNDING: Final = 2.0**-50
 """Differences below this share of a constant are rounding errors."""
 
 
-@dataclass(frozen=True)
-class Stoichiometry:
-    """A term of this `shape` in several equations: its fitted `numbers`, which stand in them all.
-
-    `multiples` has by equation how many times the flux stands there, None where the factor is fitted by itself. The
-    description gets about `nats` shorter; the `saving` is the part of a flux that is written only once.
-    """
-
-    shape: Shape
-    multiples: Mapping[int, float | None]
-    numbers: tuple[SharedNumber, ...]
-    nats: float
-    saving: float
-
-
 @dataclass(frozen=True, eq=False)
 class FittedTogether:
-    """A model whose equations share these terms, and thus these numbers."""
+    """A model whose equations share the `numbers` of these terms."""
 
     model: FittedModel
-    terms: tuple[Stoichiometry, ...]
-
-    @property
-    def numbers(self) -> list[SharedNumber]:
-        """The shared numbers of all terms."""
-        return [number for term in self.terms for number in term.numbers]
+    terms: "tuple[Flux, ...]"
+    numbers: list[SharedNumber]
 
 
 def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence[Program]) -> FittedTogether | None:
@@ -95,7 +76,7 @@ def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence
     together = comparison.fit_beside(free, chosen, shared=numbers)
     if together is None or together.nats - sum(term.saving for term in terms) >= apart.nats:
         return None
-    return FittedTogether(together, terms)
+    return FittedTogether(together, terms, numbers)
 
 
 # ----------------------------------------------------------------------------------------------- terms and their places
@@ -217,13 +198,14 @@ class _Estimates:
 
 
 @dataclass(eq=False)
-class _Flux:
-    """Terms that have the same numbers inside; `nats` and `saving` are as in `Stoichiometry`.
+class Flux:
+    """Terms of this `shape` that have the same numbers inside, each in another equation.
 
-    `ratios` are the factors over the factor of the `reference`, which is their smallest, where they are simple; by
-    equation.
+    The description gets about `nats` shorter; the `saving` is the part of a flux that is written only once. `ratios`
+    are the factors over the factor of the `reference`, which is their smallest, where they are simple; by equation.
     """
 
+    shape: Shape
     terms: list[_Occurrence]
     nats: float = 0.0
     saving: float = 0.0
@@ -231,30 +213,55 @@ class _Flux:
     direction: float = 1.0
     ratios: dict[int, float] = field(default_factory=dict)
 
+    @property
+    def alike(self) -> list[_Occurrence]:
+        """The terms that share a number."""
+        return [term for term in self.terms if term.inner or term.equation in self.ratios]
+
+    @property
+    def multiples(self) -> dict[int, float | None]:
+        """How many times the flux stands in each equation, None where the factor is fitted by itself."""
+        equations = [term.equation for term in self.alike]
+        return {one: self.ratios[one] * self.direction if one in self.ratios else None for one in equations}
+
+    @property
+    def numbers(self) -> list[SharedNumber]:
+        """The fitted numbers that stand in all the terms."""
+        numbers: list[SharedNumber] = [
+            tuple((term.inner[number][0], term.inner[number][1] * sign) for term in self.alike)
+            for number, (_, sign) in enumerate(self.terms[0].inner)
+        ]
+        if self.reference is not None and self.ratios:
+            sign = self.reference[1]
+            factors = [(term.factor, self.ratios[term.equation]) for term in self.terms if term.equation in self.ratios]
+            numbers.append(
+                tuple((factor[0], factor[1] * sign * ratio) for factor, ratio in factors if factor is not None)
+            )
+        return numbers
+
 
 def _found(
     comparison: ModelComparison, free: FittedModel, common: Mapping[Shape, Sequence[_Occurrence]],
     savings: Mapping[Shape, float],
-) -> list[Stoichiometry]:  # fmt: skip
-    """Return the numbers and factors that terms share, by the estimates of a fit."""
+) -> list[Flux]:  # fmt: skip
+    """Return the terms that share numbers and factors, by the estimates of a fit."""
     system = free.fit.system
     index = {place: number for number, place in enumerate(comparison.places(system))}
     estimates = _Estimates(index, system.values, comparison.score.inflation(free) * bounded_covariance(free.fit))
-    stoichiometries = []
+    found: list[Flux] = []
     for shape, alike in common.items():
-        estimates, fluxes = _alike(estimates, alike, comparison.score.constant_nats, savings[shape])
+        estimates, fluxes = _alike(estimates, shape, alike, comparison.score.constant_nats, savings[shape])
         for flux in fluxes:
             estimates = _with_multiples(estimates, flux, comparison.score.constant_nats)
-            term = _stoichiometry(shape, flux)
-            stoichiometries += [term] if term is not None else []
-    return stoichiometries
+        found += [flux for flux in fluxes if len(flux.alike) > 1]
+    return found
 
 
 def _alike(
-    estimates: _Estimates, alike: Sequence[_Occurrence], constant_nats: float, saving: float
-) -> tuple[_Estimates, list[_Flux]]:
+    estimates: _Estimates, shape: Shape, alike: Sequence[_Occurrence], constant_nats: float, saving: float
+) -> tuple[_Estimates, list[Flux]]:
     """Return terms of one shape by the numbers inside, which are the same where that shortens the description."""
-    fluxes: list[_Flux] = []
+    fluxes: list[Flux] = []
     for term in alike:
         for flux in fluxes:
             trial, nats = estimates, saving if term.inner else 0.0
@@ -269,11 +276,11 @@ def _alike(
                 flux.terms.append(term)
                 break
         else:
-            fluxes.append(_Flux([term]))
+            fluxes.append(Flux(shape, [term]))
     return estimates, fluxes
 
 
-def _with_multiples(estimates: _Estimates, flux: _Flux, constant_nats: float) -> _Estimates:
+def _with_multiples(estimates: _Estimates, flux: Flux, constant_nats: float) -> _Estimates:
     """Fill in which factors are simple multiples of the smallest, and return the estimates with these decided."""
     factors = {term.equation: term.factor for term in flux.terms if term.factor is not None}
     if len(factors) < 2:
@@ -298,39 +305,16 @@ def _simple_ratio(estimates: _Estimates, base: tuple[Place, float], constant: tu
         return None
     ratio = above / below
     variance = estimates.variance(estimates.row((constant, 1.0 / below), (base, -ratio / below)))
-    number = find_simple(np.array([ratio]), np.array([[variance]])).get(0)
-    denominators = SETTINGS.regression.denominators
-    return (
-        number
-        if number is not None and any((number * denominator).is_integer() for denominator in denominators)
-        else None
-    )
+    number = Estimates(np.array([ratio]), np.array([[variance]])).singled_out.get(0)
+    denominators = SETTINGS.inference.denominators
+    is_simple = number is not None and any((number * denominator).is_integer() for denominator in denominators)
+    return number if is_simple else None
 
 
-def _stoichiometry(shape: Shape, flux: _Flux) -> Stoichiometry | None:
-    """Return the numbers that the terms of a flux share, None if they share none."""
-    terms = [term for term in flux.terms if term.inner or term.equation in flux.ratios]
-    if len(terms) < 2:
-        return None
-    numbers: list[SharedNumber] = [
-        tuple((term.inner[number][0], term.inner[number][1] * sign) for term in terms)
-        for number, (_, sign) in enumerate(terms[0].inner)
-    ]
-    if flux.reference is not None and flux.ratios:
-        sign = flux.reference[1]
-        factors = [(term.factor, flux.ratios[term.equation]) for term in terms if term.equation in flux.ratios]
-        numbers.append(tuple((factor[0], factor[1] * sign * ratio) for factor, ratio in factors if factor is not None))
-    multiples = {
-        term.equation: flux.ratios[term.equation] * flux.direction if term.equation in flux.ratios else None
-        for term in terms
-    }
-    return Stoichiometry(shape, multiples, tuple(numbers), flux.nats, flux.saving)
-
-
-def _worthwhile(terms: Sequence[Stoichiometry], costs: Sequence[float]) -> tuple[Stoichiometry, ...]:
+def _worthwhile(terms: Sequence[Flux], costs: Sequence[float]) -> tuple[Flux, ...]:
     """Return the terms that gain more than the `costs` of expanding their equations."""
 
-    def gain(terms: Sequence[Stoichiometry]) -> float:
+    def gain(terms: Sequence[Flux]) -> float:
         expanded = {equation for term in terms for equation in term.multiples}
         return sum(term.nats for term in terms) - sum(costs[equation] for equation in sorted(expanded))
 

@@ -4,19 +4,17 @@ Letters: P fitted constants, D states, O measured states, N rows, R rows of one 
 without a break.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.recording import Preparation, Recording
-from atoll_coordinator.model.inference.standard_errors import ConstantErrors
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
-from atoll_coordinator.model.thinning import curve, spread_places
-from atoll_coordinator.result.listed_trajectories import Simulated, Simulation
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.model.thinning import curve, curves, spread_places
+from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.expression.program import Program, constant_places
@@ -25,28 +23,6 @@ _MOST_POINTS: Final = 200
 """Points of one simulated trajectory in a result; a longer one is thinned evenly."""
 _MOST_NUMBERS: Final = 100_000
 """Numbers of all curves together, about 1 MB as text."""
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedTrajectory:
-    """One trajectory by the model, from fitted initial conditions, at all of its rows.
-
-    `times` (R,) are centred as in the recording; `measured` (O, R) are the measured states, NaN where a value is not
-    used; `values` and `errors` (O, R) are the simulated states with offsets and their standard errors (None where the
-    simulation ends early); `start` is the initial condition, states and then velocities, without offsets (None like
-    `values`); `r2` has one number for each state, None where it could not be simulated to the end. `offsets` are the
-    measured value minus the state, by the names of the states with an offset.
-    """
-
-    name: str
-    held_out: bool
-    times: FloatArray
-    measured: FloatArray
-    values: FloatArray | None
-    errors: FloatArray | None
-    r2: tuple[float | None, ...]
-    start: FloatArray | None = None
-    offsets: Mapping[str, float] = field(default_factory=dict)
 
 
 def fit_starts(
@@ -58,37 +34,21 @@ def fit_starts(
     return comparison.estimator.fit(system, None, SETTINGS.effort.steps, starts, errors)
 
 
-def simulate_trajectories(
-    measurements: Measurements, fit: TrajectoryFit | None, errors: FloatArray | None, states: Sequence[str], *,
-    held_out: bool,
-) -> list[SimulatedTrajectory]:  # fmt: skip
-    """Return the simulations of all trajectories of `states`, without curves where there is no fit; `errors` (O, N)."""
-    measured = np.where(measurements.weights > 0.0, measurements.measured, np.nan)
-    values, offsets = None, dict[str, FloatArray]()
-    if fit is not None:
-        values = fit.simulated[measurements.observed]
-        lengths = fit.segments[:, 1] - fit.segments[:, 0]
-        columns = fit.starts[:, fit.starts.shape[1] - len(measurements.offset) :].T
-        for state, column in zip(measurements.offset.tolist(), columns, strict=True):
-            offsets[states[state]] = np.repeat(column, lengths)
-            values[state] += offsets[states[state]]
-    return [
-        SimulatedTrajectory(
-            name,
-            held_out,
-            measurements.times[rows],
-            measured[:, rows],
-            None if values is None else values[:, rows],
-            None if errors is None else errors[:, rows],
-            tuple(None for _ in measurements.observed) if fit is None else tuple(r2_of(measurements, fit, rows)),
-            None if fit is None else fit.simulated[:, rows[0]],
-            {state: float(offset[rows].mean()) for state, offset in offsets.items()},
-        )
-        for name, rows in _rows_by_trajectory(measurements)
-    ]
+def simulated_states(
+    measurements: Measurements, fit: TrajectoryFit, states: Sequence[str]
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return the simulated states (O, N) as they are measured, and the offsets (N,) of the states that have some."""
+    values, offsets = fit.simulated[measurements.observed], dict[str, FloatArray]()
+    lengths = fit.segments[:, 1] - fit.segments[:, 0]
+    columns = fit.starts[:, fit.starts.shape[1] - len(measurements.offset) :].T
+    for state, column in zip(measurements.offset.tolist(), columns, strict=True):
+        offsets[states[state]] = np.repeat(column, lengths)
+        values[state] += offsets[states[state]]
+    return values, offsets
 
 
-def _rows_by_trajectory(measurements: Measurements) -> list[tuple[str, IntArray]]:
+def rows_by_trajectory(measurements: Measurements) -> list[tuple[str, IntArray]]:
+    """Return the rows of each trajectory that has rows, by name."""
     ranges = [np.arange(*bound) for bound in measurements.bounds.tolist()]
     named_rows = []
     for index, name in enumerate(measurements.names):
@@ -98,77 +58,80 @@ def _rows_by_trajectory(measurements: Measurements) -> list[tuple[str, IntArray]
     return named_rows
 
 
-def listed_simulation(
-    trajectories: Sequence[SimulatedTrajectory], states: Sequence[str], quantile: float, preparation: Preparation
-) -> Simulation:
+def listed_trajectories(
+    measurements: Measurements, fit: TrajectoryFit | None, errors: FloatArray | None, states: Sequence[str],
+    preparation: Preparation, quantile: float,
+) -> list[Simulated]:  # fmt: skip
     """Return simulations as a result lists them: thinned, at the times of the user's file, next to the measurements.
 
-    The 95 % bands lie `quantile` standard errors on either side (Student's t, as of the constants). Where the errors of
-    a solver were subtracted from the measurements, the result has the measurements themselves.
+    There are no curves without a fit. Where the errors of a solver were subtracted from the measurements, the result
+    has the measurements themselves.
+
+    Args:
+        measurements: the trajectories.
+        fit: their simulation; None if it failed.
+        errors: the standard errors (O, N) of the simulated states; None: there are no bands.
+        states: names of the O states.
+        preparation: the table.
+        quantile: standard errors on either side of the 95 % bands (Student's t, as of the constants).
     """
     recording, source = preparation.recording, preparation.source
     assert recording is not None
     velocities = [] if source is None or not source.velocities else source.velocities
     names = [*states, *(velocities[source.states.index(name)] for name in states if source is not None and velocities)]
-    numbers = len(trajectories) * (1 + 4 * len(states))
-    most = max(2, min(_MOST_POINTS, _MOST_NUMBERS // max(numbers, 1)))
+    parts = {part.name: part for part in recording.trajectories}
+    most = max(2, min(_MOST_POINTS, _MOST_NUMBERS // (len(parts) * (1 + 4 * len(states)))))
+    values, offsets = (None, dict[str, FloatArray]()) if fit is None else simulated_states(measurements, fit, states)
 
-    def curves(values: FloatArray | None, rows: list[int]) -> dict[str, tuple[float | None, ...]] | None:
-        return None if values is None else {name: curve(row[rows]) for name, row in zip(states, values, strict=True)}
+    def curves_of(values: FloatArray | None, rows: IntArray) -> dict[str, tuple[float | None, ...]] | None:
+        return None if values is None else curves(states, values[:, rows])
 
-    def listed(part: SimulatedTrajectory) -> Simulated:
-        rows = spread_places(len(part.times), most)
-        lower = upper = None
-        if part.values is not None and part.errors is not None:
-            with np.errstate(all="ignore"):
-                lower, upper = part.values - quantile * part.errors, part.values + quantile * part.errors
-        return Simulated(
-            name=part.name,
-            held_out=part.held_out,
-            r2=dict(zip(states, part.r2, strict=True)),
-            offsets=dict(part.offsets),
-            start=None if part.start is None else dict(zip(names, part.start.tolist(), strict=False)),
-            times=curve(part.times[rows] + recording.offset, digits=12),
-            measured=curves(_as_measured(part, states, recording), rows) or {},
-            values=curves(part.values, rows),
-            lower=curves(lower, rows),
-            upper=curves(upper, rows),
-        )
-
-    return Simulation(trajectories=tuple(map(listed, trajectories)))
-
-
-def _as_measured(part: SimulatedTrajectory, states: Sequence[str], recording: Recording) -> FloatArray:
-    """Return the measured states (O, R) of a trajectory, also where the errors of a solver were subtracted from it."""
-    places = [recording.states.index(name) for name in states]
-    measured = next(other.measured[places] for other in recording.trajectories if other.name == part.name)
-    return (
-        np.where(np.isnan(part.measured), np.nan, measured) if measured.shape == part.measured.shape else part.measured
-    )
+    with np.errstate(all="ignore"):
+        reach = None if values is None or errors is None else quantile * errors
+        lower, upper = (None, None) if values is None or reach is None else (values - reach, values + reach)
+    listed = []
+    for name, rows in rows_by_trajectory(measurements):
+        places = spread_places(len(rows), most)
+        measured = np.where(measurements.weights > 0.0, measurements.measured, np.nan)[:, rows]
+        recorded = parts[name].measured[[recording.states.index(state) for state in states]]
+        if recorded.shape == measured.shape:
+            measured = np.where(np.isnan(measured), np.nan, recorded)
+        r2 = [None for _ in states] if fit is None else r2_of(measurements, fit, rows)
+        start = None if fit is None else dict(zip(names, fit.simulated[:, rows[0]].tolist(), strict=False))
+        listed.append(Simulated(
+            name=name,
+            held_out=parts[name].held_out,
+            r2=dict(zip(states, r2, strict=True)),
+            offsets={state: float(offset[rows].mean()) for state, offset in offsets.items()},
+            start=start,
+            times=curve(measurements.times[rows[places]] + recording.offset, digits=12),
+            measured=curves(states, measured[:, places]),
+            values=curves_of(values, rows[places]),
+            lower=curves_of(lower, rows[places]),
+            upper=curves_of(upper, rows[places]),
+        ))  # fmt: skip
+    return listed
 
 
 def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice) -> list[float | None]:
     """Return for each measured state the share of its variance along these rows that the simulation explains."""
     shares: list[float | None] = []
     for state in range(len(measurements.observed)):
-        weights = measurements.weights[state, rows]
-        squares = weights * fit.residuals[state, rows] ** 2
-        values = measurements.measured[state, rows][weights > 0.0]
-        inverse_variances = (
-            np.ones(len(values))
-            if measurements.inverse_variances is None
-            else measurements.inverse_variances[state, rows][weights > 0.0]
-        )
-        mean = float((inverse_variances * values).sum() / inverse_variances.sum()) if len(values) else 0.0
-        spread = float((inverse_variances * (values - mean) ** 2).sum())
+        squares = measurements.weights[state, rows] * fit.residuals[state, rows] ** 2
+        spread, _ = squares_about_mean(measurements, state, rows)
         shares.append(1.0 - float(squares.sum()) / spread if spread > 0.0 else None)
     return shares
 
 
-def scaled_covariance(fit: TrajectoryFit, errors: ConstantErrors) -> tuple[FloatArray, float]:
-    """Return the covariance (P, P) of the constants, large where it is infinite, and the factor for the variances of
-    initial states."""
-    return errors.scale * bounded_covariance(fit), errors.scale
+def squares_about_mean(measurements: Measurements, state: int, rows: IntArray | slice) -> tuple[float, int]:
+    """Return the sum of squares of a measured state about its mean, as in rows of weight 1, and how many rows count."""
+    counts = measurements.weights[state, rows] > 0.0
+    values = measurements.measured[state, rows][counts]
+    weights = np.ones(len(values))
+    if measurements.inverse_variances is not None:
+        weights = measurements.inverse_variances[state, rows][counts]
+    mean = float((weights * values).sum() / weights.sum()) if len(values) else 0.0
+    return float((weights * (values - mean) ** 2).sum()), len(values)
 
 
 def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float) -> FloatArray:

@@ -1,47 +1,41 @@
 """The equation of one variable by regression on its target: the shortest that the front leads to (ADR 0012).
 
-*Shortening.* The search compares individuals by their error on some rows; here whole descriptions are compared, on all
-rows. Members of the front that are far from the shortest are left out; the others are reduced. Then the programs one
-step from the smallest of the nearly shortest descriptions are tried (a larger one may have begun to describe the
-noise), then programs one step from the shortest as long as the description gets shorter; not when its errors are at the
-limit, where only its size could be better. The work is bounded by a number of point evaluations, not by the clock,
-unless there is a deadline. *Finishing.* Constants of the shortest program become simple numbers where the data single
-them out, by the same rules as for systems along trajectories (`rounding`); they get standard errors, and the program
-its errors on all rows. The front stays as the search found it.
+*Shortening.* See `shortening`; lengths are of all rows. *Finishing.* Constants of the shortest program become simple
+numbers where the data single them out, as along trajectories (`constants.rounding`); they get standard errors, and the
+program its errors on all rows. The front stays as the search found it.
 """
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.constants.rounding import Estimates, FittedEquations
+from atoll_coordinator.model.constants.standard_errors import (
+    ConstantErrors,
+    Known,
+    describe_constants,
+    explicit_coefficients,
+)
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pools import Member, may_be_shown
 from atoll_coordinator.model.refinement import Alternative, Refined
-from atoll_coordinator.model.regression.covariance import covariance_of, estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.rounding import Estimates, allowed_growth, find_simple
+from atoll_coordinator.model.regression.shortening import Measured, Shortening
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
-from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.model.thinning import thinned_places
-from atoll_coordinator.result.equations import SimpleNumber, SimpleTogether
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray, Problem
 from atoll_core.expression.operators import BY_NAME
-from atoll_core.expression.program import Program, constant_places, structure, with_constants
-from atoll_core.expression.restrictions import restrictions_of
-from atoll_core.expression.unit_coefficients import make_coefficients_explicit, write_factors
+from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.restrictions import Restrictions, restrictions_of
+from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit, write_factors
 from atoll_core.expression.writing.expansion import form_of
-from atoll_core.expression.writing.shortest import collected, shortest, shortest_over
-
-_MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
-"""Neighbours are candidates whose description is longer than the best by at most this many nats (odds of 400), and the
-neighbours of the smallest program within this limit are tried, too."""
+from atoll_core.expression.writing.shortest import shortest, shortest_over
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,137 +56,30 @@ class WeighedRows:
         return WeighedRows(problem, None if weights is None else weights / weights.mean())
 
 
-@dataclass(frozen=True, eq=False)
-class FrontCandidate:
-    """A fitted program, its description length in nats, and the number of the front member that it came from."""
+def target_shortening(
+    least_squares: LeastSquares, criterion: RegressionCriterion, operators: Collection[int], variables: Collection[int],
+    deadline: Deadline | None = None,
+) -> Shortening:  # fmt: skip
+    """Return the shortening of fronts by fits to the rows of a target.
 
-    member: int
-    fitted: Fitted
-    length: float
+    `operators` (codes) and `variables` (indices) are what new programs may bring in. The work is bounded by a number of
+    point evaluations, not by the clock, unless there is a deadline.
+    """
 
-    @property
-    def rank(self) -> tuple[float, int, bytes]:
-        """Smaller for better candidates: shorter descriptions, then smaller programs."""
-        return (self.length, len(self.fitted.program), self.fitted.program.to_bytes())
+    def measure(program: Program, most: float) -> Measured:
+        enough = criterion.mse_of(most - criterion.length_of_program(program))
+        fitted = least_squares.fit(program, enough=enough)
+        misfit = criterion.misfit(fitted.mse)
+        return Measured(fitted.program, misfit, misfit + criterion.length_of_program(fitted.program))
 
+    def is_over() -> bool:
+        is_late = deadline is not None and deadline.is_over
+        return is_late or least_squares.evaluations > SETTINGS.effort.evaluations
 
-class Shortening:
-    """Shortens the front of one problem. Remembers its fits, by structure."""
-
-    def __init__(
-        self, problem: Problem, operators: Collection[int], variables: Collection[int] | None = None,
-        least_squares: LeastSquares | None = None, deadline: Deadline | None = None,
-    ) -> None:  # fmt: skip
-        """`operators` (codes) and `variables` (indices, all unless given) are what new programs may bring in.
-
-        `least_squares` fits to the rows of `problem`; None: all alike.
-        """
-        self.criterion: Final = RegressionCriterion.of(problem.target)
-        self.least_squares: Final = least_squares or LeastSquares(problem)
-        self._variables = range(len(problem.names)) if variables is None else variables
-        self._operators = operators
-        self._deadline = deadline or Deadline()
-        self._fits: dict[bytes, tuple[Fitted, float]] = {}
-        self._ends: dict[bytes, Fitted] = {}
-
-    def candidates(self, front: Sequence[Program], looks_around: bool = True) -> list[FrontCandidate]:
-        """Return the programs that `front` leads to, the shortest first; nothing when none has a finite error.
-
-        Without `looks_around`, neighbours of the members are not tried.
-        """
-        candidates: dict[bytes, FrontCandidate] = {}
-
-        def take_in(member: int, fits: Iterable[Fitted]) -> None:
-            for fitted in fits:
-                candidates.setdefault(structure(fitted.program), FrontCandidate(member, fitted, self._length(fitted)))
-
-        def shortest_candidate() -> FrontCandidate:
-            return min(candidates.values(), key=lambda candidate: candidate.rank)
-
-        for member, fitted in self._members(front):
-            take_in(member, (fitted, self._reduced(fitted)))
-        if candidates and looks_around:
-            best = shortest_candidate()
-            near = [candidate for candidate in candidates.values() if candidate.length <= best.length + _MARGIN]
-            simple = min(near or [best], key=lambda candidate: (len(candidate.fitted.program), candidate.rank))
-            if simple is not best and not self._is_exact(best):
-                take_in(simple.member, self._around(simple))
-                best = shortest_candidate()
-            while not self._is_exact(best) and not self._is_exhausted():
-                take_in(best.member, self._around(best))
-                following = shortest_candidate()
-                if following is best:
-                    break
-                best = following
-        return sorted(candidates.values(), key=lambda candidate: candidate.rank)
-
-    def _is_exact(self, candidate: FrontCandidate) -> bool:
-        return candidate.fitted.mse <= self.criterion.least_variance
-
-    def _length(self, fitted: Fitted) -> float:
-        return self.criterion.length(fitted.mse, fitted.program)
-
-    def _members(self, front: Sequence[Program]) -> list[tuple[int, Fitted]]:
-        """Return the members worth the effort, polished, by rising length; of equal structures the first."""
-        fits = {structure(program): (index, program) for index, program in reversed([*enumerate(map(shortest, front))])}
-        polished = [(index, self._fitted(program)) for index, program in fits.values()]
-        return sorted(polished, key=lambda entry: (self._length(entry[1]), entry[0]))[: SETTINGS.effort.beam]
-
-    def _fitted(self, program: Program, enough: float = 0.0) -> Fitted:
-        """Return `program` fitted; less well when it will not come near the mean squared error `enough`."""
-        key = structure(program)
-        known = self._fits.get(key)
-        if known is None or (known[0].mse > known[1] > 0.0 and not 0.0 < enough <= known[1]):
-            known = self._fits[key] = self.least_squares.fit(program, enough=enough), enough
-        return known[0]
-
-    def _tried(self, program: Program, length: float) -> tuple[float, Fitted]:
-        """Return `program` fitted and its length, which is of interest when it is less than `length`."""
-        fitted = self._fitted(program, self.criterion.mse_of(length - self.criterion.length_of_program(program)))
-        return self._length(fitted), fitted
-
-    def _reduced(self, fitted: Fitted) -> Fitted:
-        """Follow the reductions, each time the one of the shortest description, until none is shorter."""
-        path: list[bytes] = []
-        while structure(fitted.program) not in self._ends:
-            path.append(structure(fitted.program))
-            best, least = None, self._length(fitted)
-            for program in reductions(fitted.program):
-                if self._is_exhausted():
-                    break
-                length, reduced = self._tried(program, least)
-                if length < least:
-                    best, least = reduced, length
-            if best is None:
-                self._ends[path[-1]] = fitted
-            else:
-                fitted = best
-        end = self._ends[structure(fitted.program)]
-        self._ends |= dict.fromkeys(path, end)
-        return end
-
-    def _around(self, best: FrontCandidate) -> list[Fitted]:
-        """Return the most promising programs one step from `best`, each also reduced.
-
-        Of programs with equal errors, which are equal functions, the shortest is kept; of programs equal to `best`, the
-        shortest for each collection of operators, since their constants may be simpler.
-        """
-        most = best.length + _MARGIN
-        fits: dict[tuple[str, bytes], tuple[float, Fitted]] = {}
-        for program in neighbours(best.fitted.program, self._variables, self._operators):
-            if self._is_exhausted():
-                break
-            length, fitted = self._tried(program, most)
-            meaning = (f"{fitted.mse:.6g}", b"")
-            if meaning[0] == f"{best.fitted.mse:.6g}":
-                meaning = (meaning[0], np.sort(fitted.program.operators).tobytes())
-            if length < most and (meaning not in fits or length < fits[meaning][0]):
-                fits[meaning] = (length, fitted)
-        nearest = sorted(fits.values(), key=lambda pair: (pair[0], structure(pair[1].program)))[: SETTINGS.effort.beam]
-        return [fitted for _, neighbour in nearest for fitted in (neighbour, self._reduced(neighbour))]
-
-    def _is_exhausted(self) -> bool:
-        return self._deadline.is_over or self.least_squares.evaluations > SETTINGS.regression.most_evaluations
+    return Shortening(
+        measure, is_over, lambda program: neighbours(program, variables, operators),
+        criterion.misfit(criterion.least_variance),
+    )  # fmt: skip
 
 
 def fit_equation(
@@ -226,18 +113,19 @@ def fit_equation(
     counted = WeighedRows(problem) if counted is None else counted
     spread = counted.spread(SETTINGS.rows.most)
     least_squares = LeastSquares(spread.problem, spread.weights, restrictions)
-    shortening = Shortening(spread.problem, operators, allowed, least_squares, deadline)
-    candidates = shortening.candidates([front[index].program for index in kept], looks_around=not has_converged)
+    criterion = RegressionCriterion.of(spread.problem.target)
+    shortening = target_shortening(least_squares, criterion, operators, allowed, deadline)
+    begun = [shortest(front[index].program) for index in kept]
+    candidates = shortening.candidates(begun, looks_around=not has_converged)
     all_rows = LeastSquares(counted.problem, counted.weights, restrictions)
 
     def may_stand(program: Program) -> bool:
         return restrictions.are_kept(program) and may_be_shown(program, config.space.max_size)
 
-    for candidate in candidates:
-        member = kept[candidate.member]
-        refined = _finished(problem, counted, candidate, member, config, all_rows, has_intervals=has_intervals)
-        is_member = structure(shortest(front[member].program)) == structure(shortest(candidate.fitted.program))
-        refined = replace(refined, origin="front" if is_member else "descent")
+    for candidate, place in candidates:
+        refined = _finished(problem, counted, candidate, config, all_rows, has_intervals=has_intervals)
+        is_member = structure(begun[place]) == structure(shortest(candidate.program))
+        refined = replace(refined, member=kept[place], origin="front" if is_member else "descent")
         if refined.error <= limit and may_stand(refined.program):
             for index, same in enumerate(front):  # the very same program has the errors that the search measured
                 if same.program == refined.program:
@@ -245,47 +133,49 @@ def fit_equation(
                     break
             if not has_intervals:
                 return refined
-            others = [other for other in candidates if may_stand(other.fitted.program)]
-            return replace(refined, alternatives=_alternatives(refined, candidate, others, problem))
+            others = [other for other, _ in candidates if may_stand(other.program)]
+            return replace(refined, alternatives=_alternatives(refined, candidate, others, all_rows))
     return None
 
 
 def _alternatives(
-    shown: Refined, chosen: FrontCandidate, candidates: Sequence[FrontCandidate], problem: Problem
+    shown: Refined, chosen: Measured, candidates: Sequence[Measured], rows: LeastSquares
 ) -> tuple[Alternative, ...]:
     """Return the equation that is shown and its alternatives, the shortest descriptions first.
 
     Each form once. More constants always describe about as well: such candidates are no alternatives, unless they
     describe the rows far better. Constants are counted before some become simple.
     """
-    variance = problem.target.standard_deviation**2
-    most = len(constant_places(chosen.fitted.program))
+    most = len(constant_places(chosen.program))
     distinct = {form_of(shown.program): chosen}
     for candidate in candidates:
-        nats, count = candidate.length - chosen.length, len(constant_places(candidate.fitted.program))
+        nats, count = candidate.length - chosen.length, len(constant_places(candidate.program))
         if count <= most or nats < -SETTINGS.inference.distinct_nats:
-            distinct.setdefault(form_of(candidate.fitted.program), candidate)
-
-    def r2(mse: float) -> float | None:
-        return 1.0 - mse / variance if variance and math.isfinite(mse) else None
-
+            distinct.setdefault(form_of(candidate.program), candidate)
     others = [candidate for candidate in distinct.values() if candidate is not chosen][: SETTINGS.effort.beam]
     return (
-        Alternative(shown.program, 0.0, r2(shown.mse), is_shown=True, origin=shown.origin),
+        Alternative(shown.program, 0.0, rows.r2(shown.program), is_shown=True, origin=shown.origin),
         *(
-            Alternative(one.fitted.program, one.length - chosen.length, r2(one.fitted.mse), origin="descent")
+            Alternative(one.program, one.length - chosen.length, rows.r2(one.program), origin="descent")
             for one in others
         ),
     )
 
 
-def _finished(  # noqa: PLR0913, whose constants, by which rows, as what
-    problem: Problem, counted: WeighedRows, candidate: FrontCandidate, member: int, config: JobConfig,
-    least_squares: LeastSquares, *, has_intervals: bool,
+def _finished(
+    problem: Problem, counted: WeighedRows, candidate: Measured, config: JobConfig, least_squares: LeastSquares, *,
+    has_intervals: bool,
 ) -> Refined:  # fmt: skip
     """Decide the constants on all rows that count; measure errors and standard errors."""
-    bounds, criterion = least_squares.restrictions.bounds, RegressionCriterion.of(counted.problem.target)
-    program = _with_simple_numbers(candidate.fitted.program, criterion, least_squares)
+    restrictions, criterion = least_squares.restrictions, RegressionCriterion.of(counted.problem.target)
+    bounds = restrictions.bounds
+    fitted = least_squares.fit(candidate.program)
+    program = fitted.program
+    if math.isfinite(fitted.mse):
+        least = criterion.misfit(fitted.mse)
+        (program,) = _equations(fitted, criterion, restrictions).simplified(
+            lambda programs: criterion.misfit(least_squares.mse(programs[0])) - least
+        )
     short = shortest_over(program, counted.problem.inputs) if bounds is None else bounds.written(program) or program
     if may_be_shown(short, config.space.max_size):
         program = short
@@ -294,42 +184,59 @@ def _finished(  # noqa: PLR0913, whose constants, by which rows, as what
         explicit = make_coefficients_explicit(program)
         written = write_factors(explicit, least_squares.fit(explicit.program).program, refuted)
         program = written if may_be_shown(written, config.space.max_size) else program
-    program, simple, together = _with_estimates(program, criterion, least_squares)
+    fitted, simple, together = least_squares.fit(program), None, None
+    if math.isfinite(fitted.mse):
+        rounded = _equations(fitted, criterion, restrictions).rounded()
+        (program,), (simple,), (together,) = rounded.programs, rounded.simple, rounded.together
     error, mse = errors_on(problem, program, config.evolution.loss)
-    known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals)
-    known = known.with_simple(simple)
-    return Refined(member, program, error, mse, known.written, known.unit_coefficients, simple_together=together)
+    known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).with_simple(simple or ())
+    return Refined(None, program, error, mse, known.written, known.unit_coefficients, simple_together=together)
 
 
-def _with_simple_numbers(program: Program, criterion: RegressionCriterion, least_squares: LeastSquares) -> Program:
-    """Return a program with simple constants where the rows single them out, others fitted, neutral ones left out.
+def _equations(fitted: Fitted, criterion: RegressionCriterion, restrictions: Restrictions) -> FittedEquations:
+    """Return a fitted equation with the estimates of its constants, for rounding."""
+    errors = estimate_errors(fitted, criterion, restrictions)
+    return FittedEquations([fitted.program], Estimates(errors.values, errors.bounded), [restrictions])
 
-    As it is fitted where there are too many constants, or where simple ones fit less well than they should.
+
+def estimate_errors(
+    fitted: Fitted, criterion: RegressionCriterion, restrictions: Restrictions, *, has_intervals: bool = True
+) -> ConstantErrors:
+    """Return the errors of fitted constants.
+
+    The variance of the residuals is the sum of their squares over n - K, which is 1 at least, or the square of the
+    target's uncertainty if that is larger. Without more rows n than constants K, no constant is determined.
     """
-    fitted = least_squares.fit(program)
-    places = constant_places(fitted.program)
-    if not 0 < len(places) <= SETTINGS.effort.beam or not math.isfinite(fitted.mse):
-        return fitted.program
-    means, spread = fitted.program.constants[places], covariance_of(fitted, criterion)
-    numbers = find_simple(means, spread)
-    decided = {places[index]: number for index, number in numbers.items()}
-    if not decided:
-        return fitted.program
-    rounded = least_squares.fit(with_constants(fitted.program, decided), [*decided])
-    growth = criterion.misfit(rounded.mse) - criterion.misfit(fitted.mse)
-    return collected(rounded.program) if growth <= allowed_growth(means, spread, numbers) else fitted.program
+    values = fitted.program.constants[constant_places(fitted.program)]
+    freedom = criterion.rows - len(values)
+    if not math.isfinite(fitted.mse):
+        unknown = np.ones(len(values), np.bool_)
+        return ConstantErrors(values, np.eye(len(values)), unknown, freedom, has_intervals=has_intervals)
+    errors = ConstantErrors.of_fit(
+        values, fitted.normal, freedom, criterion.variance(fitted.mse * criterion.rows / max(freedom, 1)),
+        restrictions.ranges(fitted.program), -fitted.gradient, has_intervals=has_intervals,
+    )  # fmt: skip
+    return errors if freedom > 0 else replace(errors, open=np.ones_like(errors.open))
 
 
-def _with_estimates(
-    program: Program, criterion: RegressionCriterion, least_squares: LeastSquares
-) -> tuple[Program, tuple[SimpleNumber | None, ...], SimpleTogether | None]:
-    """Return a program with constants as they are shown, the simple numbers near them, and their joint odds."""
-    fitted, places = least_squares.fit(program), constant_places(program)
-    if not places or not math.isfinite(fitted.mse):
-        return program, (None,) * len(places), None
-    many = range(len(places)) if len(places) > SETTINGS.effort.beam else ()
-    rounding = Estimates(fitted.program.constants[places], covariance_of(fitted, criterion)).rounded(estimates=many)
-    shown = with_constants(program, dict(zip(places, rounding.values.tolist(), strict=True)))
-    bounds = least_squares.restrictions.bounds
-    together = rounding.together(range(len(places)))
-    return shown if bounds is None else bounds.clipped(shown), rounding.simple, together
+def estimate_constants(
+    program: Program, least_squares: LeastSquares, criterion: RegressionCriterion, *, has_intervals: bool
+) -> Known:
+    """Return the constants of `program` as they are fitted, with standard errors; infinite ones where n <= K.
+
+    Factors of one that are not written are fitted as well.
+
+    Args:
+        program: the equation as it is shown.
+        least_squares: fits it to the rows that decide its constants.
+        criterion: has the number n of these rows and the least variance of their errors.
+        has_intervals: whether the errors are independent, so that there are 95 % intervals (Student's t with n - K
+            degrees of freedom) and constants that the data do not determine are recognised.
+    """
+    restrictions = least_squares.restrictions
+    explicit = explicit_coefficients(program, restrictions, is_given=False)
+    fitted = least_squares.fit(explicit.program)
+    if not math.isfinite(fitted.mse):
+        explicit, fitted = as_written(program), least_squares.fit(program)
+    errors = estimate_errors(fitted, criterion, restrictions, has_intervals=has_intervals)
+    return describe_constants((), [explicit], [program], errors)[0]

@@ -60,6 +60,12 @@ class LeastSquares:
         with np.errstate(all="ignore"):
             return _mse(self._weighed(values_of(program, self._inputs) - self._target))
 
+    def r2(self, program: Program) -> float | None:
+        """Return the share of the target's variance that `program` explains; None if that is not finite."""
+        mean = np.average(self._target, weights=None if self._roots is None else self._roots**2)
+        variance, mse = _mse(self._weighed(self._target - mean)), self.mse(program)
+        return 1.0 - mse / variance if variance and math.isfinite(mse) else None
+
     def _weighed(self, rows: FloatArray) -> FloatArray:
         return rows if self._roots is None else np.asarray(rows * self._roots)
 

@@ -8,7 +8,7 @@ import math
 import platform
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Final
@@ -19,7 +19,7 @@ import numpy as np
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import select_member
 from atoll_coordinator.model.pools import Origin
-from atoll_coordinator.model.refinement import Alternative, JobKind, Refined, Refinement
+from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.result.shared_terms import shared_terms
 from atoll_coordinator.model.result.tables import data, noise, regression, smoothing, system
@@ -52,6 +52,7 @@ from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
 
 if TYPE_CHECKING:
+    from atoll_coordinator.model.inference.checks import EquationChecks
     from atoll_coordinator.model.inference.verdict import Verdict
 
 KNOWN: Final = "known"
@@ -240,7 +241,7 @@ def _equation(
     if outcome.generation is None and shown.member is not None and outcome.why != KNOWN:
         entry = outcome.front[shown.member]
         equation = equation.replaced(generation=entry.epoch * config.migration.generations + entry.generation)
-    normalized, names, estimate = _normalized(shown.error, target), dataset.names, Estimate.model_fields
+    normalized, names, estimate = target.normalized(shown.error), dataset.names, Estimate.model_fields
     bounds = restrictions_of(config, target.variable, names).bounds
     return equation.replaced(
         expression=to_infix(shown.program, names),
@@ -249,7 +250,7 @@ def _equation(
         complexity=len(shown.program),
         error=shown.error,
         normalized_error=normalized,
-        r2=_r2(shown.mse, target),
+        r2=target.r2(shown.mse),
         converged=normalized <= threshold,
         constants=_constants(shown.program, shown.constants, shown),
         simple_together=shown.simple_together,
@@ -286,7 +287,8 @@ def _verdict(preparation: Preparation, outcome: VariableOutcome, shown: Refined 
     best then: it could not be simulated along them, or there was no time.
     """
     # loads kernels, which the process that serves needs for the results of jobs that were not refined alone
-    from atoll_coordinator.model.inference.target_evidence import target_evidence
+    from atoll_coordinator.model.inference.target_checks import TargetChecks
+    from atoll_coordinator.model.inference.trajectory_checks import UnsimulatedChecks
     from atoll_coordinator.model.inference.verdict import Verdict, judge, with_objection
 
     if shown is None:
@@ -295,14 +297,18 @@ def _verdict(preparation: Preparation, outcome: VariableOutcome, shown: Refined 
     if shown.grade is not None:
         verdict = Verdict(shown.grade, shown.reason or "", shown.checks)
     else:
-        kind: JobKind = "trajectories" if has_trajectories else "target"
         problem = (preparation.counted or preparation.dataset).problem(outcome.variable)
-        is_cancelled = "cancelled" in (why, state)
-        evidence = target_evidence(
-            shown, problem, preparation.weights, kind=kind, is_known=why == KNOWN,
-            stopped="the choice of the equation" if is_cancelled or why == "max-time" else "",
-        )  # fmt: skip
-        verdict = judge(replace(evidence, is_cancelled=is_cancelled))
+        is_known, is_cancelled = why == KNOWN, "cancelled" in (why, state)
+        stopped = "the choice of the equation" if is_cancelled or why == "max-time" else ""
+        if has_trajectories:
+            checks: EquationChecks = UnsimulatedChecks(
+                shown, problem.target, is_known=is_known, stopped=stopped, is_cancelled=is_cancelled
+            )
+        else:
+            checks = TargetChecks(
+                shown, problem, preparation.weights, is_known=is_known, stopped=stopped, is_cancelled=is_cancelled
+            )
+        verdict = judge(checks)
     if verdict.grade in ("exact", "good") and shown.units is not None and shown.units.faults:
         verdict = with_objection(verdict, "units", "failed", f"units contradict it: {shown.units.faults[0]}")
     if verdict.grade == "good" and why in _STOPPED and not (has_trajectories and why == "max-epochs"):
@@ -320,7 +326,7 @@ def equation_of(
     if refined is not None:
         return refined
     target = dataset.problem(outcome.variable).target
-    printable = [index for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
+    printable = [index for index, entry in enumerate(outcome.front) if is_printable(entry.program, len(dataset.names))]
     if not printable:
         return None
     front = [outcome.front[index] for index in printable]
@@ -384,7 +390,7 @@ def _front(
     dataset = preparation.dataset
     best: dict[bytes, tuple[FrontEntry, Program, bool]] = {}
     for index, entry in enumerate(outcome.front):
-        if _is_printable(entry, dataset):
+        if is_printable(entry.program, len(dataset.names)):
             program = _written(entry, outcome, dataset)
             member = best.get(structure(program), (entry, program, False))
             nearer = (entry, program) if entry.error < member[0].error else member[:2]
@@ -400,8 +406,8 @@ def _front(
             expression=to_infix(program, dataset.names),
             complexity=len(program),
             error=entry.error,
-            normalized_error=_normalized(entry.error, target),
-            r2=_r2(entry.mse, target),
+            normalized_error=target.normalized(entry.error),
+            r2=target.r2(entry.mse),
             constants=_constants(program),
             holdout_error=None if unseen is None else errors_on(unseen, program, config.evolution.loss)[0],
             selected=is_selected,
@@ -424,10 +430,6 @@ def _points(dataset: Dataset) -> FloatArray:
     return points
 
 
-def _is_printable(entry: FrontEntry, dataset: Dataset) -> bool:
-    return is_printable(entry.program, len(dataset.names))
-
-
 @lru_cache(maxsize=4096)
 def is_printable(program: bytes, inputs: int) -> bool:
     """Tell whether an equation, written out, has a length that can be read."""
@@ -443,16 +445,6 @@ def _convergence(outcome: VariableOutcome, target: Target) -> tuple[Convergence,
         generations = tuple(step for step, _ in chosen)
         courses.append(Convergence(island=island, generations=generations, errors=curve(errors)))
     return tuple(courses)
-
-
-def _normalized(error: float, target: Target) -> float:
-    return error / target.standard_deviation if target.standard_deviation else math.inf
-
-
-def _r2(mse: float, target: Target) -> float | None:
-    """Return the share of the target's variance that a mean squared error leaves explained; None if that is unknown."""
-    variance = target.standard_deviation * target.standard_deviation
-    return 1.0 - mse / variance if variance else None
 
 
 def _total(outcome: VariableOutcome) -> int:

@@ -45,27 +45,15 @@ def shared_terms(
                     break
             else:
                 terms.append((monomial, equation, {variable: factor}))
-    return tuple(
-        SharedTerm(
-            term=_text(monomial, names),
-            has_function=any(atom[0] != VARIABLE for atom, _ in monomial),
-            factors=factors,
-            multiples=_multiples(monomial, factors, together),
-        )
-        for monomial, _, factors in terms
-        if len(factors) > 1 and not (_is_variable(monomial) and _multiples(monomial, factors, together) is None)
-    )
-
-
-def _multiples(
-    monomial: Monomial, factors: Mapping[str, float], together: Sequence[Flux]
-) -> dict[str, float | None] | None:
-    """Return how many times the flux stands in each equation, None of a term that was not fitted together."""
-    shape = shape_of(monomial)
-    return next(
-        (dict(multiples) for other, multiples in together if other == shape and factors.keys() >= multiples.keys()),
-        None,
-    )
+    found = []
+    for monomial, _, factors in terms:
+        fluxes = (dict(multiples) for shape, multiples in together if shape == shape_of(monomial))
+        multiples = next((flux for flux in fluxes if factors.keys() >= flux.keys()), None)
+        if len(factors) > 1 and not (_is_variable(monomial) and multiples is None):
+            has_function = any(atom[0] != VARIABLE for atom, _ in monomial)
+            text = _text(monomial, names)
+            found.append(SharedTerm(term=text, has_function=has_function, factors=factors, multiples=multiples))
+    return tuple(found)
 
 
 def _terms(equation: Refined) -> list[tuple[Monomial, float]]:

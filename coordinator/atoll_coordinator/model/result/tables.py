@@ -9,7 +9,7 @@ import numpy as np
 
 from atoll_coordinator.data import recording as recordings
 from atoll_coordinator.data.recording import ExcludedRow, Preparation, Recording, Trajectory
-from atoll_coordinator.model.thinning import curve, spread_places
+from atoll_coordinator.model.thinning import curve, curves, spread_places
 from atoll_coordinator.result.findings import (
     Data,
     Errors,
@@ -21,7 +21,6 @@ from atoll_coordinator.result.findings import (
     System,
 )
 from atoll_coordinator.result.listed_trajectories import Recorded, Smoothed, Smoothing
-from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 
@@ -68,20 +67,17 @@ def _measured(recording: Recording, part: Trajectory, share: float) -> Recorded:
         switches = (np.flatnonzero((held[:, 1:] != held[:, :-1]).any(axis=0)) + 1).tolist()
         rows = sorted({*rows, *switches[:MOST_ROWS]})
 
-    def by_name(names: Sequence[str], values: FloatArray) -> dict[str, tuple[float | None, ...]]:
-        return {name: curve(row[rows], DIGITS) for name, row in zip(names, values, strict=True)}
-
     robust = part.robustness_weights
     return Recorded(
         name=part.name,
         held_out=part.held_out,
         rows=count,
         times=curve(part.times[rows] + recording.offset, DIGITS),
-        measured=by_name(recording.states, part.measured),
-        inputs=by_name(recording.inputs, part.inputs),
-        input_slopes=by_name(recording.inputs, part.input_slopes),
+        measured=curves(recording.states, part.measured[:, rows], DIGITS),
+        inputs=curves(recording.inputs, part.inputs[:, rows], DIGITS),
+        input_slopes=curves(recording.inputs, part.input_slopes[:, rows], DIGITS),
         weights=None if part.weights is None else curve(part.weights[rows], DIGITS),
-        robustness_weights=None if robust is None else by_name(recording.states, robust),
+        robustness_weights=None if robust is None else curves(recording.states, robust[:, rows], DIGITS),
     )
 
 
@@ -122,7 +118,7 @@ def regression(preparation: Preparation, program: Program | None) -> Regression 
     return Regression(
         rows=len(problem.target.values),
         listed=len(rows),
-        variables={name: curve(values[rows]) for name, values in zip(dataset.symbols, problem.inputs, strict=True)},
+        variables=curves(dataset.symbols, problem.inputs[:, rows]),
         measured=curve(problem.target.values[rows]),
         fitted=curve(values_of(program, problem.inputs)[rows]),
     )
@@ -213,9 +209,7 @@ def smoothing(recording: Recording | None) -> Smoothing | None:
     rows, most = sum(counts), min(MOST_ROWS, MOST_NUMBERS // (1 + 3 * len(chosen)))
     lists = [spread_places(count, max(2, count * most // rows) if rows > most else count) for count in counts]
 
-    def by_name(values: FloatArray, listed: list[int]) -> dict[str, tuple[float | None, ...]]:
-        return {recording.states[index]: curve(values[index, listed]) for index in chosen}
-
+    names = [recording.states[index] for index in chosen]
     return Smoothing(
         rows=rows,
         listed=sum(map(len, lists)),
@@ -224,9 +218,9 @@ def smoothing(recording: Recording | None) -> Smoothing | None:
                 name=part.name,
                 held_out=part.held_out,
                 times=curve(part.times[listed] + recording.offset, digits=12),
-                measured=by_name(part.measured, listed),
-                smoothed=by_name(part.smoothed, listed),
-                residuals=by_name(part.measured - part.smoothed, listed),
+                measured=curves(names, part.measured[np.ix_(chosen, listed)]),
+                smoothed=curves(names, part.smoothed[np.ix_(chosen, listed)]),
+                residuals=curves(names, (part.measured - part.smoothed)[np.ix_(chosen, listed)]),
             )
             for part, listed in zip(recording.trajectories, lists, strict=True)
         ),

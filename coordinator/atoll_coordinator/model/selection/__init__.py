@@ -11,5 +11,4 @@
 - `piece_lengths`: the rows of a trajectory that are simulated without a break
 - `solver_errors`: the errors of the solver that computed a table, found by computing it again, and subtracted
 - `alternatives`: the closest alternatives to the model, and whether one of these predicts better (`cross_validation`)
-- `rounding`: constants of the model rounded to simple numbers
 """

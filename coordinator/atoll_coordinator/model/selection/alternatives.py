@@ -111,7 +111,6 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
         index,
         list(programs.values())[: SETTINGS.effort.kept],
         ((SETTINGS.effort.steps, SETTINGS.effort.kept),),
-        most=math.inf,
     )
     near = sorted([*near, *_without_needless_constants(comparison, best, near, index)], key=lambda model: model.nats)
     guesses = fit_guesses(selection, index)

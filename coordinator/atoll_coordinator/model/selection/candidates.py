@@ -6,7 +6,7 @@ They are ranked by the variable's trajectories alone, the other states as smooth
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import compress
 from typing import Final
 
@@ -102,44 +102,31 @@ def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dic
     }
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The data to which constants of candidates are fitted first."""
-
-    problem: Problem
-    restrictions: Restrictions
-
-    def least_squares(self) -> LeastSquares:
-        """Return the function that fits them."""
-        return LeastSquares(self.problem, restrictions=self.restrictions)
+_Rows = tuple[Problem, Restrictions]
+"""The data to which constants of candidates are fitted first."""
+_Start = tuple[Program, int]
+"""A candidate, and the most steps of its first fit."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Start:
-    """A candidate, and the most steps of its first fit."""
-
-    program: Program
-    steps: int
+def _least_squares(rows: _Rows) -> LeastSquares:
+    return LeastSquares(rows[0], restrictions=rows[1])
 
 
 def _started(least_squares: LeastSquares, start: _Start) -> tuple[Program, ...]:
     """Return the program with its constants fitted; nothing where it has no finite value somewhere."""
-    fitted = least_squares.fit(start.program, steps=start.steps)
+    fitted = least_squares.fit(start[0], steps=start[1])
     return (fitted.program,) if math.isfinite(fitted.mse) else ()
 
 
 _STARTS_OF_A_BATCH: Final = 16
 """Candidates whose constants are fitted to rows: each takes a millisecond or two."""
 _STARTS: Final[BatchFunction[LeastSquares, _Start, tuple[Program, ...]]] = BatchFunction(
-    "starts", _Rows, _Start, tuple[Program, ...], _started, _Rows.least_squares
+    "starts", _Rows, _Start, tuple[Program, ...], _started, _least_squares
 )
 
 
 def _written(comparison: ModelComparison, programs: Sequence[Program], *, is_shortest: bool) -> Iterator[Program]:
     """Yield programs in a short writing, or in the shortest; as they are where time is over before."""
-    if len(programs) < 2:  # no worker need be asked
-        yield from map(shortest if is_shortest else shortened, programs)
-        return
     made = comparison.spread.map(_WRITINGS, lambda: is_shortest, programs, _WRITINGS_OF_A_BATCH[is_shortest])
     yield from (program if brief is None else brief for program, brief in zip(programs, made, strict=True))
 
@@ -175,11 +162,10 @@ class RankedCandidates:
             if program is not None and structure(program) not in self._known:
                 new.setdefault(structure(program), program)
         self._known |= new.keys()
-        least_squares = LeastSquares(self._problem, restrictions=comparison.restrictions(0))
+        rows = self._problem, comparison.restrictions(0)
         is_fitted = comparison.groups is None and not comparison.estimator.deadline.is_over  # else group by group
-        starts = [_Start(program, effort.steps if is_fitted else 0) for program in new.values()]
-        rows = partial(_Rows, self._problem, comparison.restrictions(0))
-        made = comparison.spread.map(_STARTS, lambda: least_squares, starts, _STARTS_OF_A_BATCH, rows)
+        starts = [(program, effort.steps if is_fitted else 0) for program in new.values()]
+        made = comparison.spread.map(_STARTS, lambda: _least_squares(rows), starts, _STARTS_OF_A_BATCH, lambda: rows)
         started = [program for programs in made for program in programs or ()]
         steps, (short, longer, _) = effort.brief_steps, SETTINGS.shooting.lengths
         models = comparison.fit_all([(program,) for program in started], steps, (short,))

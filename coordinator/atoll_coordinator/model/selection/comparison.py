@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction, Spread
-from atoll_coordinator.model.criteria import TrajectoryMisfit, least_term_length
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.score import FittedModel, Score, SummarizedFit
 from atoll_coordinator.model.shooting.error_model import ErrorModel
@@ -51,13 +50,12 @@ class Beginning:
 class FitOrder:
     """How systems are to be fitted: in stages of growing `lengths`, or in whole from a beginning `near`.
 
-    A fit takes at most `steps` steps, and ends early if it will not reach a description of `most` nats.
+    A fit takes at most `steps` steps.
     """
 
     steps: int
     lengths: tuple[int | None, ...] = ()
     near: Beginning | None = None
-    most: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +121,7 @@ def _work(outcomes: Iterable[FitOutcome | None]) -> int:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonParts:
-    """The parts of a `ModelComparison` that travel; it was calibrated to `errors` and `misfit`."""
+    """The parts of a `ModelComparison` that travel; `roughness`, `rows` and `errors` are of its score."""
 
     measurements: Measurements
     tolerance: float
@@ -132,8 +130,9 @@ class ComparisonParts:
     fixed: frozenset[int]
     leading: tuple[Program, ...]
     constraints: Constraints
+    roughness: FloatArray
+    rows: FloatArray
     errors: ErrorModel | None
-    misfit: TrajectoryMisfit
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +217,7 @@ class ModelComparison:
         if order.near is None:
             model = self.fit_model(programs, order.steps, order.lengths)
         else:
-            model = self._fit_from(order.near, programs, order.steps, most=order.most)
+            model = self._fit_from(order.near, programs, order.steps)
         return model if model is not None and math.isfinite(model.nats) else None
 
     def _fitted_elsewhere(self, order: FitOrder, systems: Sequence[Programs]) -> list[FitOutcome | None]:
@@ -274,7 +273,7 @@ class ModelComparison:
         estimator = self.estimator
         return ComparisonParts(
             estimator.measurements, estimator.tolerance, estimator.measured_rows, self.names, self.fixed, self.leading,
-            self.constraints, self.score.errors, self.score.misfit,
+            self.constraints, self.score.roughness, self.score.rows, self.score.errors,
         )  # fmt: skip
 
     @cached_property
@@ -287,7 +286,8 @@ class ModelComparison:
         """Return the comparison of these parts, which can do everything except calibrate."""
         estimator = MultipleShooting(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
         made = cls(estimator, parts.names, parts.fixed, parts.leading, constraints=parts.constraints)
-        return replace(made, calibration=replace(made.score, errors=parts.errors, misfit=parts.misfit))
+        score = replace(made.score, roughness=parts.roughness, rows=parts.rows, errors=parts.errors)
+        return replace(made, calibration=score)
 
     def restrictions(self, equation: int) -> Restrictions:
         """Return the restrictions of an equation; a given equation has none."""
@@ -368,14 +368,13 @@ class ModelComparison:
 
     def fit_beside(
         self, near: FittedModel, programs: Sequence[Program], steps: int = SETTINGS.effort.steps,
-        fixed_nodes: Sequence[Iterable[int]] = (), shared: Collection[SharedNumber] = (), most: float = math.inf,
+        shared: Collection[SharedNumber] = (),
     ) -> FittedModel | None:  # fmt: skip
         """Return the fitted `system` of `programs` and the rest, begun with the initial states of `near`.
 
-        None when it cannot be simulated or may not stand. A fit ends early if it will not reach a description of at
-        most this many nats.
+        None when it cannot be simulated or may not stand.
         """
-        return self._fit_from(self._beginning(near), programs, steps, fixed_nodes, shared, most)
+        return self._fit_from(self._beginning(near), programs, steps, shared)
 
     def _beginning(self, near: FittedModel) -> Beginning:
         """Return where the fits of systems near one begin."""
@@ -383,41 +382,34 @@ class ModelComparison:
         return Beginning(fit.starts, fit.errors, fit.is_stiff, None if self.groups is None else fit.system)
 
     def _fit_from(
-        self, near: Beginning, programs: Sequence[Program], steps: int, fixed_nodes: Sequence[Iterable[int]] = (),
-        shared: Collection[SharedNumber] = (), most: float = math.inf,
+        self, near: Beginning, programs: Sequence[Program], steps: int, shared: Collection[SharedNumber] = (),
     ) -> FittedModel | None:  # fmt: skip
         admitted = self.admitted(programs)
         if admitted is None:
             return None
-        system = self.system(admitted, fixed_nodes, near.system, shared)
-        goal = self.score.goal(system, most)
-        fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff, goal=goal)
+        system = self.system(admitted, near=near.system, shared=shared)
+        fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff)
         return None if fit is None else self.measure(fit)
 
-    def fit_exchanged(
-        self, near: FittedModel, equation: int, program: Program, steps: int, most: float = math.inf
-    ) -> FittedModel | None:
+    def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
         """Return `near` with another program for one equation, see `fit_beside`."""
-        programs = [*near.programs[:equation], program, *near.programs[equation + 1 :]]
-        return self.fit_beside(near, programs, steps, most=most)
+        return self.fit_beside(near, _exchanged(near, equation, [program])[0], steps)
 
     def narrow_down(
         self, near: FittedModel, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
-        until: float = math.inf, most: float | None = None,
+        until: float = math.inf,
     ) -> list[FittedModel]:  # fmt: skip
         """Return models of the best of `programs` for one equation, fewer of them after each of the `rounds`.
 
         Each round is a number of steps and the number of programs that are kept. Of equivalent programs only the one
         with the shortest description is kept, see `distinct`. Once the estimator's work is `until`, no more are taken
-        in than the next few. Descriptions of more than `most` nats are dropped; by default `most` is the length of
-        `near` and one term more.
+        in than the next few.
         """
-        limit = self._useful(near) if most is None else most
         models: list[FittedModel] = []
         waiting = list(programs)
         beginning = self._beginning(near) if waiting else None
         for steps, kept in rounds:
-            order = FitOrder(steps, near=beginning, most=limit)
+            order = FitOrder(steps, near=beginning)
             models = self._fitted(order, _exchanged(near, equation, waiting), until)
             models = self.distinct(models, equation)[:kept]
             waiting = [model.programs[equation] for model in models]
@@ -436,7 +428,7 @@ class ModelComparison:
         foreseen = {equation: Foreseen([], 0) for equation in lists}
         waiting, beginning = dict(lists), self._beginning(near)
         for steps, kept in rounds:
-            order = FitOrder(steps, near=beginning, most=self._useful(near))
+            order = FitOrder(steps, near=beginning)
             systems = {equation: _exchanged(near, equation, programs) for equation, programs in waiting.items()}
             made = iter(self._fitted_elsewhere(order, [one for part in systems.values() for one in part]))
             for equation, part in systems.items():
@@ -451,10 +443,6 @@ class ModelComparison:
         """Return the models that were foreseen, their work counted as in `narrow_down`."""
         self.estimator.count(foreseen.work)
         return self._remembered(equation, foreseen.models)
-
-    def _useful(self, near: FittedModel) -> float:
-        """Return the nats of the longest useful description: longer than `near` by one term."""
-        return near.nats + least_term_length(self.score.constant_nats)
 
     def measure(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model that a fit of one of this comparison's systems gives."""

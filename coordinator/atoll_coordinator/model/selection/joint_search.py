@@ -4,7 +4,6 @@ From the best systems the descent looks for shorter descriptions nearby; unneces
 work is bounded by counts, never by the clock.
 """
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
@@ -251,7 +250,7 @@ def compare_rivals(
     effort = SETTINGS.effort
     rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
-    for rival in comparison.narrow_down(best, equation, programs, rounds, most=math.inf)[: effort.rounds[1][1]]:
+    for rival in comparison.narrow_down(best, equation, programs, rounds)[: effort.rounds[1][1]]:
         pruned = descent.prune(rival, equation)
         comparison.tried[equation, structure(pruned.programs[equation])] = pruned
 
@@ -271,7 +270,7 @@ def _restarted(
     """Return the best end of descents that begin with other programs for one equation, all others as they are."""
     effort = SETTINGS.effort
     rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
-    others = comparison.narrow_down(best, equation, programs[: effort.kept], rounds, most=math.inf)
+    others = comparison.narrow_down(best, equation, programs[: effort.kept], rounds)
     by_kind = {_kind(model.programs[equation]): model for model in reversed(others)}
     for start in sorted(by_kind.values(), key=lambda model: model.nats):
         if descent.is_exhausted:

@@ -134,7 +134,7 @@ class LocalSearch:
             if neighbour.nats < best.nats + least_term_length(self._comparison.score.constant_nats)
         ]
         leaps = self._leaps(equation, best.programs[equation])
-        near += self._comparison.narrow_down(best, equation, leaps, SETTINGS.effort.rounds[1:], self._until, math.inf)
+        near += self._comparison.narrow_down(best, equation, leaps, SETTINGS.effort.rounds[1:], self._until)
         return min(
             [best, *(self._shorten(neighbour, equation) for neighbour in near)],
             key=lambda model: model.nats + SETTINGS.selection.least_gain * (model is not best),

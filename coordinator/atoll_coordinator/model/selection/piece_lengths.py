@@ -7,12 +7,12 @@ longest pieces that can be fitted are used.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import fit_jointly, reduce_all, search_jointly
-from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.solver_errors import without_solver_errors
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
@@ -30,12 +30,18 @@ def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
         if selection is None or selection.comparison.score.is_exact(selection.model):
             return selection
         return _without_solver_errors(task, selection) or selection
-    selections: list[SelectedModel] = []
-    for selection in _ever_shorter(task, lists):
-        selections.append(selection)
+    longest, tasks = None, _tasks(task)
+    for index, here in enumerate(tasks):
+        fits_shorter = partial(_fits_in, tasks[index + 1 :])
+        selection = search_jointly(here, lists, is_hopeless=fits_shorter)
+        if selection is None:
+            continue
+        longest = longest or selection
         if selection.is_like_noise:
             return _lengthened(task, selection, lists)
-    return selections[0] if selections else None
+        if not fits_shorter(selection):
+            break
+    return longest
 
 
 def _without_solver_errors(task: ModellingTask, selection: SelectedModel) -> SelectedModel | None:
@@ -61,50 +67,30 @@ def in_whole(task: ModellingTask) -> ModellingTask:
 def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     """Return the chosen system fitted to all rows, in shorter pieces if it must be; None when it cannot be.
 
-    Of dozens of states it is fitted to fewer. It is integrated so precisely that its constants do not show it, and
-    terms that followed errors of a coarser integration are left out.
+    Of dozens of states it is fitted to fewer. It is integrated so precisely that its constants do not show it.
     """
-    whole = _on_all_rows(selection)
-    return None if whole is None else _without_needless(whole)
-
-
-def _without_needless(selection: SelectedModel) -> SelectedModel:
-    """Return a selection whose residuals are integration errors, without unnecessary constants."""
-    comparison, model = selection.comparison, selection.model
-    if not comparison.score.is_exact(model):
-        return selection
-    descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
-    for equation in range(len(model.programs)):
-        if equation not in comparison.fixed:
-            model = descent.prune(model, equation)
-    return selection if model is selection.model else replace(selection, model=model)
-
-
-def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
-    task = selection.task
+    task, chosen = selection.task, selection.comparison.estimator
     measurements = task.measurements(task.variables)
     measurements = measurements.thinned(SETTINGS.effort.fitted_sensitivities // len(task.variables) ** 2)
-    chosen = selection.comparison.estimator
     if measurements.rows == chosen.measurements.rows:
         comparison = task.compare(measurements, task.variables, is_precise=True)
         if comparison.estimator.tolerance >= chosen.tolerance:
             return selection
         model = comparison.fit_beside(selection.model, selection.model.programs)
-        if model is None:
-            return selection
-        comparison, model = comparison.calibrated(model)
-        return replace(selection, comparison=comparison, model=model)
+        return selection if model is None else _calibrated(replace(selection, comparison=comparison, model=model))
     selections: list[SelectedModel] = []
     for here in _tasks(task):
         fitted = _fitted(here, selection.model.programs, measurements.rows, is_precise=True)
-        if fitted is None:
-            continue
-        comparison, model = fitted.comparison.calibrated(fitted.model)
-        fitted = replace(fitted, comparison=comparison, model=model)
-        if fitted.is_like_noise:
-            return fitted
-        selections.append(fitted)
+        if fitted is not None:
+            selections.append(_calibrated(fitted))
+            if selections[-1].is_like_noise:
+                return selections[-1]
     return selections[0] if selections else None
+
+
+def _calibrated(selection: SelectedModel) -> SelectedModel:
+    comparison, model = selection.comparison.calibrated(selection.model)
+    return replace(selection, comparison=comparison, model=model)
 
 
 def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:
@@ -130,23 +116,7 @@ def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterato
         )
 
 
-def _ever_shorter(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Iterator[SelectedModel]:
-    """Yield the best system for whole trajectories, then, as long as that helps, for shorter pieces."""
-    tasks = _tasks(task)
-    for index, here in enumerate(tasks):
-        shorter = tasks[index + 1 :]
-
-        def is_hopeless(selection: SelectedModel, shorter: Sequence[ModellingTask] = shorter) -> bool:
-            return _is_better_in(shorter, selection)
-
-        selection = search_jointly(here, lists, is_hopeless=is_hopeless)
-        if selection is not None:
-            yield selection
-            if not _is_better_in(shorter, selection):
-                return
-
-
-def _is_better_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
+def _fits_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
     """Tell whether a system that does not fit well fits well in shorter pieces."""
     if selection.is_like_noise:
         return False

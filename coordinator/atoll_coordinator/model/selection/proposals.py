@@ -41,21 +41,6 @@ def propose_sums(task: ModellingTask, name: str, most: float) -> Iterable[Progra
     return _pursued(task, name, most)
 
 
-def propose_like(model: FittedModel, comparison: ModelComparison, task: ModellingTask, name: str) -> list[Program]:
-    """Return sums with about the values of the equation of one variable, along the curves that its system simulates.
-
-    A fitted system knows derivatives better than smoothing does, by as much as it misses the measurements by less.
-    """
-    equation, points = task.variables.index(name), comparison.estimator.measurements
-    states = np.concatenate([model.fit.simulated, points.inputs])
-    inputs = np.ascontiguousarray(states[[points.variables.index(column) for column in comparison.names]])
-    missed = float(np.sqrt((comparison.score.squares(model.fit) / points.scales[points.observed] ** 2).max()))
-    along = rates_of(model.programs[equation], replace(task.dataset.problem(name), inputs=inputs), missed)
-    most = comparison.score.affordable(model, equation)
-    sums = [] if along is None else _sums(task, along, Pursuit(task.columns(name), task.operators(name), most=most))
-    return [program for program in sums if task.may_be_shown(program)]
-
-
 def propose_reduced(
     model: FittedModel, comparison: ModelComparison, task: ModellingTask, equation: int, candidates: Sequence[Program]
 ) -> list[Program]:
@@ -134,10 +119,9 @@ def propose_further_sums(task: ModellingTask, name: str, most: float) -> Iterabl
 
 
 def may_be_widened(task: ModellingTask, name: str) -> bool:
-    """Tell whether further operators may be tried for an equation: an equation with a law of rates has no other
-    candidates."""
-    has_law = any(law.is_of_rates for law in task.laws.get(name, ()))
-    return bool(task.further_operators(name)) and not has_law and name not in task.known
+    """Tell whether further operators may be tried for an equation: one with a law by derivatives among many variables
+    has no other candidates."""
+    return bool(task.further_operators(name)) and name not in task.lawful and name not in task.known
 
 
 def _pursued(task: ModellingTask, name: str, most: float, needed: Collection[int] = ()) -> list[Program]:

@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.model.constants.rounding import quadratic_form
 from atoll_coordinator.model.criteria import (
     TrajectoryMisfit,
     constant_nats_of,
@@ -25,9 +26,8 @@ from atoll_coordinator.model.criteria import (
     structure_length,
     system_length,
 )
-from atoll_coordinator.model.regression.rounding import quadratic_form
 from atoll_coordinator.model.shooting.error_model import ErrorModel
-from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleShooting
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
@@ -81,8 +81,8 @@ class Score:
         leading: how many equations of positions come before the equations that are sought (order 2); not scored.
         fixed: equations, by index, whose constants are given.
         groups: groups of trajectories that may have their own constants; 1 without groups.
-        misfit: turns mean squares of residuals into nats.
         roughness: standard deviations (O,) of independent errors.
+        rows: how many independent rows (O,) these were estimated from.
         errors: errors that are correlated between neighbouring rows; None if all are independent.
     """
 
@@ -90,37 +90,56 @@ class Score:
     leading: int
     fixed: frozenset[int]
     groups: int
-    misfit: TrajectoryMisfit
     roughness: FloatArray
+    rows: FloatArray
     errors: ErrorModel | None = None
 
     @classmethod
     def of_smoother(cls, estimator: MultipleShooting, leading: int, fixed: frozenset[int], groups: int) -> "Score":
         """Return the score whose errors have the size that the smoother found."""
         measurements = estimator.measurements
-        counts = measurements.weights.sum(axis=1)
-        noise = measurements.noise
-        return cls(estimator, leading, fixed, groups, _misfit_of_noise(estimator, noise, counts), noise)
+        return cls(estimator, leading, fixed, groups, measurements.noise, measurements.weights.sum(axis=1))
 
     @cached_property
     def counts(self) -> FloatArray:
         """How many values were measured of each state (O,)."""
         return np.asarray(self.estimator.measurements.weights.sum(axis=1))
 
+    @property
+    def _scales(self) -> FloatArray:
+        measurements = self.estimator.measurements
+        return measurements.scales[measurements.observed]
+
     @cached_property
     def least_errors(self) -> FloatArray:
         """Standard deviations (O,) below which errors are integration errors."""
-        return _least_errors(self.estimator)
+        return max(SETTINGS.shooting.exact, self.estimator.measurements.input_error) * self._scales
 
     @cached_property
     def pieces(self) -> FloatArray:
         """How many independent numbers systematic errors of each state (O,) consist of."""
-        return _pieces(self.estimator, self.counts)
+        least = SETTINGS.selection.systematic_numbers
+        return np.minimum(np.maximum(count_pieces(self.estimator.measurements), least), self.counts)
 
     @cached_property
     def is_noisy(self) -> npt.NDArray[np.bool_]:
         """Which states (O,) the smoother found independent errors of, large enough to hide a term."""
-        return self.estimator.measurements.noise >= _smallest_noise(self.estimator)
+        return self.estimator.measurements.noise >= SETTINGS.selection.least_noise * self._scales
+
+    @cached_property
+    def misfit(self) -> TrajectoryMisfit:
+        """Turns mean squares of residuals into nats: their independent part has about the size of `roughness`."""
+        smallest, spread = SETTINGS.selection.least_noise * self._scales, _spread(self.rows)
+        is_noisy, variances = self.roughness >= smallest, np.maximum(self.roughness, smallest) ** 2
+        return TrajectoryMisfit(
+            np.where(is_noisy, variances / spread, variances),
+            np.where(is_noisy, variances * spread, variances),
+            self.least_errors**2,
+            np.where(is_noisy, self.counts, self.pieces),
+            self.pieces,
+            np.where(is_noisy, self.pieces, SETTINGS.selection.systematic_numbers),
+            self.counts,
+        )
 
     @cached_property
     def constant_nats(self) -> float:
@@ -163,15 +182,11 @@ class Score:
 
     def _with_roughness(self, residuals: FloatArray, free: FloatArray) -> "Score":
         noise = self._independent_noise(roughness(self.estimator.measurements, residuals), free)
-        return replace(self, roughness=noise, misfit=_misfit_of_noise(self.estimator, noise, free))
+        return replace(self, roughness=noise, rows=free)
 
     def _length(self, misfit: float, system: System) -> float:
         """Return the nats of a system with this misfit."""
         return system_length(misfit, system.programs[self.leading :], 1, self._constants_length(system))
-
-    def goal(self, system: System, most: float) -> Goal | None:
-        """Return the misfit at which the description with a system takes `most` nats; None where that has no end."""
-        return Goal(self._misfit_of(system), most - self._length(0.0, system)) if most < math.inf else None
 
     def _misfit_of(self, system: System) -> TrajectoryMisfit:
         """Return the misfit of systems with as many fitted numbers."""
@@ -275,12 +290,11 @@ class Score:
         """
         measurements, squares = self.estimator.measurements, self.squares(model.fit)
         misfit = self._misfit_of(model.fit.system)
-        scales = measurements.scales[measurements.observed]
         is_clean = self.misfit.low == self.misfit.high
         if not np.all(is_clean | self._is_like_noise(model)):
             return math.inf
         noise = np.minimum(measurements.noise, self.roughness)
-        least = np.minimum(np.maximum(noise, SETTINGS.inference.exact * scales) ** 2, squares)
+        least = np.minimum(np.maximum(noise, SETTINGS.inference.exact * self._scales) ** 2, squares)
         shares, expected = slow_shares(measurements, self.whitened(model.fit), self.pieces)
         left = np.minimum((1.0 - shares) / np.maximum(1.0 - expected, 1e-12), 1.0)
         return misfit.total(squares) - misfit.total(np.where(is_clean, least, left * squares))
@@ -323,7 +337,7 @@ class Score:
         Errors of smoothed states that are inputs are assumed to add residuals as large as the noise.
         """
         measurements, residuals = self.estimator.measurements, np.sqrt(model.fit.squares)
-        least = SETTINGS.common.negligible * measurements.scales[measurements.observed]
+        least = SETTINGS.common.negligible * self._scales
         errors = self.errors
 
         def ratio() -> float:
@@ -348,37 +362,3 @@ class Score:
             return False
         distance = 2.0 * quadratic_form(moved, self._inflation(begun) * bounded_covariance(begun))
         return bool(special.chdtrc(len(moved), distance) < SETTINGS.inference.improbable)
-
-
-def _least_errors(estimator: MultipleShooting) -> FloatArray:
-    measurements = estimator.measurements
-    least = max(SETTINGS.shooting.exact, measurements.input_error)
-    return least * measurements.scales[measurements.observed]
-
-
-def _smallest_noise(estimator: MultipleShooting) -> FloatArray:
-    measurements = estimator.measurements
-    return SETTINGS.selection.least_noise * measurements.scales[measurements.observed]
-
-
-def _pieces(estimator: MultipleShooting, counts: FloatArray) -> FloatArray:
-    return np.minimum(np.maximum(count_pieces(estimator.measurements), SETTINGS.selection.systematic_numbers), counts)
-
-
-def _misfit_of_noise(estimator: MultipleShooting, noise: FloatArray, rows: FloatArray) -> TrajectoryMisfit:
-    """Return the misfit of errors whose independent part has about the standard deviation `noise` (O,).
-
-    It is estimated from `rows` (O,) independent rows.
-    """
-    counts = estimator.measurements.weights.sum(axis=1)
-    pieces, smallest, spread = _pieces(estimator, counts), _smallest_noise(estimator), _spread(rows)
-    is_noisy, variances = noise >= smallest, np.maximum(noise, smallest) ** 2
-    return TrajectoryMisfit(
-        np.where(is_noisy, variances / spread, variances),
-        np.where(is_noisy, variances * spread, variances),
-        _least_errors(estimator) ** 2,
-        np.where(is_noisy, counts, pieces),
-        pieces,
-        np.where(is_noisy, pieces, SETTINGS.selection.systematic_numbers),
-        counts,
-    )

@@ -99,8 +99,8 @@ def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -
         return None
     predictable = predictable_rows(begun.model.fit, begun.comparison, growth_rate(begun.model.fit))
     rows = int(min(max(predictable, SETTINGS.shooting.lengths[1]), SETTINGS.shooting.piece))
-    is_of_rates = all(laws[0].is_of_rates for laws in task.laws.values() if laws)
-    if _rows(task) <= SETTINGS.selection.compared_rows and rows >= task.longest and not is_of_rates:
+    are_lawful = all(name in task.lawful for name, laws in task.laws.items() if laws)
+    if _rows(task) <= SETTINGS.selection.compared_rows and rows >= task.longest and not are_lawful:
         return None
     task = replace(task, piece=min(task.piece, rows))
     if task.is_nearly_clean:
@@ -110,7 +110,7 @@ def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -
         return None
     comparison, best = selection.comparison, selection.model
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.effort.work)
-    for equation in range(len(lists)) if not is_of_rates else ():  # these have no unnecessary parts
+    for equation in range(len(lists)) if not are_lawful else ():  # these have no unnecessary parts
         if equation not in comparison.fixed:
             best = descent.prune(best, equation)
     return replace(selection, model=comparison.fit_beside(best, best.programs) or best)

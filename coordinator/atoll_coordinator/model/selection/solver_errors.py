@@ -15,15 +15,14 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.recording import Recording, Smoothing
-from atoll_coordinator.model.regression.rounding import find_simple
+from atoll_coordinator.model.constants.rounding import Estimates
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.compiled import function_of
-from atoll_core.expression.evaluation import NUMPY
+from atoll_core.expression.evaluation import NUMPY, function_of
 
 
 @dataclass(frozen=True)
@@ -153,7 +152,7 @@ def _settled(
 def _simplified(system: System) -> System:
     """Return the system with constants rounded to simple numbers within the errors of an exact model."""
     values = system.values.copy()
-    simple = find_simple(values, np.diag((SETTINGS.inference.exact * values) ** 2))
+    simple = Estimates(values, np.diag((SETTINGS.inference.exact * values) ** 2)).singled_out
     values[[*simple]] = [*simple.values()]
     return system.with_values(values)
 

@@ -4,13 +4,13 @@
 them and writes the name of each to the log. A stage takes a `Choice`, the state of the choice so far, and returns the
 next one. The stages fall into three parts:
 
-1. *Shortcuts*: laws by sparse regression, and equations of converged searches, are fitted first. Where these describe
-   the trajectories up to the noise, nothing else is proposed.
+1. *Shortcuts*: laws by sparse regression are fitted first. Where these describe the trajectories up to the noise,
+   nothing else is proposed.
 2. *Candidates*: each stage adds what it proposes for each equation to the pool, until the pool suffices
    (`CandidatePool.suffices`): the residuals of a system are noise, and it is not longer than laws usually are. Then the
    best system is searched: candidates are exchanged, and descents look for shorter descriptions nearby.
-3. *Second looks* at the system found: candidates that were too long with one part removed, sums with about the same
-   values, operators with which no search began, the user's guesses, and terms that noise has hidden.
+3. *Second looks* at the system found: candidates that were too long with one part removed, operators with which no
+   search began, the user's guesses, and terms that noise has hidden.
 
 Doubts: the second looks repair what the first parts miss, each for a kind of law that was missed once. A search over
 all candidates by one criterion would make them unnecessary, at several times the work.
@@ -18,14 +18,12 @@ all candidates by one criterion would make them unnecessary, at several times th
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 from atoll_coordinator.model.selection.alternatives import fit_guesses
 from atoll_coordinator.model.selection.joint_search import (
-    combine,
     compare_rivals,
     exchange,
     recalibrated,
@@ -39,7 +37,6 @@ from atoll_coordinator.model.selection.proposals import (
     may_be_widened,
     propose_all,
     propose_further_sums,
-    propose_like,
     propose_nearest,
     propose_pairs,
     propose_reduced,
@@ -68,7 +65,6 @@ class Choice:
     Attributes:
         task: the measurements and candidates.
         pool: the candidates, from the first stage that proposes any on.
-        lists: the final candidates by equation; None as long as stages may add more.
         selection: the best system so far; None before any could be simulated.
         begun: the best system of laws alone, with which a choice with a time limit begins.
         is_searched: whether the selection comes from the search among candidates, and not from laws alone.
@@ -76,20 +72,14 @@ class Choice:
 
     task: ModellingTask
     pool: CandidatePool | None = None
-    lists: Sequence[Sequence[Program]] | None = None
     selection: SelectedModel | None = None
     begun: SelectedModel | None = None
     is_searched: bool = False
 
     @property
-    def is_open(self) -> bool:
-        """Whether neither a system nor the final candidates are known."""
-        return self.selection is None and self.lists is None
-
-    @property
     def lacks_candidates(self) -> bool:
         """Whether the pool has candidates, but does not suffice."""
-        return self.is_open and self.pool is not None and not self.pool.suffices
+        return self.selection is None and self.pool is not None and not self.pool.suffices
 
     @property
     def may_improve(self) -> bool:
@@ -105,11 +95,6 @@ class Choice:
     def is_over(self) -> bool:
         """Whether no time is left."""
         return self.task.is_over
-
-    @property
-    def has_laws_of_rates(self) -> bool:
-        """Whether equations among many variables have laws by their derivatives, chosen from all terms."""
-        return any(laws and laws[0].is_of_rates for laws in self.task.laws.values())
 
 
 @dataclass(frozen=True)
@@ -146,21 +131,6 @@ def begin_with_laws(choice: Choice) -> Choice:
     return replace(choice, begun=laws_in_short_pieces(choice.task))
 
 
-def fit_converged(choice: Choice) -> Choice:
-    """Take the equations of converged searches, with laws for the rest, if they give exactly the trajectories."""
-    task = choice.task
-    converged = [task.converged(name) for name in task.variables]
-    laws = [next((law.program for law in task.laws.get(name, ())), None) for name in task.variables]
-    programs = [program or law for program, law in zip(converged, laws, strict=True)]
-    whole = [program for program in programs if program is not None]
-    if not any(converged) or len(whole) < len(programs):
-        return choice
-    comparison = task.compare(task.compared_measurements, task.variables, has_noise=False)
-    model = comparison.fit_model(whole)
-    is_exact = model is not None and comparison.score.is_exact(model)
-    return replace(choice, lists=[[program] for program in whole]) if is_exact else choice
-
-
 # ------------------------------------------------------------------------------------------------ candidates
 
 
@@ -185,30 +155,19 @@ def _settled(task: ModellingTask) -> dict[str, list[Program]]:
     None where all have: together they have not held, and one of them is wrong.
     """
     law_programs = {
-        name: [law.program for law in laws if task.may_be_shown(law.program)]
-        for name, laws in task.laws.items()
-        if laws and laws[0].is_of_rates and laws[0].excess <= SETTINGS.inference.excess
+        name: [law.program for law in task.laws[name] if task.may_be_shown(law.program)]
+        for name in task.variables
+        if name in task.lawful and task.laws[name][0].excess <= SETTINGS.inference.excess
     }
     return law_programs if len(law_programs) < len(task.variables) - len(task.known) else {}
 
 
-def stop_without_simulation(choice: Choice) -> Choice:
-    """Propose no more where no system can be simulated, however short the pieces."""
-    task, pool = choice.task, choice.pool
-    assert pool is not None, "candidates were proposed"
-    shortest_pieces = replace(task, piece=min(task.piece, *SETTINGS.shooting.lengths))
-    can_be_simulated = all(pool.lists) and combine(shortest_pieces.comparison, pool.lists) is not None
-    return choice if can_be_simulated else replace(choice, lists=pool.lists)
-
-
 def search(choice: Choice) -> Choice:
     """Search the best system of all candidates and of their neighbourhood."""
-    if choice.lists is None:
-        assert choice.pool is not None, "candidates were proposed"
-        task = choice.task.with_comparison(choice.pool.comparison)
-        choice = replace(choice, task=task, lists=choice.pool.lists)
-    assert choice.lists is not None
-    return replace(choice, selection=search_in_pieces(choice.task, choice.lists), is_searched=True)
+    pool = choice.pool
+    assert pool is not None, "candidates were proposed"
+    selection = search_in_pieces(choice.task.with_comparison(pool.comparison), pool.lists)
+    return replace(choice, selection=selection, is_searched=True)
 
 
 def compare_with_laws(choice: Choice) -> Choice:
@@ -259,23 +218,6 @@ def with_reduced_candidates(selection: SelectedModel) -> SelectedModel:
         return selection
     better = exchange(comparison, best, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
     return selection if better is best else replace(selection, model=reduce_all(comparison, better))
-
-
-def with_sums_like(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter description by sums with about the values of its equations.
-
-    Their constants fit the curves of the selection, so that the best constants are more than a few steps away.
-    """
-    task, comparison, before = selection.task, selection.comparison, selection.model
-    known = [[task.known[name]] if name in task.known else None for name in task.variables]
-    calls = [partial(propose_like, before, comparison, task, name) for name in task.variables if name not in task.known]
-    proposed = iter(task.spread.branches(calls))
-    lists = [[before.programs[index]] if given else next(proposed) for index, given in enumerate(known)]
-    best = exchange(comparison, before, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
-    if best is before:
-        return selection
-    best = reduce_all(comparison, best)
-    return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
 
 
 def with_guesses(selection: SelectedModel) -> SelectedModel:
@@ -345,22 +287,13 @@ def with_further_operators(selection: SelectedModel) -> SelectedModel:
     return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
 
 
-def _best(choice: Choice) -> FittedModel | None:
-    return None if choice.pool is None else choice.pool.best
-
-
 def _is_clean_and_lacking(choice: Choice) -> bool:
-    return choice.lacks_candidates and _best(choice) is not None and choice.task.is_nearly_clean
+    can_be_simulated = choice.pool is not None and choice.pool.best is not None
+    return choice.lacks_candidates and can_be_simulated and choice.task.is_nearly_clean
 
 
 def _may_be_reduced(choice: Choice) -> bool:
-    return choice.may_improve and not (choice.task.recording.groups or choice.has_laws_of_rates)
-
-
-def _may_have_sums_like(choice: Choice) -> bool:
-    selection = choice.selection
-    may_improve = choice.may_improve and not choice.task.recording.groups and selection is not None
-    return may_improve and selection is not None and selection.comparison.score.has_room(selection.model)
+    return choice.may_improve and not (choice.task.recording.groups or choice.task.lawful)
 
 
 def _may_hide_terms(choice: Choice) -> bool:
@@ -370,21 +303,18 @@ def _may_hide_terms(choice: Choice) -> bool:
     """
     if choice.selection is None or choice.is_over or choice.selection.task.is_nearly_clean:
         return False
-    return not (choice.has_laws_of_rates or choice.is_exact)
+    return not (choice.task.lawful or choice.is_exact)
 
 
 STAGES: Final = (
     Stage("laws by sparse regression, together", lambda choice: not choice.task.recording.groups, fit_laws),
-    Stage("laws in short pieces", lambda choice: choice.is_open and choice.task.is_limited, begin_with_laws),
-    Stage("equations of converged searches", lambda choice: choice.is_open, fit_converged),
-    Stage("the nearest candidates", lambda choice: choice.is_open, propose(propose_nearest)),
-    Stage("candidates that cannot be simulated", lambda c: c.is_open and _best(c) is None, stop_without_simulation),
+    Stage("laws in short pieces", lambda c: c.selection is None and c.task.is_limited, begin_with_laws),
+    Stage("the nearest candidates", lambda choice: choice.selection is None, propose(propose_nearest)),
     Stage("sums by pursuit", lambda choice: choice.lacks_candidates, propose(propose_sums)),
     Stage("sums with further operators", _is_clean_and_lacking, propose(propose_further_sums)),
     Stage("all candidates", lambda choice: choice.lacks_candidates, propose(propose_all)),
     Stage("search among the candidates", lambda choice: choice.selection is None, search),
     Stage("candidates less one part", _may_be_reduced, improve(with_reduced_candidates)),
-    Stage("sums like the equations", _may_have_sums_like, improve(with_sums_like)),
     Stage("further operators", lambda choice: choice.may_improve, improve(with_further_operators)),
     Stage("the laws of the beginning", lambda c: c.begun is not None and c.is_over, compare_with_laws),
     Stage("guesses", lambda choice: choice.selection is not None, improve(with_guesses)),

@@ -63,6 +63,11 @@ class ModellingTask:
             if equation_candidates.known is not None
         }
 
+    @cached_property
+    def lawful(self) -> frozenset[str]:
+        """The variables whose law was found among many variables by derivatives, chosen from all terms."""
+        return frozenset(name for name, laws in self.laws.items() if laws and laws[0].is_of_rates)
+
     @property
     def is_over(self) -> bool:
         """Whether nothing new is to be begun."""

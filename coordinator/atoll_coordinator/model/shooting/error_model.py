@@ -41,11 +41,6 @@ class ErrorModel:
         """Return independent errors of these standard deviations."""
         return cls(sigmas, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
 
-    def to_bytes(self) -> bytes:
-        """Return bytes that are equal for equal models."""
-        numbers = self.sigmas.tobytes() + self.shares.tobytes() + self.decays.tobytes()
-        return numbers + bytes([self.is_known])
-
     @property
     def degrees_of_freedom(self) -> FloatArray:
         """Degrees of freedom of a variance of each state (O,) over its rows: 1 where errors are independent.

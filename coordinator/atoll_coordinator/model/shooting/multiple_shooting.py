@@ -32,7 +32,6 @@ but no fit. Letters: D states, P fitted constants, L numbers of a segment, G seg
 
 import math
 import threading
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -40,7 +39,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import TrajectoryMisfit
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.least_squares import LEAST_DAMPING, Fitter, Solver, minimize, without
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
@@ -56,10 +54,6 @@ from atoll_core.expression.kernels.tape import Ints
 _REJECTED: Final = 0.4
 """Share of the steps of fits that do not lower the cost: without noise 0.5 with 8 states, 0.4 with 40. States are
 integrated alone first if this takes less than this share of the work."""
-_FIT_BYTES: Final = 8_000
-"""Memory of a remembered fit in addition to its states and residuals."""
-_REMEMBERED_BYTES: Final = 64_000_000
-"""Memory of all remembered fits of an estimator, about; beyond, the oldest are forgotten."""
 
 
 class _Blocks(NamedTuple):
@@ -90,29 +84,6 @@ _Step = tuple[FloatArray, FloatArray]
 """Changes of the constants (P,), and of the segments' own numbers (G, L)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Goal:
-    """The largest useful `misfit` of a fit in nats."""
-
-    misfit: TrajectoryMisfit
-    most: float
-
-    def to_bytes(self) -> bytes:
-        """Return bytes that are equal for equal goals."""
-        misfit = self.misfit
-        parts = (misfit.low, misfit.high, misfit.pieces, misfit.below, np.float64(self.most))
-        return b"".join(part.tobytes() for part in parts)
-
-    def is_beyond(self, squares: FloatArray, promise: float, steps: int) -> bool:
-        """Tell whether errors of these mean squares (O,) are too large for `steps` with the gain of the next one.
-
-        Steps gain less towards the end of a fit. The promise of the next one, see `_Shooting.equations`, is twice its
-        gain in squares over variances, of which two are a nat: half of that is taken, as if each step gained twice as
-        much.
-        """
-        return self.misfit.total(squares) - 0.5 * promise * steps > self.most
-
-
 class MultipleShooting:
     """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations.
 
@@ -139,19 +110,14 @@ class MultipleShooting:
         self.work = 0
         self._of_thread = threading.local()
         self._lock = threading.Lock()
-        self._remembered: Final = max(1, _REMEMBERED_BYTES // (_FIT_BYTES + 8 * 2 * measurements.smoothed.size))
-        self._fits: Final[OrderedDict[tuple[object, ...], tuple[TrajectoryFit | None, int]]] = OrderedDict()
 
     # -------------------------------------------------------------------------------------------------- fits
 
-    def fit(  # noqa: PLR0913, where a fit begins, how far it goes, and what it is for
+    def fit(
         self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
-        errors: ErrorModel | None = None, *, is_stiff: bool = False, goal: Goal | None = None,
+        errors: ErrorModel | None = None, *, is_stiff: bool = False,
     ) -> TrajectoryFit | None:  # fmt: skip
         """Return `system` fitted to segments of about `length` rows, None when it cannot be integrated from `starts`.
-
-        The last fits are remembered, since a search comes back to the same systems: a remembered fit is equal to the
-        bit to the one that would be made again, and counts the same work.
 
         Args:
             system: where the fit begins.
@@ -161,27 +127,11 @@ class MultipleShooting:
             errors: the errors of measurement at first; independent, of the smoother's noise, unless given.
             is_stiff: whether similar systems are stiff; in a fit of few steps no other system is treated as stiff,
                 since most candidates that seem stiff are wrong.
-            goal: a fit ends early if it will not reach this.
         """
-        arrays = (*system.arrays(), starts)
-        key = (
-            *(None if array is None else array.tobytes() for array in arrays),
-            None if errors is None else errors.to_bytes(), length, steps, is_stiff,
-            None if goal is None else goal.to_bytes(),
-        )  # fmt: skip
-        with self._lock:
-            known = self._fits.get(key)
-        if known is None:
-            may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
-            fitter = _Shooting(self, system, length, starts, errors, goal, may_be_stiff=may_be_stiff)
-            known = minimize(fitter, steps), fitter.work
-            with self._lock:
-                if not self.deadline.is_over:  # a fit that the deadline stopped has to be made again
-                    self._fits[key] = known
-                if len(self._fits) > self._remembered:
-                    self._fits.popitem(last=False)
-        fit, work = known
-        self.count(work)
+        may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
+        fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=may_be_stiff)
+        fit = minimize(fitter, steps)
+        self.count(fitter.work)
         return fit
 
     def count(self, work: int) -> None:
@@ -378,16 +328,16 @@ class MultipleShooting:
 class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     """The fit of one system to segments of one length; `work` is its work so far."""
 
-    def __init__(  # noqa: PLR0913, see `MultipleShooting.fit`
+    def __init__(
         self, estimator: MultipleShooting, system: System, length: int | None, starts: FloatArray | None,
-        errors: ErrorModel | None, goal: Goal | None = None, *, may_be_stiff: bool,
+        errors: ErrorModel | None, *, may_be_stiff: bool,
     ) -> None:  # fmt: skip
         self._estimator, self._measurements = estimator, estimator.measurements
         self._layout = estimator.layout(length)
         self._segments = self._layout.segments
         self._is_whole = length is None
         self._system, self._starts, self._errors = system, starts, errors
-        self._goal, self._may_be_stiff = goal, may_be_stiff
+        self._may_be_stiff = may_be_stiff
         self.method: Method = estimator.integrator.methods[0]
         self.work = 0
 
@@ -455,11 +405,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return np.asarray((measurements.weights * squares).sum(axis=1))
 
     def done(self, point: _Point, promise: float, taken: int) -> bool:
-        if self._goal is None or self._estimator.deadline.is_over:
-            return self._estimator.deadline.is_over
-        is_white = not point.errors.shares.any()
-        residuals = point.residuals if is_white else self._layout.whitened(point.residuals, point.errors)
-        return self._goal.is_beyond(self._estimator.squares(residuals), promise, SETTINGS.effort.steps - taken)
+        return self._estimator.deadline.is_over
 
     def result(self, point: _Point | None) -> TrajectoryFit | None:
         if point is None:

@@ -3,7 +3,7 @@
 Letters: D equations, N nodes of all of them, P fitted constants.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,6 +101,11 @@ class System:
         return np.arange(len(self.places))[None] if self.sharing is None else self.sharing.columns
 
     @property
+    def multiples(self) -> FloatArray:
+        """How many times its number each constant (P,) is."""
+        return np.ones(len(self.places)) if self.sharing is None else self.sharing.multiples
+
+    @property
     def values(self) -> FloatArray:
         """The fitted numbers (Q,)."""
         return self.constants[self.places] if self.sharing is None else self.sharing.numbers(self.places)
@@ -191,16 +196,6 @@ class System:
         if self.sharing is None:
             return self
         return replace(self, constants=self.sharing.constants[group], lower=None, upper=None, sharing=None)
-
-    def arrays(self) -> Iterator[FloatArray | Ints | None]:
-        """Yield all arrays on which a fit of the system depends."""
-        yield from self.tape
-        yield self.lower
-        yield self.upper
-        if self.sharing is not None:
-            yield self.sharing.constants
-            yield self.sharing.columns
-            yield self.sharing.multiples
 
     @property
     def programs(self) -> tuple[Program, ...]:

@@ -20,10 +20,11 @@ from functools import cache, cached_property
 import numpy as np
 
 from atoll_coordinator.data.increments import Steps
-from atoll_coordinator.model.least_squares import Fitter, Solver, inverse, minimize, solver
+from atoll_coordinator.model.constants.standard_errors import ConstantErrors
+from atoll_coordinator.model.least_squares import Fitter, Solver, minimize, solver
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic import Discretisation
-from atoll_coordinator.stochastic.moments import Pair, StepMoments, step_moments
+from atoll_coordinator.stochastic.moments import Pair, StepMoments, factors_of, step_moments
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants
 from atoll_core.expression.restrictions import NONE, Restrictions
@@ -52,8 +53,10 @@ class ProcessModel:
 
     def with_program(self, number: int, program: Program) -> "ProcessModel":
         """Return the model with another equation in one place."""
-        programs = [*self.programs]
-        programs[number] = program
+        return self.with_programs([*self.programs[:number], program, *self.programs[number + 1 :]])
+
+    def with_programs(self, programs: Sequence[Program]) -> "ProcessModel":
+        """Return the model with other equations."""
         return replace(self, drift=tuple(programs[: len(self.drift)]), diffusion=tuple(programs[len(self.drift) :]))
 
     def moments(self, points: FloatArray, lengths: FloatArray) -> StepMoments:
@@ -113,16 +116,6 @@ class FittedProcess:
     def information(self) -> FloatArray:
         """The information (K, K). It takes two likelihoods for each parameter, and most fits are only compared."""
         return self.inform()
-
-    @property
-    def covariance(self) -> FloatArray:
-        """The covariance (K, K) of the parameters; huge for parameters that the data do not determine.
-
-        A parameter by which the likelihood has no finite derivative is not determined: the model is defined on one side
-        only.
-        """
-        known = np.isfinite(np.diag(self.information))
-        return inverse(np.where(np.outer(known, known), self.information, 0.0), ridge=1e-12)
 
 
 class ProcessLikelihood:
@@ -210,7 +203,7 @@ class ProcessLikelihood:
         self,
         model: ProcessModel,
         free: Sequence[int],
-        settled: float = SETTINGS.process.settled,
+        settled: float = 0.01 * SETTINGS.selection.least_gain,
         limit: float = math.inf,
     ) -> FittedProcess:
         """Return `model` with the constants of the equations `free` and its noise fitted by damped Fisher scoring.
@@ -219,6 +212,12 @@ class ProcessLikelihood:
         below `limit`.
         """
         return minimize(_LikelihoodFit(self, model, free, settled, limit))
+
+    def errors(self, fitted: FittedProcess, free: Sequence[int]) -> ConstantErrors:
+        """Return the errors of the parameters of a fit, whose equations `free` have fitted constants."""
+        values = fitted.model.parameters(free)
+        freedom, ranges = len(self.steps.lengths) - len(values), self.ranges(fitted.model, free)
+        return ConstantErrors.of_fit(values, fitted.information, freedom, bounds=ranges)
 
     def ranges(self, model: ProcessModel, free: Sequence[int]) -> FloatArray:
         """Return the least and the largest values (2, K) that parameters may have."""
@@ -281,16 +280,11 @@ class _LikelihoodFit(Fitter[_Point, FloatArray, FittedProcess]):
 
 def _independent(residuals: FloatArray, covariance: FloatArray) -> Whitened:
     """Return residuals (S, N) of independent steps whitened by Cholesky's factors of their covariances (S, S, N)."""
-    states = len(residuals)
-    factor, logarithms, whitened = np.zeros_like(covariance), np.zeros_like(residuals), np.zeros_like(residuals)
+    factor, whitened = factors_of(covariance), np.zeros_like(residuals)
     with np.errstate(all="ignore"):
-        for i in range(states):
-            for j in range(i + 1):
-                rest = covariance[i, j] - (factor[i, :j] * factor[j, :j]).sum(axis=0)
-                factor[i, j] = np.sqrt(rest) if i == j else rest / factor[j, j]
-            logarithms[i] = np.log(factor[i, i])
+        for i in range(len(residuals)):
             whitened[i] = (residuals[i] - (factor[i, :i] * whitened[:i]).sum(axis=0)) / factor[i, i]
-    return Whitened(whitened, logarithms)
+        return Whitened(whitened, np.log(np.einsum("iin->in", factor)))
 
 
 def _banded(residuals: FloatArray, band: FloatArray) -> Whitened:

@@ -13,6 +13,7 @@ and stand where that is the shorter description.
 import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -21,29 +22,20 @@ from atoll_coordinator.data.increments import Steps, take_steps
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.criteria import constant_nats_of, system_length
 from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.regression.shortening import MARGIN, Measured, Shortening
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.regression import CandidateFinder
-from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset
-from atoll_core.expression.program import Program, ProgramBuilder, constant_places, structure
+from atoll_core.expression.program import Program, ProgramBuilder, constant_places
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
 from atoll_core.expression.writing.expansion import form_of
 
-_ZERO: Final = b"zero"
-"""Key of the alternative that is zero."""
-_MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
-"""Programs are reduced whose description is longer than the best by at most this many nats (odds of 400)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rival:
-    """An alternative for one equation of a model: a program with fitted constants, its description length in nats."""
-
-    program: Program
-    nats: float
+_LINEARISATIONS: Final = 2
+"""Number of linearisations of a process about states that it has smoothed itself; after these its constants move by
+less than a hundredth of their standard errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +54,7 @@ class ChosenProcess:
     free: tuple[int, ...]
     likelihood: ProcessLikelihood
     fitted: FittedProcess
-    rivals: tuple[Sequence[Rival], ...]
+    rivals: tuple[Sequence[Measured], ...]
     restrictions: Sequence[Restrictions]
     discretisation_nats: float
     is_stopped: bool = False
@@ -85,13 +77,13 @@ class ProcessChoice:
         known = [name for name, candidate_set in candidates.items() if candidate_set.known is not None]
         self._sought = tuple(k for k, name in enumerate(self._variables) if name not in known)
         self._begun: dict[int, list[Program]] = {}
-        self._rivals: list[dict[bytes, Rival]] = [{} for _ in self._variables]
+        self._rivals: list[list[Measured]] = [[] for _ in self._variables]
 
     def choose(self) -> ChosenProcess:
         """Return the law of the process."""
-        fitted = self._settled(self._with_first_diffusion(self._first_model()), looks_around=True)
+        fitted = self._settled(self._first_model(), looks_around=True)
         fitted, apart = (fitted, 0.0) if any(fitted.model.noise) else self._discretised(fitted)
-        rivals = tuple(_of_each_form(by_structure.values()) for by_structure in self._rivals)
+        rivals = tuple(map(_of_each_form, self._rivals))
         free = self._free(fitted.model)
         return ChosenProcess(
             self._process, self._variables, self._sought, free, self._likelihood, fitted, rivals, self._restrictions,
@@ -124,7 +116,7 @@ class ProcessChoice:
     def _settled(self, model: ProcessModel, *, looks_around: bool) -> FittedProcess:
         """Return the model with its equations exchanged until none is; neighbours of the best are tried at first."""
         length = math.inf
-        for number_of_round in range(SETTINGS.process.rounds):
+        for number_of_round in range(SETTINGS.effort.brief_steps):
             before = length
             for number in self._sought:
                 model, length = self._exchanged(model, number, looks_around=looks_around and number_of_round == 0)
@@ -170,29 +162,10 @@ class ProcessChoice:
             tuple(programs[:states]), tuple(programs[states:]), self._process.pairs, tuple(noise.tolist())
         )
 
-    def _with_first_diffusion(self, model: ProcessModel) -> ProcessModel:
-        """Return the model with the diffusion from high differences of paths, which do not depend on the drift.
-
-        Without it all steps would have the same weight, and the largest steps would decide the drift.
-        """
-        if any(model.noise):
-            return model
-        misfit = self._likelihood.whitened(model).misfit
-        for number in self._sought:
-            if number < len(model.drift):
-                continue
-            name = self._variables[number]
-            begun = self._candidates[name].nearest if name in self._candidates else []
-            for program in self._finder.find(number, model, begun, looks_around=False, by_differences=True)[:1]:
-                tried = model.with_program(number, program)
-                if (tried_misfit := self._likelihood.whitened(tried).misfit) < misfit:
-                    model, misfit = tried, tried_misfit
-        return model
-
     def _refitted(self, model: ProcessModel) -> FittedProcess:
         """Return the model with all its constants fitted; where there is noise, about states smoothed by itself."""
         fitted = self._likelihood.fit(model, self._free(model))
-        for _ in range(SETTINGS.process.relinearisations if any(model.noise) else 0):
+        for _ in range(_LINEARISATIONS if any(model.noise) else 0):
             self._likelihood = ProcessLikelihood(
                 self._steps, self._likelihood.smoothed(fitted.model), self._restrictions
             )
@@ -204,34 +177,42 @@ class ProcessChoice:
 
         The length is the one of the steps and of this equation.
         """
-        rivals = self._rivals[number] = {}
+        self._rivals[number] = []
         name = self._variables[number]
         if self._is_of_no_noise(model, number):
             return model, self._length(self._likelihood.whitened(model).misfit, model.programs[number], 0)
         if looks_around:
             self._begun[number] = self._candidates[name].nearest if name in self._candidates else []
-        programs = self._finder.find(number, model, self._begun[number], looks_around=looks_around)
-        self._begun[number] = programs
-        models = self._compared(rivals, model, number, programs)
-        reduced: set[bytes] = set()
-        while not self._deadline.is_over:
-            least = min(length for _, length in models.values())
-            near = [key for key, (_, length) in models.items() if key not in reduced and length < least + _MARGIN]
-            if not near:
-                break
-            reduced.update(near)
-            for start in [models[key][0] for key in near]:
-                for program in reductions(start.programs[number]):
-                    key = structure(program)
-                    if key not in models:
-                        models[key] = self._taken_in(rivals, start.with_program(number, program), number, least)
-        found_model, length = min(models.values(), key=lambda entry: entry[1])
-        states = len(model.drift)
-        if number < states:
-            return found_model, length
-        without, length_without = self._without(found_model, number)
-        rivals[_ZERO] = Rival(without.programs[number], length_without)
-        return (without, length_without) if length_without < length else (found_model, length)
+        programs = self._begun[number] = self._finder.find(
+            number, model, self._begun[number], looks_around=looks_around
+        )
+        shortening = Shortening(partial(self._measure, model, number), lambda: self._deadline.is_over, reach=MARGIN)
+        best = shortening.candidates([model.programs[number], *programs], looks_around=False)[0][0]
+        self._rivals[number] = shortening.tried
+        model, length = self._fitted_with(model, number, best.program).model, best.length
+        if number < len(model.drift):
+            return model, length
+        without, length_without = self._without(model, number)
+        self._rivals[number].append(Measured(without.programs[number], 0.0, length_without))
+        return (without, length_without) if length_without < length else (model, length)
+
+    def _measure(self, model: ProcessModel, number: int, program: Program, most: float) -> Measured:
+        """Return one equation of a model fitted, all others as they are; the description is of this equation."""
+        restrictions = self._restrictions[number]
+        admitted = restrictions.admitted(program)
+        if admitted is None:
+            return Measured(program, math.inf, math.inf)
+        program = admitted if restrictions.bounds is None else restrictions.bounds.clipped(admitted)
+        limit = most + MARGIN - self._length(0.0, program, len(constant_places(program)))
+        fitted = self._fitted_with(model, number, program, limit)
+        program = fitted.model.programs[number]
+        return Measured(program, fitted.misfit, self._length(fitted.misfit, program, len(constant_places(program))))
+
+    def _fitted_with(
+        self, model: ProcessModel, number: int, program: Program, limit: float = math.inf
+    ) -> FittedProcess:
+        tried = model.with_program(number, program)
+        return self._likelihood.fit(tried, (number,), SETTINGS.selection.least_gain, limit)
 
     def _without(self, model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
         """Return the model with one component of the diffusion zero, and its length, infinite where it may not be.
@@ -272,39 +253,6 @@ class ProcessChoice:
         ]
         return i != j and any(map(is_zero, variances))
 
-    def _compared(
-        self, rivals: dict[bytes, Rival], model: ProcessModel, number: int, programs: Sequence[Program]
-    ) -> dict[bytes, tuple[ProcessModel, float]]:
-        """Return the model, and the models with the first possible candidates for one equation, by structure."""
-        models = {structure(model.programs[number]): self._taken_in(rivals, model, number)}
-        for program in programs:
-            if sum(math.isfinite(length) for _, length in models.values()) > SETTINGS.process.compared:
-                break
-            least = min(length for _, length in models.values())
-            tried = model.with_program(number, program)
-            models[structure(program)] = self._taken_in(rivals, tried, number, least)
-        return models
-
-    def _taken_in(
-        self, rivals: dict[bytes, Rival], model: ProcessModel, number: int, least: float = math.inf
-    ) -> tuple[ProcessModel, float]:
-        """Return the model with one equation fitted, and its description length, which is kept with the alternatives.
-
-        It is fitted less well when it will not come near the length `least`.
-        """
-        restrictions = self._restrictions[number]
-        program = restrictions.admitted(model.programs[number])
-        if program is None:
-            return model, math.inf
-        program = program if restrictions.bounds is None else restrictions.bounds.clipped(program)
-        model = model.with_program(number, program)
-        limit = least + 2.0 * _MARGIN - self._length(0.0, program, len(constant_places(program)))
-        fitted = self._likelihood.fit(model, (number,), SETTINGS.selection.least_gain, limit)
-        program = fitted.model.programs[number]
-        nats = self._length(fitted.misfit, program, len(constant_places(program)))
-        rivals[structure(program)] = Rival(program, nats)
-        return fitted.model, nats
-
     def _length(self, misfit: float, program: Program, constants: int) -> float:
         return system_length(misfit, [program], constants, constant_nats_of(len(self._steps.lengths)))
 
@@ -319,9 +267,9 @@ def _constant(value: float) -> Program:
     return builder.program(builder.build(value))
 
 
-def _of_each_form(rivals: Iterable[Rival]) -> list[Rival]:
+def _of_each_form(rivals: Iterable[Measured]) -> list[Measured]:
     """Return the best of each form: the same equation with other constants is no alternative."""
-    best: dict[Hashable, Rival] = {}
-    for rival in sorted(rivals, key=lambda rival: rival.nats):
+    best: dict[Hashable, Measured] = {}
+    for rival in sorted(rivals, key=lambda rival: rival.length):
         best.setdefault(form_of(rival.program), rival)
     return list(best.values())

@@ -19,10 +19,11 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.increments import Steps, all_windows, lagged, products, split_into_bins
-from atoll_coordinator.model.criteria import constant_nats_of, system_length
+from atoll_coordinator.model.criteria import RegressionCriterion, constant_nats_of, system_length
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.regression.equation import FrontCandidate, Shortening
+from atoll_coordinator.model.regression.equation import target_shortening
 from atoll_coordinator.model.regression.fit import LeastSquares
+from atoll_coordinator.model.regression.shortening import Measured
 from atoll_coordinator.model.sparse.atoms import product_atoms, product_libraries
 from atoll_coordinator.model.sparse.regression import Regression, Sum
 from atoll_coordinator.model.sparse.rows import Rows
@@ -39,14 +40,6 @@ from atoll_core.expression.writing.shortest import shortest
 
 _STEPS: Final = 3
 """Order of the differences that remove the drift."""
-
-
-@dataclass(frozen=True, eq=False)
-class WeightedProblem:
-    """A regression problem over M bins, and the weights of these (M,), 1 on average."""
-
-    problem: Problem
-    weights: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +67,6 @@ class CandidateFinder:
         begun: Sequence[Program],
         *,
         looks_around: bool,
-        by_differences: bool = False,
     ) -> list[Program]:
         """Return the most promising programs for one equation, factors of one as constants, the best first.
 
@@ -83,32 +75,29 @@ class CandidateFinder:
             model: the other equations, by which the higher terms of moments are computed.
             begun: programs of the search.
             looks_around: whether neighbours of the best programs are tried as well.
-            by_differences: whether products of high differences estimate a component of the diffusion, independently of
-                the drift.
         """
-        sides = (
-            _sides_by_differences(number, model, self.steps) if by_differences else _sides(number, model, self.steps)
-        )
-        weighted, space = _problem(number, sides, model, self.steps, self._rates, self.names), self.config.space
+        problem, weights = _problem(number, model, self.steps, self._rates, self.names)
+        space = self.config.space
         operators = frozenset(BY_NAME[name].code for name in space.operators_for(self.variables[number]))
         columns = space.columns_for(self.variables[number], self.names)
-        sums = _sparse_sums(weighted, columns) if {ADD, MULTIPLY} <= operators else []
+        sums = _sparse_sums(problem, weights, columns) if {ADD, MULTIPLY} <= operators else []
         restrictions = restrictions_of(self.config, self.variables[number], self.names)
-        least_squares = LeastSquares(weighted.problem, weighted.weights, restrictions)
-        shortening = Shortening(weighted.problem, operators, columns, least_squares, self.deadline)
-        nats = constant_nats_of(len(self.steps.lengths))
+        least_squares = LeastSquares(problem, weights, restrictions)
+        criterion, nats = RegressionCriterion.of(problem.target), constant_nats_of(len(self.steps.lengths))
+        shortening = target_shortening(least_squares, criterion, operators, columns, self.deadline)
 
-        def length(candidate: FrontCandidate) -> float:
+        def length(measured: Measured) -> float:
             """Return the description length by the likelihood, apart from the misfit."""
-            program, misfit = candidate.fitted.program, shortening.criterion.misfit(candidate.fitted.mse)
-            return system_length(misfit, [program], len(constant_places(program)), nats)
+            return system_length(measured.misfit, [measured.program], len(constant_places(measured.program)), nats)
 
-        candidates = sorted(shortening.candidates([*begun, *sums], looks_around), key=length)
-        programs = [make_coefficients_explicit(shortest(candidate.fitted.program)).program for candidate in candidates]
+        found = [measured for measured, _ in shortening.candidates([*map(shortest, begun), *sums], looks_around)]
+        programs = [
+            make_coefficients_explicit(shortest(measured.program)).program for measured in sorted(found, key=length)
+        ]
         distinct = {structure(program): program for program in programs}
         is_variance = number >= len(model.drift) and len({*model.pairs[number - len(model.drift)]}) == 1
         possible = (program for program in distinct.values() if self._is_possible(program, is_variance=is_variance))
-        return [*islice(possible, SETTINGS.effort.beam)]
+        return [*islice(possible, 2 * SETTINGS.effort.beam // 3)]
 
     def _is_possible(self, program: Program, *, is_variance: bool) -> bool:
         """Tell whether a program is finite wherever steps begin, and not negative there if it is a variance."""
@@ -116,44 +105,23 @@ class CandidateFinder:
         return bool(np.isfinite(values).all()) and not (is_variance and bool((values < 0.0).any()))
 
 
-def _sides_by_differences(number: int, model: ProcessModel, steps: Steps) -> FloatArray:
-    """Return the targets (N,) for a component of the diffusion times the length of a step; NaN where a path ends."""
-    windows = all_windows(steps, _STEPS)
-    i, j = model.pairs[number - len(model.drift)]
-    sides = np.full(len(steps.lengths), np.nan)
-    sides[windows.first] = windows.differences(i) * windows.differences(j) * steps.lengths[windows.first]
-    return sides
-
-
-def _sides(number: int, model: ProcessModel, steps: Steps) -> FloatArray:
-    """Return the targets (N,) for one equation times the length of a step."""
-    states = len(model.drift)
-    moments = model.moments(steps.points, steps.lengths)
-    if number < states:
-        leading = steps.lengths * values_of(model.drift[number], steps.points)
-        added = moments.mean[number] - leading
-        sides = steps.increments[number]
-    else:
-        i, j = model.pairs[number - states]
-        leading = steps.lengths * values_of(model.diffusion[number - states], steps.points)
-        added = moments.covariance[i, j] - leading
-        sides = products(steps.increments - moments.mean, steps, (i, j), corrected=any(model.noise))
-    return np.asarray(sides - added)
-
-
 def _problem(
-    number: int, sides: FloatArray, model: ProcessModel, steps: Steps, rates: FloatArray, names: tuple[str, ...]
-) -> WeightedProblem:
-    """Return the problem of one equation; steps begin where the one before them does if there is noise."""
-    is_noisy = any(model.noise)
-    states = len(model.drift)
+    number: int, model: ProcessModel, steps: Steps, rates: FloatArray, names: tuple[str, ...]
+) -> tuple[Problem, FloatArray]:
+    """Return the problem of one equation over bins, and the weights of these; `rates` are of the noise (S, N).
+
+    Steps begin where the one before them does if there is noise.
+    """
+    states, lengths, points = len(model.drift), steps.lengths, steps.points
+    moments = model.moments(points, lengths)
+    leading = lengths * values_of(model.programs[number], points)
     if number < states:
-        variances = rates[number]
+        sides, variances = steps.increments[number] - (moments.mean[number] - leading), rates[number]
     else:
         i, j = model.pairs[number - states]
-        variances = steps.lengths * rates[i] * rates[j]
-    points, lengths = steps.points, steps.lengths
-    if is_noisy:
+        sides = products(steps.increments - moments.mean, steps, (i, j), corrected=any(model.noise))
+        sides, variances = sides - (moments.covariance[i, j] - leading), lengths * rates[i] * rates[j]
+    if any(model.noise):
         rows = np.flatnonzero(steps.follows)
         points, lengths, sides, variances = lagged(steps).points, lengths[rows], sides[rows], variances[rows]
     weights = lengths / variances
@@ -178,18 +146,20 @@ def mean_squares(steps: Steps) -> FloatArray:
     return means
 
 
-def _binned(points: FloatArray, sides: FloatArray, weights: FloatArray, names: tuple[str, ...]) -> WeightedProblem:
-    bins = split_into_bins(points, SETTINGS.process.bins)
+def _binned(
+    points: FloatArray, sides: FloatArray, weights: FloatArray, names: tuple[str, ...]
+) -> tuple[Problem, FloatArray]:
+    bins = split_into_bins(points, SETTINGS.rows.most // 4)
     total = np.array([weights[rows].sum() for rows in bins])
     means = np.array([(points[:, rows] * weights[rows]).sum(axis=1) for rows in bins]).T / total
     values = np.array([(sides[rows] * weights[rows]).sum() for rows in bins]) / total
     target = Target("", "", values, 0.0, float(values.std()) or 1.0, 1.0)
-    return WeightedProblem(Problem(names, np.ascontiguousarray(means), target), total / total.mean())
+    return Problem(names, np.ascontiguousarray(means), target), total / total.mean()
 
 
-def _sparse_sums(weighted: WeightedProblem, columns: Sequence[int]) -> list[Program]:
+def _sparse_sums(problem: Problem, weights: FloatArray, columns: Sequence[int]) -> list[Program]:
     """Return the best sums of products on the way from each library of them to nothing, by Schwarz's criterion."""
-    rows, roots = Rows(weighted.problem.inputs, weighted.problem.target.values), np.sqrt(weighted.weights)
+    rows, roots = Rows(problem.inputs, problem.target.values), np.sqrt(weights)
     sums: list[Sum] = []
     for terms, _ in product_libraries(columns, len(roots), range(1, SETTINGS.sparse.degree + 1)):
         regression = Regression(rows, product_atoms(rows.inputs, terms))

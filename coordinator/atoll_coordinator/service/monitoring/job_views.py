@@ -325,7 +325,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView
     shown = equation_of(outcome, None, prepared.dataset, prepared.config)
     if shown is None:
         return view
-    normalized = finite(shown.error / target.standard_deviation) if target.standard_deviation else None
+    normalized = finite(target.normalized(shown.error))
     return view.model_copy(
         update={
             "error": finite(shown.error),

@@ -240,14 +240,14 @@ class ClientRequests:
         is_last = len(numbers) < question.limit
         return messages.JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
 
-    def _find(self, prefix: str, viewer: Viewer | None) -> messages.JobFound | messages.Failure:
+    def _find(self, prefix: str, viewer: Viewer | None) -> messages.JobStatus | messages.Failure:
         """Return the one job whose id is `prefix` or begins with it, among the jobs that the viewer sees."""
         if self._store.job(prefix) is not None and (viewer is None or self._store.is_seen(prefix, viewer)):
-            return messages.JobFound(job=prefix)
+            return self._status(prefix)
         count = self._store.count_jobs(prefix, viewer)
         ids = [job for _, job in self._store.job_page(prefix if count else "", limit=_SHOWN, viewer=viewer)]
         if count == 1:
-            return messages.JobFound(job=ids[0])
+            return self._status(ids[0])
         shown = ", ".join(reversed(ids))
         if count:
             is_whole = count < MAX_COUNTED

@@ -21,7 +21,6 @@ from atoll_core.wire.messages.clients import Answer, AnswerBody, ClientRequest, 
 from atoll_core.wire.messages.epochs import Pull, PullAnswer, PullStates, States
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import MAX_MESSAGE
-from atoll_core.wire.messages.workers import Control
 from atoll_core.wire.rejects import Rejects
 from atoll_core.wire.state_pieces import IslandState, split_states
 
@@ -70,24 +69,19 @@ class RequestDispatcher:
         match key:
             case topics.HelloKey():
                 return encode(GreetingAnswer(body=self._greet(event.payload, key.name)))
-            case topics.JobKey() | topics.BlobKey():
+            case topics.StatesKey() | topics.BlobKey():
                 return self._tell_worker(key, event.payload)
             case topics.ClientKey(part="ask"):
                 return encode(Answer(body=self._answer_client(event, key.client)))
             case _:
                 raise RemoteProtocolError(f"nothing is served on key {event.key}")
 
-    def _tell_worker(self, key: topics.JobKey | topics.BlobKey, payload: bytes) -> bytes | None:
+    def _tell_worker(self, key: topics.StatesKey | topics.BlobKey, payload: bytes) -> bytes | None:
         """Answer a worker, which asks until it has an answer: an error ends the job, or it would ask for ever."""
         job = self._controller.job_of_dataset(key.digest) if isinstance(key, topics.BlobKey) else key.job
         with self._controller.guarded(job or "", "answering a worker", self._now(), by_peer=True):
             match key:
-                case topics.JobKey(part="job"):
-                    announcement = self._controller.announcement(key.job)
-                    return encode(Control(body=announcement)) if announcement is not None else None
-                case topics.JobKey(part="placement"):
-                    return encode(Control(body=self._controller.placements(key.job)))
-                case topics.JobKey():
+                case topics.StatesKey():
                     return self._states(key, payload)
                 case topics.BlobKey():
                     try:
@@ -96,7 +90,7 @@ class RequestDispatcher:
                         return self._controller.tasks.chunk(key.digest, key.index)
         return None
 
-    def _states(self, key: topics.JobKey, payload: bytes) -> bytes | None:
+    def _states(self, key: topics.StatesKey, payload: bytes) -> bytes | None:
         """Return states of a committed checkpoint, as many as fit into one message; None when they are missing."""
         pull = decode(payload, Pull, MAX_MESSAGE).body
         if not isinstance(pull, PullStates) or pull.job != key.job:

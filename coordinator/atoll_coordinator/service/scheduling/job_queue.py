@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from atoll_coordinator.service.scheduling.fair_share import AGE_S, FairShare, Turn
-from atoll_coordinator.service.scheduling.limits import NO_LIMITS, Limits
+from atoll_coordinator.service.scheduling.limits import NO_LIMITS, Limits, TaskTime
 
 Stage = Literal["waiting", "preparing", "searching", "held"]
 
@@ -80,10 +80,8 @@ class JobQueue:
         """`limits` may be replaced at any time; while `is_paused`, waiting jobs are not started."""
         self.limits = limits
         self.is_paused = False
-        self.exhausted: frozenset[str | None] = frozenset()
-        """Users who have used up their task time of the day: their jobs get no places."""
-        self.is_exhausted = False
-        """Whether all users together have used up theirs."""
+        self.task_time = TaskTime()
+        """Jobs of users who have used up their task time of the day get no places."""
         self._fair_share = fair_share or FairShare()
         self._entries: dict[str, _Entry] = {}
         self._users: dict[str | None, _User] = {}
@@ -222,7 +220,7 @@ class JobQueue:
 
     def has_no_time(self, user: str | None) -> bool:
         """Return whether a user has no task time left today."""
-        return self.is_exhausted or user in self.exhausted
+        return self.task_time.is_used_up(user, self.limits)
 
     def _is_full(self, user: str | None, busy: int) -> bool:
         most = self.limits.of(user).running

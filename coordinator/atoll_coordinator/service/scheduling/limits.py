@@ -216,11 +216,8 @@ class TaskTime:
         unsaved, self._unsaved = self._unsaved, defaultdict(float)
         return dict(unsaved)
 
-    def exhausted(self, limits: Limits) -> frozenset[str | None]:
-        """Return the users who have used up their task time of today."""
-        most = {user: limits.of(user).task_time for user in self._used}
-        return frozenset(user for user, limit in most.items() if limit is not None and self._used[user] >= limit)
-
-    def is_used_up(self, limits: Limits) -> bool:
-        """Return whether all users together have used up the task time of today."""
-        return limits.total.task_time is not None and sum(self._used.values()) >= limits.total.task_time
+    def is_used_up(self, user: str | None, limits: Limits) -> bool:
+        """Return whether a user, or all users together, have used up the task time of today."""
+        own, total = limits.of(user).task_time, limits.total.task_time
+        is_own_used_up = own is not None and self._used.get(user, 0.0) >= own
+        return is_own_used_up or (total is not None and sum(self._used.values()) >= total)

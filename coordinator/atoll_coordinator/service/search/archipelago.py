@@ -19,6 +19,7 @@ from atoll_coordinator.service.search.checkpoints import (
 from atoll_coordinator.service.search.collector import Collector, Measure, SearchState
 from atoll_coordinator.service.search.ending import Cut, SearchLimits
 from atoll_core.errors import RemoteProtocolError
+from atoll_core.search.commit_order import Position
 from atoll_core.wire.messages.epochs import EpochReport, PullReports, PullStates, States
 from atoll_core.wire.messages.views import IslandView
 from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement, Schedule
@@ -86,6 +87,7 @@ class Archipelago:
         self._since_plan = PLAN_COMMITS
         self._durable_at = 0.0
         self._forget = 0
+        self._hit: Position | None = None
         self._latest: list[int] = []
 
     @property
@@ -155,6 +157,7 @@ class Archipelago:
         self._wants_barrier = False
         self._durable_at = now
         self._forget = placement.epoch
+        self._hit = None
         self._latest = [placement.epoch - 1] * len(placement.workers)
 
     def unplace(self) -> None:
@@ -194,11 +197,29 @@ class Archipelago:
         self._update_latest(islands, report.epoch)
         return advanced
 
-    def update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> None:
-        """Record how far a worker's islands have come, and of which checkpoints it has snapshots."""
-        if self.placement is not None:
-            self._update_latest(self.placement.islands_of(worker), assignment_status.reported - 1)
-            self._snapshots[worker] = assignment_status.snapshots
+    def update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> Commit | None:
+        """Record how far a worker's islands have come, of which checkpoints it has snapshots, and a hit there.
+
+        Returns the commit that is due: workers stop at a hit, and may forget messages.
+        """
+        if self.placement is None:
+            return None
+        self._update_latest(self.placement.islands_of(worker), assignment_status.reported - 1)
+        self._snapshots[worker] = assignment_status.snapshots
+        if self.cut is None and self._is_earlier(assignment_status.hit, self._hit):
+            self._hit = assignment_status.hit
+            return self.commit()
+        return self.due_commit()
+
+    def _is_earlier(self, hit: Position | None, other: Position | None) -> bool:
+        """Return whether a hit counts before another one; None: there is none."""
+        rank = self.collector.limits.commit_order.rank
+        return hit is not None and (other is None or rank(hit) < rank(other))
+
+    def missed_commit(self, assignment_status: AssignmentStatus) -> Commit | None:
+        """Return the commit that a worker does not know of; None: it knows all."""
+        is_known = assignment_status.commit >= self.durable and not self._is_earlier(self._hit, assignment_status.hit)
+        return None if is_known else self.commit()
 
     def missing_reports(self, worker: str, assignment_status: AssignmentStatus) -> PullReports | None:
         """Return the pull of reports that a worker sent and that did not arrive; None when there are none."""
@@ -283,6 +304,7 @@ class Archipelago:
             epoch=self.durable,
             schedule=self._schedule,
             reported=max(self._forget, self.durable),
+            hit=self._hit,
         )
 
     def validate(self) -> None:

@@ -35,11 +35,13 @@ Process = tuple[str, str]
 
 
 class CrashLoop:
-    """The deaths of workers of one archipelago since its last commit."""
+    """The deaths of workers of one archipelago since its last commit, and the factor on the leases of its workers."""
 
     def __init__(self) -> None:
+        self.lease_factor = 1.0
         self._processes: dict[int, set[Process]] = {}
         self._committed = 0
+        self._is_evicted = False
 
     @property
     def deaths(self) -> int:
@@ -67,6 +69,12 @@ class CrashLoop:
         self._processes.setdefault(term, set()).add(process)
         return is_first
 
+    def add_eviction(self) -> None:
+        """Double the leases, if a worker was given up before and there was no commit in between."""
+        if self._is_evicted:
+            self.lease_factor = min(MAX_FACTOR, 2.0 * self.lease_factor)
+        self._is_evicted = True
+
     def withdraw(self, process: Process) -> bool:
         """Withdraw the death of a process that is alive; return whether a term no longer counts because of that."""
         terms = [term for term, processes in self._processes.items() if processes == {process}]
@@ -80,6 +88,7 @@ class CrashLoop:
 
     def add_commit(self, epoch: int) -> None:
         """Forget the deaths, if the commit is newer than all before: after a death, epochs are computed again."""
+        self._is_evicted = False
         if epoch > self._committed and self.state != "failed":
             self._committed = epoch
             self._processes.clear()
@@ -107,6 +116,7 @@ class CrashLoops:
     def add_death(self, key: ArchipelagoKey, term: int, process: Process, why: str) -> str | None:
         """Count a death for an archipelago; return the reason for which its job fails, if it does."""
         loop = self._loops.setdefault(key, CrashLoop())
+        loop.add_eviction()
         is_first = loop.add_death(term, process)
         if loop.state != "failed":  # otherwise its job ends now, and the end is stored
             self._unsaved.append(Death(*key, term, *process))
@@ -142,6 +152,14 @@ class CrashLoops:
         if counting:
             self._store.take_back_deaths(*process)
 
+    def lease_factors(self, archipelagos: Iterable[Archipelago]) -> dict[str, float]:
+        """Return the factor on each worker's lease: the largest of the archipelagos of which it has islands."""
+        factors: dict[str, float] = {}
+        for archipelago in archipelagos:
+            for worker in archipelago.workers:
+                factors[worker] = max(factors.get(worker, 1.0), self.loop(archipelago.key).lease_factor)
+        return factors
+
     def save(self) -> None:
         """Store the counted deaths, before the islands are placed again."""
         if self._unsaved:
@@ -152,38 +170,6 @@ class CrashLoops:
         """Forget a job that has ended."""
         self._loops = {key: loop for key, loop in self._loops.items() if key[0] != job}
         self._unsaved = [death for death in self._unsaved if death.job != job]
-
-
-class LeaseBackoff:
-    """The factor on the leases of each archipelago's workers. Pure."""
-
-    def __init__(self) -> None:
-        self._factors: dict[ArchipelagoKey, float] = {}
-        self._is_evicted: dict[ArchipelagoKey, bool] = {}
-
-    def add_eviction(self, key: ArchipelagoKey) -> None:
-        """Record that a worker of this archipelago was given up."""
-        if self._is_evicted.get(key, False):
-            self._factors[key] = min(MAX_FACTOR, 2.0 * self._factors.get(key, 1.0))
-        self._is_evicted[key] = True
-
-    def add_commit(self, key: ArchipelagoKey) -> None:
-        """Record that this archipelago has a new commit."""
-        self._is_evicted[key] = False
-
-    def factors(self, archipelagos: Iterable[Archipelago]) -> dict[str, float]:
-        """Return the factor of each worker: the largest of the archipelagos of which it has islands."""
-        factors: dict[str, float] = {}
-        for archipelago in archipelagos:
-            for worker in archipelago.workers:
-                factors[worker] = max(factors.get(worker, 1.0), self._factors.get(archipelago.key, 1.0))
-        return factors
-
-    def forget(self, job: str) -> None:
-        """Forget a job that has ended."""
-        for table in (self._factors, self._is_evicted):
-            for key in [key for key in table if key[0] == job]:
-                del table[key]
 
 
 class Quarantine:

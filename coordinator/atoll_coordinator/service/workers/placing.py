@@ -20,6 +20,7 @@ from atoll_core.wire.messages.workers import (
     Close,
     CloseJob,
     Commit,
+    JobAnnouncement,
     Placement,
     Placements,
     WorkerStatus,
@@ -252,14 +253,14 @@ def _unplace(archipelago: Archipelago, load: Counter[str]) -> None:
     archipelago.unplace()
 
 
-Correction = Close | CloseJob | Commit | Placements | PullReports
+Correction = Close | CloseJob | Commit | JobAnnouncement | Placements | PullReports
 
 
 def corrections(
     jobs: Mapping[str, Job], begun: Mapping[str, Job], worker: str, status: WorkerStatus,
     guarded: JobGuard = unguarded, ending: Container[str] = (),
 ) -> list[Correction]:  # fmt: skip
-    """Return the messages to a worker after its heartbeat: releases, missing placements, pulls of lost reports.
+    """Return the messages to a worker after its heartbeat: releases, missing placements, announcements and reports.
 
     Only live `jobs` that have `begun` can have placements. Jobs that are `ending` are left out: they go on if the
     coordinator dies before their ends are stored. Each job is handled under `guarded`, so that an error affects no
@@ -276,11 +277,10 @@ def corrections(
     missing: list[Placement] = []
     for job_id, job in tuple(begun.items()):
         with guarded(job_id):
-            missing += [
-                archipelago.placement
-                for archipelago in job.open_archipelagos
-                if archipelago.placement is not None and worker in archipelago.workers and archipelago.key not in held
-            ]
+            placed = [archipelago for archipelago in job.open_archipelagos if worker in archipelago.workers]
+            missing += [one.placement for one in placed if one.placement is not None and one.key not in held]
+            if placed and job_id not in status.jobs and job_id not in ending:
+                messages.append(job.announcement())
     return [*messages, Placements(placements=tuple(missing))] if missing else messages
 
 
@@ -298,13 +298,8 @@ def _correct_assignment(jobs: Mapping[str, Job], worker: str, assignment_status:
         return []
     if assignment_status.term < placement.term:
         return [Placements(placements=(placement,))]
-    messages: list[Correction] = []  # for lost reports and a lost commit
-    pull, commit = archipelago.missing_reports(worker, assignment_status), archipelago.commit()
-    if pull is not None:
-        messages.append(pull)
-    if commit is not None and assignment_status.commit < commit.epoch:
-        messages.append(commit)
-    return messages
+    pull, commit = archipelago.missing_reports(worker, assignment_status), archipelago.missed_commit(assignment_status)
+    return [message for message in (pull, commit) if message is not None]
 
 
 def _is_open(jobs: Mapping[str, Job], job_id: str) -> bool:

@@ -12,10 +12,10 @@ from atoll_coordinator.service.jobs.job import Fault, Job
 from atoll_coordinator.service.monitoring.breakages import Breakages, JobGuard, what_to_send
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import CounterRegistry
-from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
+from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
-from atoll_coordinator.service.workers.crash_loops import CrashLoops, LeaseBackoff, Quarantine
+from atoll_coordinator.service.workers.crash_loops import CrashLoops, Quarantine
 from atoll_coordinator.service.workers.membership import Member, Membership
 from atoll_coordinator.service.workers.placing import Assignment, Scheduler, corrections
 from atoll_coordinator.service.workers.stalls import StallDetector
@@ -72,7 +72,6 @@ class WorkerController:
         self._lose_tasks = live.lose_tasks
         self._guarded = live.guarded
         self._breakages = live.breakages
-        self._leases = LeaseBackoff()
         self._quarantine = Quarantine(self.membership, self.crash_loops)
         self._scheduler = Scheduler(self.membership, self._quarantine, expected_workers)
         self._stalls = StallDetector(self.membership)
@@ -174,9 +173,8 @@ class WorkerController:
         """Record a worker's progress with its islands; publish a commit that becomes due."""
         archipelago = self._placed(assignment_status.job, assignment_status.variable, assignment_status.term)
         if archipelago is not None:
-            archipelago.update_assignment_status(worker, assignment_status)
+            commit = archipelago.update_assignment_status(worker, assignment_status)
             self.counters.set_waited(worker, assignment_status)
-            commit = archipelago.due_commit()
             if commit is not None:
                 self._channel.publish(commit)
 
@@ -196,7 +194,7 @@ class WorkerController:
 
     def expire(self, now: float) -> None:
         """Give up the workers whose leases are over."""
-        for member in self.membership.expire(now, self._leases.factors(self._open_archipelagos())):
+        for member in self.membership.expire(now, self.crash_loops.lease_factors(self._open_archipelagos())):
             self._lose(member, member.lost_by, now)
 
     def _lose(self, member: Member, why: str, now: float) -> None:
@@ -223,7 +221,6 @@ class WorkerController:
 
     def _add_death(self, archipelago: Archipelago, member: Member, why: str) -> str | None:
         """Count the loss of a process for an archipelago; return the reason why its job fails, if it does."""
-        self._leases.add_eviction(archipelago.key)
         self.counters.add(archipelago.job, deaths=1)
         term = archipelago.placement.term if archipelago.placement is not None else 0
         return self.crash_loops.add_death(archipelago.key, term, (member.hello.name, member.hello.instance), why)
@@ -245,7 +242,11 @@ class WorkerController:
                 self._channel.send(
                     worker, messages.Close(job=placement.job, variable=placement.variable, term=placement.term)
                 )
-        for assignment, placement in self._begin_terms(plan.assignments, guarded):
+        begun = self._begin_terms(plan.assignments, guarded)
+        for job in {assignment.job.id: assignment.job for assignment, _ in begun}.values():
+            with guarded(job.id):
+                self._channel.publish(job.announcement())
+        for assignment, placement in begun:
             with guarded(placement.job):
                 self._place(assignment, placement, now)
 
@@ -283,11 +284,6 @@ class WorkerController:
         self.counters.add(placement.job, placements=1)
         self._events.record_placement(placement)
 
-    def add_commit(self, checkpoint: Checkpoint) -> None:
-        """Record that a checkpoint is durable: its archipelago makes progress."""
-        self._leases.add_commit(checkpoint.key)
-        self.crash_loops.add_commit(checkpoint.key, checkpoint.epoch)
-
     def check_stalls(self, now: float) -> None:
         """Record which archipelagos make no progress, and which make progress again."""
         for (job, variable), stall in self._stalls.check(self._open_archipelagos(), now):
@@ -311,11 +307,6 @@ class WorkerController:
             return f"islands of {', '.join(quarantined)} are isolated and wait for a worker of their own"
         is_waiting = any(archipelago.placement is None for archipelago in job.open_archipelagos)
         return self.membership.waiting_reason() if is_waiting else None
-
-    def forget(self, job: str) -> None:
-        """Forget a job that has ended."""
-        self._leases.forget(job)
-        self.crash_loops.forget(job)
 
     def _open_archipelagos(self) -> list[Archipelago]:
         return [archipelago for job in self._begun.values() for archipelago in job.open_archipelagos]

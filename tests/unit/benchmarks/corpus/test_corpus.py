@@ -1,28 +1,21 @@
-"""The corpus: equal seeds give equal tables, qualities are what they say, outcomes are judged, kept and summed up."""
+"""The corpus: equal seeds give equal tables, qualities are what they say, outcomes are judged and summed up."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from atoll_core.errors import DataError
 from benchmarks.corpus import __main__ as corpus
-from benchmarks.corpus import campaign
 from benchmarks.corpus.campaign import configuration
 from benchmarks.corpus.cases import Key, make_case, smallest_t
 from benchmarks.corpus.families import FAMILIES
 from benchmarks.corpus.lengths import excess_of_truth
-from benchmarks.corpus.outcomes import Outcome, judge_job
+from benchmarks.corpus.outcomes import judge_job
 from benchmarks.corpus.systems import CorpusSystem, solution
 from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
-from benchmarks.harness.journal import Journal
 
 KEY = Key("lotka_volterra", 2, 1, "even", "noise-0.01", 0)
 RANDOM = Key("random", 1, 4, "even", "exact", 3)
-
-
-def kept(path):
-    return Journal("corpus", Outcome, path, (), resume=path is not None and path.exists())
 
 
 def result(x, y, **more):
@@ -74,37 +67,6 @@ def test_the_truth_is_looked_for_elsewhere(lotka):
         KEY, lotka, result("1.1*x", "0.1*x*y - 0.4*y", candidates=[{"expression": text, "nats": 2.5}])
     )
     assert (judgement.equations[0].elsewhere, judgement.equations[0].nats) == ("candidates", 2.5)
-
-
-def test_a_campaign_does_only_what_is_missing(monkeypatch, judged):
-    journal = kept(None)
-    journal.add(judged, None)
-    monkeypatch.setattr("benchmarks.harness.campaign.searching", lambda workers: pytest.fail("nothing is missing"))
-    assert campaign.run_jobs([KEY], journal, 1, None, {}) == [judged]
-
-
-def test_operon_is_given_the_same_table_and_the_operators_of_the_search(monkeypatch, lotka):
-    given = []
-
-    def solve(table, operators, seed):
-        given.append((table.columns.tobytes(), operators, seed))
-        return result("1.1*x - 0.4*x*y", "0.1*x*y - 0.4*y")
-
-    monkeypatch.setattr(campaign.operon_models, "solve", solve)
-    (outcome,) = campaign.run_jobs([dataclasses.replace(KEY, method="operon")], kept(None), 1, None, {})
-    assert [equation.is_right for equation in outcome.equations] == [True, True]
-    assert given == [(lotka.table.columns.tobytes(), configuration(KEY, lotka, None, {}).space.operators, KEY.seed)]
-    assert set(outcome.cpu) == {"operon"}
-
-
-def test_a_peer_that_cannot_use_the_data_fails_that_job_only(monkeypatch):
-    def solve(*_):
-        raise DataError("too few rows")
-
-    monkeypatch.setattr(campaign.operon_models, "solve", solve)
-    (outcome,) = campaign.run_jobs([dataclasses.replace(KEY, method="operon")], kept(None), 1, None, {})
-    assert outcome.failure == "too few rows"
-    assert [equation.form for equation in outcome.equations] == ["none", "none"]
 
 
 def test_tables_count_what_they_say(judged):

@@ -19,11 +19,6 @@ def test_the_text_of_the_truth_is_the_field_that_is_solved(name):
             assert float(value) == pytest.approx(float(slope), rel=1e-12)
 
 
-def test_noise_is_a_share_of_the_spread():
-    clean, noisy = (np.concatenate(trajectories("bar_magnets", 0.02, noise=noise).values) for noise in (0.0, 0.1))
-    assert np.std(noisy - clean, axis=0) == pytest.approx(0.1 * clean.std(axis=0), rel=0.1)
-
-
 def test_the_command_writes_files_that_are_read_back_exactly(tmp_path, capsys):
     main(["--system", "pendulum", "--step", "0.5", "--out", str(tmp_path)])
     assert capsys.readouterr().out == f"{tmp_path / 'pendulum.csv'}\n"

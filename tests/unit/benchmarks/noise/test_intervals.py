@@ -3,15 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.noise.intervals import ERRORS, LAWS, drawn, fit
-
-
-@pytest.mark.parametrize("errors", ERRORS)
-def test_equal_seeds_draw_equal_tables(errors: str) -> None:
-    law = LAWS["decay"]
-    one, other, third = (drawn(law, 12, errors, 0.03, seed) for seed in (1, 1, 2))
-    assert np.array_equal(one["x"], other["x"])
-    assert not np.array_equal(one["x"], third["x"])
+from benchmarks.noise.intervals import LAWS, drawn, fit
 
 
 def test_errors_of_neighbours_are_correlated_as_named() -> None:

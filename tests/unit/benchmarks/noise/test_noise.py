@@ -148,19 +148,3 @@ class _Given:
 
     def __exit__(self, *_):
         return None
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--levels", "nan"], "a share"),
-        (["--out", "a", "--resume", "b"], "give one of the two"),
-        (["--only-versus"], "--versus pysindy"),
-        (["--judge-again"], "name it with --resume"),
-    ],
-)
-def test_bad_options_are_one_sentence_and_exit_code_2(words, sentence, capsys):
-    with pytest.raises(SystemExit) as ended:
-        noise.main(words)
-    assert ended.value.code == 2
-    assert sentence in capsys.readouterr().err

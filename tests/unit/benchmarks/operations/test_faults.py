@@ -4,7 +4,7 @@ import pytest
 
 from atoll_core.wire.messages.views import JobState, JobView, VariableView
 from benchmarks.operations.faults import main
-from benchmarks.operations.strikes import LASTING_S, Blow, Standing, Strikes, rows
+from benchmarks.operations.strikes import LASTING_S, Standing, Strikes
 
 
 def view(state: JobState = "running", **epochs: int) -> JobView:
@@ -16,10 +16,6 @@ def view(state: JobState = "running", **epochs: int) -> JobView:
         job="j", name="", state=state, seed=0, preset="default", reason=None, warnings=(), submitted="", elapsed=0.0,
         workers=1, point_evaluations=0, variables=variables,
     )  # fmt: skip
-
-
-def blow(kind: str, lost_s: float) -> Blow:
-    return Blow(kind, "w0", 1.5, "j", 0.0, lost_s)  # type: ignore[arg-type]
 
 
 def test_strikes_are_drawn_from_their_seed() -> None:
@@ -42,15 +38,6 @@ def test_a_search_has_recovered_when_every_equation_got_further_or_is_over() -> 
     assert before.is_passed_by(Standing.of(view(x=4, y=9)))
     assert before.is_passed_by(Standing.of(view("done", x=3, y=5)))
     assert not before.is_passed_by(Standing.of(view()))
-
-
-def test_the_table_has_each_kind_and_all() -> None:
-    blows = [blow("kill-worker", 1.0), blow("stop-worker", 16.0), blow("kill-worker", 2.0)]
-    assert rows(blows) == [
-        ("kill-worker", "2", "1.50", "2.00", "1.5"),
-        ("stop-worker", "1", "16.00", "16.00", "1.5"),
-        ("all", "3", "2.00", "16.00", "1.5"),
-    ]
 
 
 @pytest.mark.parametrize(

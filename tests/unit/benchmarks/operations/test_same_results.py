@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from atoll_core.errors import UsageError
-from benchmarks.operations.same_results import Found, Side, compare, journal_of, main, summed
+from benchmarks.operations.same_results import Found, Side, compare, journal_of, summed
 from benchmarks.operations.small_jobs import JOBS
 
 LINE = "2 k point evaluations in 0.6 s of search, seed 0"
@@ -34,13 +34,6 @@ def test_a_record_is_gone_on_with_by_the_same_code_only(tmp_path: Path) -> None:
     assert journal_of(side, path, []).outcomes == {"lv1": FOUND}
     with pytest.raises(UsageError, match="another state of the code"):
         journal_of(replace(side, sources="new code"), path, [])
-
-
-def test_without_anything_to_compare_with_there_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main([])
-    assert ended.value.code == 2
-    assert "name a revision" in capsys.readouterr().err
 
 
 def test_no_job_ends_by_the_clock() -> None:

@@ -1,27 +1,10 @@
-"""Two revisions side by side: turns, medians, ratios, and what ends it."""
+"""Two revisions side by side: medians, ratios, and what differs."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
-from benchmarks.operations.side_by_side import Beside, Took, in_turn, median, shown
+from benchmarks.operations.side_by_side import Beside, Took, median, shown
 
 TOOK = Took(0.2, 2.0, 3.0, "abc", ("x",), 1000)
-
-
-def recording(log: list[str], who: str, took: Took) -> Callable[[str], Took]:
-    def run(job: str) -> Took:
-        log.append(f"{who} {job}")
-        return took
-
-    return run
-
-
-def test_jobs_take_turns_and_who_begins_changes() -> None:
-    log: list[str] = []
-    jobs = in_turn(["a", "b"], recording(log, "ours", TOOK), recording(log, "theirs", TOOK), 2, lambda: True)
-    assert log[:4] == ["ours a", "theirs a", "theirs b", "ours b"]
-    assert len(log) == 8
-    assert [job.job for job in jobs] == ["a", "b"]
 
 
 def test_medians_are_of_times_and_a_digest_that_changes_is_seen() -> None:

@@ -1,10 +1,11 @@
-"""The Strogatz files: what must be there, and SRBench's way to split and disturb them."""
+"""The Strogatz files: what must be there, SRBench's way to split and disturb them, and errors on their rows."""
 
 import numpy as np
 import pytest
 
 from atoll_core.errors import DataError
 from benchmarks.peers.strogatz_files import NAMES, rows_of, split, truths
+from benchmarks.peers.strogatz_versus import measured_error
 
 
 @pytest.fixture
@@ -44,3 +45,11 @@ def test_noise_is_on_the_labels_to_learn_from_alone_and_of_the_given_size(folder
     assert abs(np.mean(noise)) < 4 * expected / np.sqrt(300)
     np.testing.assert_array_equal(parts.labels, np.cos(parts.columns["x"]))
     np.testing.assert_array_equal(rows.columns, before)
+
+
+def test_the_error_of_an_equation_is_measured_in_spreads_of_the_label(folder):
+    rows = rows_of(folder, "lv1")
+    assert measured_error("cos(x)", rows) == pytest.approx(0.0, abs=1e-12)
+    assert measured_error("cos(x) + 0.5", rows) == pytest.approx(0.5 / np.std(rows.column("label")))
+    with np.errstate(all="ignore"):
+        assert measured_error("x/(x + y)", rows) is None

@@ -1,20 +1,13 @@
-"""Noise on the labels: how results are judged, counted and set beside the published rates."""
-
-import dataclasses
-import json
-from argparse import Namespace
+"""Noise on the labels: how results are judged."""
 
 import numpy as np
 import pytest
 
-from atoll_core.config import PRESETS
-from benchmarks.harness.record import Record
 from benchmarks.judging.rules import NO_EQUATION, Form
 from benchmarks.peers import strogatz_noise
 from benchmarks.peers.strogatz_files import NAMES, rows_of, split
-from benchmarks.peers.strogatz_noise import outcome, run
+from benchmarks.peers.strogatz_noise import outcome
 
-CONFIG = PRESETS["default"].model_copy(update={"data": PRESETS["default"].data.model_copy(update={"target": "label"})})
 TRUTH = "2*y - x*y - y**2"
 
 
@@ -55,29 +48,3 @@ def test_an_equation_is_judged_by_both_rules(folder):
     assert (judgement.srbench, judgement.strict, judgement.on_front) == (False, True, 7)
     assert judgement.constants_error == pytest.approx(5e-4, rel=1e-3)
     assert judged(folder, result(TRUTH)).srbench
-
-
-@dataclasses.dataclass
-class Told:
-    """Answers each search with the same equation."""
-
-    expression: str
-    titles: list[str] = dataclasses.field(default_factory=list)
-
-    def solve(self, title, table, config):
-        assert table.rows == 300
-        self.titles.append(title)
-        return result(self.expression)
-
-
-@pytest.mark.parametrize(("expression", "code"), [(TRUTH, 0), ("x", 1)])
-def test_all_files_levels_and_seeds_are_searched(folder, capsys, expression, code):
-    options = Namespace(data=folder, file=["lv2"], noise=[0.0, 0.1], seeds=[3, 4])
-    told, out = Told(expression), folder / "out.json"
-    configs = dict.fromkeys(options.seeds, CONFIG)
-    assert run(told, options, configs, {"lv2": TRUTH}, Record("strogatz", [], out)) == code
-    assert told.titles == [f"lv2 noise {level} seed {seed}" for level in ("0", "0.1") for seed in (3, 4)]
-    contents = json.loads(out.read_text())
-    assert len(contents["runs"]) == 4
-    assert contents["rates"]["0.1"]["srbench"] == (100.0 if code == 0 else 0.0)
-    assert "highest published" in capsys.readouterr().out

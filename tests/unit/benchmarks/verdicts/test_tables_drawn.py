@@ -11,7 +11,7 @@ from benchmarks.corpus.cases import LEAST_T
 from benchmarks.verdicts.campaign import request, table_of
 from benchmarks.verdicts.drawn import Drawn
 from benchmarks.verdicts.judging import Key, judge
-from benchmarks.verdicts.simulation import Run, least_t, prediction_r2
+from benchmarks.verdicts.simulation import Run, least_t
 
 TABLES = [
     Key("few-rows", 0), Key("few-rows", 5), Key("few-rows", 7), Key("targets", 3), Key("targets", 11),
@@ -51,16 +51,6 @@ def test_the_laws_are_right_and_foretell(key: Key) -> None:
     for equation in judge(drawn, result):
         assert (equation.form, equation.is_false, equation.is_wrong_beyond) == ("right", False, False)
         assert equation.r2 == pytest.approx(1.0, abs=1e-4)
-
-
-def test_r2_is_that_of_the_model_of_each_group() -> None:
-    times = np.linspace(0.0, 2.0, 9)
-    runs = [Run({}, (1.0,), times, group=group) for group in ("a", "b")]
-    models = {"a": {"x": "-x"}, "b": {"x": "-2.0*x"}}
-    true = [np.exp(-times)[:, None], np.exp(-2.0 * times)[:, None]]
-    assert prediction_r2(models, runs, true)["x"] == pytest.approx(1.0)
-    assert prediction_r2({"a": models["a"], "b": models["a"]}, runs, true)["x"] < 0.9
-    assert prediction_r2({"a": {"x": "x**3 + 9.0"}, "b": models["b"]}, runs, true)["x"] == -np.inf
 
 
 def test_a_constant_is_known_by_the_errors_and_the_rows() -> None:

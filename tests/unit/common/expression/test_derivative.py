@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import sympy
 
-from atoll_core.expression.compiled import function_of
 from atoll_core.expression.derivative import derivative, with_variables
-from atoll_core.expression.evaluation import NUMPY, values_and_gradient, values_of
+from atoll_core.expression.evaluation import NUMPY, function_of, values_and_gradient, values_of
 from atoll_core.expression.operators import ARITY, CONSTANT, OPERATORS, VARIABLE
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.export import to_sympy

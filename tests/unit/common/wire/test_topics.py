@@ -13,20 +13,18 @@ PARTS = st.sampled_from(["alive", "status", "report", "pull", "log"])
 
 
 @pytest.mark.slow
-@given(IDS, IDS, IDS, DIGESTS, st.integers(0, topics.MAX_CHUNKS - 1), PARTS)
+@given(IDS, IDS, DIGESTS, st.integers(0, topics.MAX_CHUNKS - 1), PARTS)
 def test_every_key_that_is_built_is_parsed_back(
-    cluster: str, name: str, peer: str, digest: str, index: int, part: topics.WorkerPart
+    cluster: str, name: str, digest: str, index: int, part: topics.WorkerPart
 ) -> None:
     pairs = [
         (topics.HELLO, topics.HelloKey()),
         (topics.hello(name), topics.HelloKey(name)),
         (topics.control(cluster), topics.ControlKey(cluster)),
         (topics.control(cluster, name), topics.ControlKey(cluster, name)),
-        (topics.job(cluster, name), topics.JobKey(cluster, name)),
-        (topics.job(cluster, name, "placement"), topics.JobKey(cluster, name, "placement")),
+        (topics.states(cluster, name), topics.StatesKey(cluster, name)),
         (topics.blob(cluster, digest, index), topics.BlobKey(cluster, digest, index)),
         (topics.worker(cluster, name, part), topics.WorkerKey(cluster, name, part)),
-        (topics.mail(cluster, name, peer), topics.MailKey(cluster, name, peer)),
         (topics.client(cluster, name), topics.ClientKey(cluster, name)),
     ]
     for key, parsed in pairs:
@@ -69,7 +67,7 @@ def test_no_text_breaks_the_parser(key: str) -> None:
 @pytest.mark.parametrize("name", ["", "a/b", "*", "θ", "x" * 65, "v [m/s]"])
 def test_only_ids_stand_in_keys(name: str) -> None:
     with pytest.raises(LocalProtocolError, match="cannot stand in a key"):
-        topics.job("cluster", name)
+        topics.states("cluster", name)
 
 
 def test_blob_keys_need_a_digest_and_a_chunk_that_can_be() -> None:

@@ -111,6 +111,13 @@ def test_a_known_equation_is_prepared_beside_the_only_one_sought():
     assert [(name, to_infix(program, dataset.names)) for name, program in programs.items()] == [("y", "-x")]
 
 
+def test_an_explicit_regression_has_no_derivatives():
+    config = config_of(known={"y": "2*x"}, data=DataConfig(target="y"))
+    assert prepare(table_of(oscillator()), config).dataset.variables == ("y",)
+    with pytest.raises(UsageError, match="as it stands"):
+        prepare(table_of(oscillator()), config_of(known={"dy": "2*x"}, data=DataConfig(target="y")))
+
+
 OF_COLUMNS = {"x": "x", "v-x": "v_x", "dx": "dx", "u": "u"}
 
 

@@ -41,6 +41,21 @@ def test_every_row_is_recorded_as_it_was_measured():
     assert not trajectory.held_out
 
 
+def test_arrays_are_in_c_order():
+    columns = noisy(50)
+    columns["u"] = columns["t"] ** 2
+    for trajectory in recorded(columns, (0, 20), inputs=("u", "t")).trajectories:
+        for array in (
+            trajectory.times,
+            trajectory.measured,
+            trajectory.smoothed,
+            trajectory.slopes,
+            trajectory.inputs,
+            trajectory.input_slopes,
+        ):
+            assert array.flags.c_contiguous
+
+
 def test_how_noisy_states_were_smoothed():
     columns = noisy()
     recording = recorded(columns)

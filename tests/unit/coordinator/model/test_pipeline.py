@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.constants.standard_errors import student_95
+from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool, decode_members
 from atoll_coordinator.model.refinement import Refined
-from atoll_coordinator.model.regression import equation as shorten
-from atoll_coordinator.model.regression.covariance import student_95
+from atoll_coordinator.model.regression import equation
 from atoll_coordinator.model.regression.equation import fit_equation
+from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, SpaceConfig
 from atoll_core.expression.program import Program
 from atoll_core.expression.writing.expansion import form_of
@@ -230,10 +232,11 @@ def test_the_work_is_bounded(monkeypatch):
     front = [entry(text, sought) for text in ("4.0 - y", "4.1 - 2.1*y/(x + 0.8) + 0.1*sin(3.0*x*y) - 0.2*cos(x)/y")]
     spent = []
     for most in (100_000, 2_000_000):
-        monkeypatch.setattr(shorten, "SETTINGS", settings("regression", most_evaluations=most))
-        shortening = shorten.Shortening(sought, frozenset({2, 3, 4, 5, 6, 7}))
+        monkeypatch.setattr(equation, "SETTINGS", settings("effort", work=5 * most))
+        rows, criterion = LeastSquares(sought), RegressionCriterion.of(sought.target)
+        shortening = equation.target_shortening(rows, criterion, frozenset({2, 3, 4, 5, 6, 7}), range(2))
         assert shortening.candidates([Program.from_bytes(entry.program, 2) for entry in front])
-        spent.append(shortening.least_squares.evaluations)
+        spent.append(rows.evaluations)
     assert spent[0] < 0.5 * spent[1]
 
 

@@ -23,6 +23,8 @@ from atoll_island_worker.session.interface import (
     EpochComputed,
     EpochTask,
     JobReady,
+    LoadFailed,
+    Rejected,
     TaskKey,
 )
 
@@ -111,6 +113,13 @@ def task(of: TaskKey, blocks: Mapping[int, bytes] | None = None, is_last: bool =
     return EpochTask(of, blocks, is_last, commit_order=COMMIT_ORDER)
 
 
+def test_refused_immigrants_are_said(compute: ComputeThread, results: "queue.Queue[object]") -> None:
+    compute.run(task(key(0)))
+    results.get(timeout=LIMIT_S)
+    compute.run(task(key(0, 1), {1: b"bad"}))
+    assert results.get(timeout=LIMIT_S) == Rejected(key(0, 1), "a block is malformed")
+
+
 def test_what_breaks_is_said_and_the_thread_goes_on(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     compute.run(task(key(8)))
     result = results.get(timeout=LIMIT_S)
@@ -131,6 +140,13 @@ def test_an_island_stops_where_the_target_was_met(compute: ComputeThread, result
     assert (result.report.generations, result.emigrants) == (500, {})
     compute.run(task(key(0, 1), {1: b"one"}))
     assert results.get(timeout=LIMIT_S) == Abandoned(key(0, 1))
+
+
+def test_an_unreadable_dataset_is_said(compute: ComputeThread, results: "queue.Queue[object]") -> None:
+    compute.load("other", JobConfig(), b"no dataset")
+    result = results.get(timeout=LIMIT_S)
+    assert isinstance(result, LoadFailed)
+    assert result.job == "other"
 
 
 def test_a_warm_up_says_what_it_does_also_before_anybody_listens(results: "queue.Queue[object]") -> None:

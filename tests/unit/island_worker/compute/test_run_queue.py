@@ -2,15 +2,19 @@
 
 from dataclasses import dataclass, field
 
+import pytest
+
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.messages.epochs import HitStatement, IslandReport
 from atoll_island_worker.compute.run_queue import RunQueue
 from atoll_island_worker.session.interface import (
     Abandoned,
+    Broken,
     EpochComputed,
     EpochTask,
     Outcome,
+    Rejected,
     ShardKey,
     Snapshot,
     TaskKey,
@@ -150,6 +154,12 @@ def test_what_is_discarded_is_forgotten_with_its_hits() -> None:
     assert {variable for _, variable, *_ in bench.slices} == {"y"}
     queue.add(EpochTask(key(0), None, is_last=False, commit_order=COMMIT_ORDER))
     assert reached(emptied(queue)) == {(0, 0): 50}
+
+
+@pytest.mark.parametrize(("island", "kind"), [(6, Broken), (7, Rejected)])
+def test_what_goes_wrong_ends_its_task_alone(island: int, kind: type) -> None:
+    outcomes = emptied(queue_of(Bench(), key(island), key(0)))
+    assert [type(outcome) for outcome in outcomes] == [kind, EpochComputed]
 
 
 def test_users_share_a_worker_evenly_whatever_number_of_jobs_of_whatever_priority_they_have() -> None:

@@ -4,8 +4,8 @@ import pytest
 
 from atoll_core import PROTOCOL_VERSION, VERSION
 from atoll_core.errors import RemoteProtocolError, UnreachableError
-from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Welcome
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.handshake import GreetingAnswer, Welcome
 from atoll_island_worker.connection import RETURN_S, START_S, CoordinatorConnection, PendingRequest, Requests
 from atoll_island_worker.session.interface import Reset
 from tests.simulation.bus.network import SimulatedNetwork
@@ -32,14 +32,23 @@ class ConnectionBench:
         self.requests = SentRequests(self.network, name)
         self.connection = CoordinatorConnection(self.requests._bus, self.requests, name, wait_s, None, grace_s)
 
-    def greeting(self) -> object:
-        self.connection.greet()
-        return decode(self.requests.greetings[-1], Greeting).body
-
 
 def welcome(cluster: str = "r", incarnation: int = 1) -> bytes:
     body = Welcome(realm=cluster, incarnation=incarnation, protocol=1, version="0", engine=1)
     return encode(GreetingAnswer(body=body))
+
+
+def test_a_worker_is_accepted_only_after_a_greeting_with_a_fingerprint() -> None:
+    bench = ConnectionBench()
+    assert bench.connection.handle_answer("", welcome()) is None
+    assert not bench.connection.is_accepted
+    bench.connection.kernels_ready("f")
+    greetings = len(bench.requests.greetings)
+    assert bench.connection.handle_answer("", welcome()) is None
+    assert len(bench.requests.greetings) == greetings + 1
+    assert bench.connection.handle_answer("f", welcome()) is None
+    assert len(bench.requests.greetings) == greetings + 1
+    assert bench.connection.is_accepted
 
 
 def test_another_incarnation_or_cluster_voids_what_is_held() -> None:

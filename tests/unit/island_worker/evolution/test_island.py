@@ -59,11 +59,6 @@ def run(config=CONFIG, problem=PROBLEM, epochs=2, stride=10):
     return search(problem, config, epochs, stride)
 
 
-def evaluations(report):
-    """Return the point evaluations since epoch 0 by part, at the end of the epoch that is reported."""
-    return report.counters[-1].evaluations
-
-
 def test_the_same_seed_gives_the_same_answer_and_another_seed_another():
     assert run() == run()
     assert not set(run().digests) & set(run(config_of(seed=4)).digests)

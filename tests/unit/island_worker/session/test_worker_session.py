@@ -5,14 +5,14 @@ from collections.abc import Iterator
 import pytest
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
-from atoll_core.search.commit_order import CommitOrder
+from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.messages.epochs import (
     Addition,
     Block,
     HitStatement,
-    IslandFinished,
     IslandReport,
     Migrants,
+    NotYet,
     PullMigrants,
     PullReports,
     PullStates,
@@ -22,21 +22,22 @@ from atoll_core.wire.messages.epochs import (
 from atoll_core.wire.messages.workers import Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import IslandState, split_states
 from atoll_island_worker.session.interface import (
-    AskPeer,
+    Abandoned,
+    Ask,
     Discard,
-    DiscardJob,
     EpochComputed,
     JobReady,
     LoadFailed,
-    Mailed,
     PullAsked,
+    PullEnded,
     Rejected,
     Reset,
     Respond,
     RunTask,
-    SendReport,
+    SendHeartbeat,
     ShardKey,
-    StatesCame,
+    Snapshot,
+    StopAt,
     TaskKey,
     Tick,
 )
@@ -86,13 +87,20 @@ def computed(task: TaskKey, emigrants: dict[int, bytes], *senders: int, hit: int
     return EpochComputed(task, report(task.island, hit), emigrants, frozenset(senders))
 
 
-def mail(epoch: int, *blocks: tuple[int, int, bytes], term: int = 1, sender: str = "peer") -> Mailed:
-    wire_blocks = tuple(Block(source=source, destination=to, data=data) for source, to, data in blocks)
-    return Mailed(sender, Migrants(job="job", variable="x", term=term, epoch=epoch, blocks=wire_blocks))
+def pull(epoch: int, *sources: int, to: tuple[int, ...] = (0,), term: int = 1) -> PullMigrants:
+    return PullMigrants(job="job", variable="x", term=term, epoch=epoch, sources=sources, destinations=to)
 
 
-def finished(island: int, epoch: int, term: int = 1, generation: int = 20) -> IslandFinished:
-    return IslandFinished(job="job", variable="x", term=term, epoch=epoch, generation=generation, island=island)
+def migrants(*blocks: tuple[int, int, bytes]) -> Migrants:
+    return Migrants(blocks=tuple(Block(source=source, destination=to, data=data) for source, to, data in blocks))
+
+
+def came(epoch: int, *blocks: tuple[int, int, bytes], peer: str = "peer") -> PullEnded:
+    return PullEnded(Ask(peer, pull(epoch, 1)), migrants(*blocks))
+
+
+def asked(actions: list[object]) -> list[Ask]:
+    return [action for action in actions if isinstance(action, Ask)]
 
 
 def begun(session: Session, *workers: str, **fields: int) -> list[object]:
@@ -100,24 +108,33 @@ def begun(session: Session, *workers: str, **fields: int) -> list[object]:
     return list(session.handle(JobReady("job")))
 
 
-def reported(actions: list[object]) -> list[tuple[int, list[int]]]:
-    reports = [action.report for action in actions if isinstance(action, SendReport)]
-    return [(epoch_report.epoch, [island.island for island in epoch_report.islands]) for epoch_report in reports]
-
-
 def tasks(actions: list[object]) -> list[TaskKey]:
     return [action.task.key for action in actions if isinstance(action, RunTask)]
-
-
-# ---------------------------------------------------------------------------------------------- beginning
 
 
 # -------------------------------------------------------------------------------------------- an epoch
 
 
-def committed(epoch: int, next_one: int, last: int, holds: bool = False, reported: int = 0) -> Commit:
+def test_migrants_are_asked_for_when_an_epoch_begins_and_may_come_before_the_island_needs_them(
+    session: Session,
+) -> None:
+    actions = begun(session, "me", "peer", "other", "me")
+    assert asked(actions) == [Ask("peer", pull(0, 1, to=(0, 3))), Ask("other", pull(0, 2, to=(0, 3)))]
+    assert session.handle(came(0, (1, 0, b"one"))) == []
+    session.handle(came(0, (1, 0, b"again")))
+    actions = session.handle(computed(key(0, 0), {}, 1))
+    (action, *_) = actions
+    assert isinstance(action, RunTask)
+    assert action.task.blocks == {1: b"one"}
+    assert [ask.body.epoch for ask in asked(actions)] == [1, 1]
+    assert session.duplicates == 1
+
+
+def committed(
+    epoch: int, next_one: int, last: int, holds: bool = False, reported: int = 0, hit: Position | None = None
+) -> Commit:
     schedule = Schedule(next=next_one, last=last, holds=holds)
-    return Commit(job="job", variable="x", term=1, epoch=epoch, schedule=schedule, reported=reported)
+    return Commit(job="job", variable="x", term=1, epoch=epoch, schedule=schedule, reported=reported, hit=hit)
 
 
 def test_a_commit_beyond_what_was_reported_is_refused(session: Session) -> None:
@@ -130,19 +147,54 @@ def test_a_commit_beyond_what_was_reported_is_refused(session: Session) -> None:
 # ------------------------------------------------------------------------------------------------- hits
 
 
+def test_the_coordinator_learns_of_a_hit_at_once_and_a_hit_elsewhere_stops_what_counts_later(session: Session) -> None:
+    begun(session, "me", "peer", "me")
+    assert SendHeartbeat() in session.handle(computed(key(2, 0), {}, hit=40))
+    assert session.assignment_statuses()[0].hit == Position(0, 40, 2)
+    actions = session.handle(committed(0, 2, 4, hit=Position(0, 20, 1)))
+    assert [action.hit for action in actions if isinstance(action, StopAt)] == [Position(0, 20, 1)]
+    assert session.handle(committed(0, 2, 4, hit=Position(0, 30, 1))) == []
+    assert session.assignment_statuses()[0].hit == Position(0, 20, 1)
+
+
 # ------------------------------------------------------------------------------------------------ pulls
 
 
-def test_missing_migrants_are_asked_for_after_a_second_and_then_with_doubling_pauses(session: Session) -> None:
-    begun(session, "me", "peer", "other")
+def test_a_pull_that_ends_without_migrants_is_repeated_at_a_tick(session: Session) -> None:
+    (first,) = asked(begun(session, "me", "peer"))
+    session.handle(computed(key(0, 0), {}, 1))
+    assert session.handle(Tick()) == []
+    assert session.handle(PullEnded(first, None)) == []
+    assert session.handle(Tick()) == [Ask("peer", pull(0, 1))]
+    assert session.handle(Tick()) == []
+
+
+def test_the_rest_of_an_answer_is_asked_for_at_once(session: Session) -> None:
+    (early,) = asked(begun(session, "me", "peer", "peer"))
     session.handle(computed(key(0, 0), {}, 1, 2))
-    session.handle(mail(0, (1, 0, b"a")))
-    asked = [now for now in range(0, 41) if session.handle(Tick(float(now)))]
-    assert asked == [1, 3, 7, 15, 23, 31, 39]
-    (action,) = session.handle(Tick(47.0))
-    assert action == AskPeer(
-        "other", PullMigrants(job="job", variable="x", term=1, epoch=0, destination=0, sources=(2,))
-    )
+    assert session.handle(PullEnded(early, migrants((1, 0, b"a")))) == [Ask("peer", pull(0, 2))]
+
+
+def test_a_pull_is_answered_when_all_of_its_islands_have_finished_the_epoch(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun(session, "me", "me", "peer")
+    session.handle(computed(key(0, 0), {2: b"far", 1: b"near"}, 1))
+    assert session.handle(PullAsked("lost", pull(0, 0, 1, to=(2,)))) == []
+    assert session.handle(PullAsked("handle", pull(0, 0, 1, to=(2,)))) == []
+    answer = Respond("handle", migrants((0, 2, b"far"), (1, 2, b"too")))
+    assert [one for one in session.handle(computed(key(1, 0), {2: b"too"}, 0)) if isinstance(one, Respond)] == [answer]
+    assert session.handle(PullAsked("h", pull(0, 0, to=(5,)))) == [Respond("h", migrants())]
+    monkeypatch.setattr("atoll_island_worker.session.kept_messages.CHUNK_SIZE", 4)
+    assert session.handle(PullAsked("h", pull(0, 0, 1, to=(2,)))) == [Respond("h", migrants((0, 2, b"far")))]
+
+
+@pytest.mark.parametrize("question", [pull(0, 1, term=3), pull(0, 1), pull(0, 9)])
+def test_a_pull_under_another_term_or_of_another_workers_islands_gets_nothing(
+    session: Session, question: PullMigrants
+) -> None:
+    begun(session, "me", "peer")
+    assert session.handle(PullAsked("h", question)) == [Respond("h", NotYet())]
 
 
 def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
@@ -160,26 +212,15 @@ def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
     assert [epoch_report.epoch for epoch_report in answer.body.reports] == [1]
 
 
-# ------------------------------------------------------------------------------- foreign and early mail
-
-
-@pytest.mark.parametrize(
-    "event",
-    [
-        mail(0, (0, 0, b"forged")),
-        mail(0, (1, 1, b"not here")),
-        mail(0, (9, 0, b"no such island")),
-        mail(2000, (1, 0, b"far ahead")),
-        Mailed("peer", finished(0, 0)),
-        Mailed("stranger", finished(1, 0)),
-    ],
-)
-def test_mail_that_cannot_be_is_refused_and_changes_nothing(session: Session, event: Mailed) -> None:
+@pytest.mark.parametrize("block", [(0, 0, b"forged"), (1, 1, b"not here"), (9, 0, b"no such island")])
+def test_migrants_that_were_not_asked_for_are_refused_and_change_nothing(
+    session: Session, block: tuple[int, int, bytes]
+) -> None:
     begun(session, "me", "peer")
-    with pytest.raises(RemoteProtocolError):
-        session.handle(event)
+    with pytest.raises(RemoteProtocolError, match="not asked for"):
+        session.handle(came(0, (1, 0, b"first"), block))
     session.handle(computed(key(0, 0), {}, 1))
-    assert tasks(list(session.handle(mail(0, (1, 0, b"true"))))) == [key(0, 1)]
+    assert tasks(list(session.handle(came(0, (1, 0, b"true"))))) == [key(0, 1)]
 
 
 # ---------------------------------------------------------------------------------------------- failure
@@ -187,12 +228,11 @@ def test_mail_that_cannot_be_is_refused_and_changes_nothing(session: Session, ev
 
 def test_refused_immigrants_are_pulled_again(session: Session) -> None:
     begun(session, "me", "peer")
-    session.handle(mail(0, (1, 0, b"damaged")))
+    session.handle(came(0, (1, 0, b"damaged")))
     session.handle(computed(key(0, 0), {0: b"own"}, 1))
     assert session.handle(Rejected(key(0, 1), "malformed")) == []
-    session.handle(Tick(0.0))
-    assert [type(action) for action in session.handle(Tick(1.0))] == [AskPeer]
-    (action,) = session.handle(mail(0, (1, 0, b"good")))
+    assert session.handle(Tick()) == [Ask("peer", pull(0, 1))]
+    (action, *_) = session.handle(came(0, (1, 0, b"good")))
     assert isinstance(action, RunTask)
     assert action.task.blocks == {0: b"own", 1: b"good"}
 
@@ -216,7 +256,11 @@ def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
         session.handle(computed(key(0, 1), {}))
 
 
-# ----------------------------------------------------------------------------------------------- ending
+def test_a_reset_forgets_everything_also_the_terms(session: Session) -> None:
+    begun(session, "me", "peer", term=5)
+    assert session.handle(Reset()) == [Discard(ShardKey("job", "x", 5))]
+    session.handle(Abandoned(key(0, 0, term=5)))
+    assert tasks(begun(session, "me", "peer", term=2)) == [key(0, 0, term=2)]
 
 
 # ------------------------------------------------------------------------------------------ checkpoints
@@ -232,10 +276,57 @@ def states(**of: bytes) -> States:
     return States(pieces=split_states(list(by_island), 0, by_island.__getitem__))
 
 
+def to_the_first_checkpoint(session: Session) -> list[object]:
+    begun(session, "me", "me")
+    session.handle(computed(key(0, 0), {0: b"a"}))
+    session.handle(computed(key(1, 0), {1: b"b"}))
+    session.handle(computed(key(0, 1), {0: b"a"}))
+    return list(session.handle(computed(key(1, 1), {1: b"b"})))
+
+
+def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durable(session: Session) -> None:
+    to_the_first_checkpoint(session)
+    assert session.handle(Snapshot(key(0, 2), b"state 0", is_at_barrier=False)) == []
+    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
+    assert session.assignment_statuses()[0].snapshots == ()
+    assert session.handle(Snapshot(key(1, 2), b"state 1", is_at_barrier=False)) == [SendHeartbeat()]
+    assert session.assignment_statuses()[0].snapshots == (2,)
+    answer = Respond("h", states(i0=b"state 0", i1=b"state 1"))
+    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [answer]
+    assert session.handle(PullAsked("h", pull_states(2, 0, offset=7))) == [Respond("h", NotYet())]
+    assert session.handle(PullAsked("h", pull_states(2, 0, term=9))) == [Respond("h", NotYet())]
+    session.handle(committed(2, 4, 6))
+    assert session.assignment_statuses()[0].snapshots == ()
+    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
+
+
+def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Session) -> None:
+    session.handle(placed("me", "peer", "me", term=5, epoch=6))
+    assert session.handle(JobReady("job")) == []
+    assert session.assignment_statuses()[0].reported == 6
+    question = Ask(None, pull_states(6, 0, 2, term=5))
+    actions = session.handle(PullEnded(question, states(i0=b"zero")))
+    assert tasks(actions) == [key(0, 6, term=5)]
+    assert Ask(None, pull_states(6, 2, term=5)) in actions
+    (action,) = [
+        action for action in session.handle(PullEnded(question, states(i2=b"two"))) if isinstance(action, RunTask)
+    ]
+    assert (action.task.key, action.task.state, action.task.blocks) == (key(2, 6, term=5), b"two", None)
+
+
+def test_a_state_that_was_damaged_is_refused_and_asked_for_again(session: Session) -> None:
+    session.handle(placed("me", term=2, epoch=6))
+    question = Ask(None, pull_states(6, 0, term=2))
+    (piece,) = states(i0=b"good").pieces
+    with pytest.raises(RemoteProtocolError, match="damaged"):
+        session.handle(PullEnded(question, States(pieces=(piece.model_copy(update={"data": b"evil"}),))))
+    assert session.handle(Tick()) == [question]
+
+
 def test_a_state_that_does_not_fit_fails_the_job(session: Session) -> None:
     session.handle(placed("me", term=2, epoch=6))
     session.handle(JobReady("job"))
-    session.handle(StatesCame(pull_states(6, 0, term=2), states(i0=b"odd")))
+    session.handle(PullEnded(Ask(None, pull_states(6, 0, term=2)), states(i0=b"odd")))
     session.handle(Rejected(key(0, 6, term=2), "the state of an island does not fit its job"))
     assert "does not fit" in session.failures()[0].sentence
 
@@ -245,5 +336,5 @@ def test_a_reset_keeps_what_the_new_incarnation_has_placed_already(session: Sess
     assert session.handle(Reset(incarnation=1)) == []
     assert session.jobs() == ("job",)
     assert tasks(list(session.handle(placed("me", "peer", term=5)))) == []
-    assert session.handle(Reset(incarnation=2)) == [Discard(ShardKey("job", "x", 5)), DiscardJob("job")]
+    assert session.handle(Reset(incarnation=2)) == [Discard(ShardKey("job", "x", 5))]
     assert session.jobs() == ()

@@ -2,8 +2,10 @@
 
 import hashlib
 
+import pytest
+
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_island_worker.downloads import ByteCache, Download
+from atoll_island_worker.downloads import ByteCache, Download, Downloads
 
 DATA = bytes(2 * CHUNK_SIZE) + b"rest"
 DIGEST = hashlib.sha256(DATA).hexdigest()
@@ -14,28 +16,31 @@ def chunk(index: int) -> bytes:
 
 
 def test_two_chunks_are_asked_for_at_a_time_until_all_are_there() -> None:
-    download = Download(DIGEST, len(DATA))
-    assert download.take() == [0, 1]
-    assert download.take() == []
-    assert download.offer(1, chunk(1))
-    assert download.finish() is None
-    assert download.take() == [2]
-    assert download.offer(0, chunk(0))
-    assert download.offer(2, chunk(2))
-    assert download.finish() == DATA
+    asked: list[int] = []
+    done: list[bytes] = []
+    downloads = Downloads(lambda _, index: asked.append(index), lambda _, data: done.append(data))
+    for index in (1, 0, 2):
+        downloads.fetch({DIGEST: len(DATA)})
+        downloads.fetch({DIGEST: len(DATA)})
+        assert downloads.chunk_came(DIGEST, index, chunk(index))
+    assert (asked, done) == ([0, 1, 2], [DATA])
 
 
-def test_a_chunk_that_did_not_come_is_asked_for_again() -> None:
-    download = Download(DIGEST, len(DATA))
-    download.take()
-    download.give_back(0)
-    assert download.take() == [0]
+@pytest.mark.parametrize("payload", [None, b"short"])
+def test_a_chunk_that_did_not_come_whole_is_asked_for_again(payload: bytes | None) -> None:
+    asked: list[int] = []
+    downloads = Downloads(lambda _, index: asked.append(index), lambda *_: None)
+    downloads.fetch({DIGEST: len(DATA)})
+    assert not downloads.chunk_came(DIGEST, 0, payload)
+    downloads.fetch({DIGEST: len(DATA)})
+    assert asked == [0, 1, 0]
 
 
-def test_a_chunk_of_the_wrong_size_is_refused() -> None:
-    download = Download(DIGEST, len(DATA))
-    download.take()
-    assert not download.offer(0, b"short")
+def test_what_is_no_longer_wanted_is_forgotten() -> None:
+    downloads = Downloads(lambda *_: None, lambda *_: None)
+    downloads.fetch({DIGEST: len(DATA)})
+    downloads.fetch({})
+    assert not downloads.chunk_came(DIGEST, 0, chunk(0))
 
 
 def test_a_whole_that_is_not_what_was_announced_is_begun_anew() -> None:

@@ -17,7 +17,6 @@ from atoll_core.task_frames import (
     TaskFinished,
     ToProcess,
 )
-from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.epochs import PullAnswer
 from atoll_core.wire.messages.limits import CHUNK_SIZE
@@ -30,8 +29,8 @@ from atoll_core.wire.messages.tasks import (
     TaskChunk,
     TaskFailed,
     TaskInput,
+    TaskReport,
 )
-from atoll_island_worker.connection import PendingRequest
 from atoll_island_worker.tasks.task_runner import TaskRunner
 
 A, B = "a" * 64, "b" * 64
@@ -55,22 +54,15 @@ class Requests:
     """Records what is asked and reported."""
 
     def __init__(self) -> None:
-        self.inputs: list[tuple[str, str, int]] = []
-        self.later: list[str] = []
         self.pulls: list[tuple[str, PullBatch]] = []
         self.reports: list[TaskChunk | TaskFailed] = []
-
-    def ask_input(self, task: str, digest: str, index: int) -> None:
-        self.inputs.append((task, digest, index))
-
-    def ask_inputs_later(self, task: str) -> None:
-        self.later.append(task)
 
     def ask_batch(self, peer: str, pull: PullBatch) -> None:
         self.pulls.append((peer, pull))
 
-    def send_task_report(self, body: TaskChunk | TaskFailed) -> None:
-        self.reports.append(body)
+    def publish(self, part: str, message: TaskReport) -> None:
+        assert part == "result"
+        self.reports.append(message.body)
 
 
 class Process:
@@ -104,17 +96,11 @@ class Scene:
 
     def __init__(self) -> None:
         self.requests, self.process = Requests(), Process()
-        self.replies: list[tuple[Query, object]] = []
-        self.runner = TaskRunner(
-            self.requests, self.process, lambda query, answer: self.replies.append((query, answer.body)), lambda: 0.0
-        )  # type: ignore[arg-type]
+        self.runner = TaskRunner(self.requests, self.process, lambda query, answer: None, lambda: 0.0)  # type: ignore[arg-type]
 
     def say(self, message: FromProcess, life: int | None = None) -> bool:
         """Let the process say something."""
         return self.runner.process_said(ProcessMessage(self.process.life if life is None else life, message))
-
-    def answer(self, task: str, data: bytes, index: int, payload: bytes | None) -> None:
-        self.runner.answered(PendingRequest("input", task, index, digest(data)), payload)
 
     def states(self) -> dict[str, str]:
         return {held.task: held.state for held in self.runner.statuses()}
@@ -128,7 +114,7 @@ class Scene:
         given = GivenBatch(
             number=number, function="f", digest=digest(context), context=b"" if known else context, item=b"i"
         )
-        self.runner.answered(PendingRequest("batch", B), encode(PullAnswer(body=given)))
+        self.runner.batch_came(B, encode(PullAnswer(body=given)))
 
 
 @pytest.fixture
@@ -144,22 +130,17 @@ def test_the_heartbeat_says_how_far_a_task_is(scene: Scene) -> None:
     scene.say(Progressed(B, 9))
 
 
-def test_what_does_not_come_or_is_something_else_is_fetched_again(scene: Scene) -> None:
-    scene.runner.handle(lease(A, LARGE))
-    scene.requests.inputs.clear()
-    scene.answer(A, LARGE, 1, None)
-    scene.answer(A, LARGE, 0, b"short")
-    assert scene.requests.later == [A, A]
-    scene.runner.fetch(A)
-    assert {index for _, _, index in scene.requests.inputs} == {0, 1}
-    scene.requests.inputs.clear()
-    scene.answer(A, LARGE, 1, b"z")
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])  # whole now, but with another digest
-    assert {index for _, _, index in scene.requests.inputs} == {0, 1}
-    assert scene.process.said == []
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
-    scene.answer(A, LARGE, 1, b"y")
-    assert len(scene.process.told(Run)) == 1
+def test_missing_inputs_are_wanted_and_kept_for_later_tasks(scene: Scene) -> None:
+    scene.runner.handle(lease(A, SMALL, LARGE))
+    assert scene.runner.wanted() == {digest(LARGE): len(LARGE)}
+    assert (scene.process.said, scene.states()) == ([], {A: "fetching"})
+    scene.runner.arrived(digest(b"of another job"), b"of another job")
+    scene.runner.arrived(digest(LARGE), LARGE)
+    assert [run.inputs for run in scene.process.told(Run)] == [(SMALL, LARGE)]
+    scene.say(Failed(A, "error", "it broke"))
+    scene.runner.handle(lease(B, LARGE))
+    assert scene.runner.wanted() == {}
+    assert [run.inputs for run in scene.process.told(Run)] == [(LARGE,)]
 
 
 def test_what_a_process_said_that_was_stopped_is_not_taken_for_the_next_one_s(scene: Scene) -> None:
@@ -219,10 +200,3 @@ def test_a_batch_that_ends_the_process_ends_helping(scene: Scene) -> None:
     assert scene.states() == {B: "helping"}
     assert not scene.say(Ended("crash", "its process ended"))
     assert scene.runner.is_idle
-
-
-# ------------------------------------------------------------------------------------------- who has the task
-
-
-def query(token: int) -> Query:
-    return Query("a/key", b"", token)

@@ -42,22 +42,17 @@ def raising(error: BaseException) -> Handler:
 
 @pytest.mark.parametrize(
     ("error", "code"),
-    [(AtollError, 1), (UsageError, 2), (DataError, 2), (UnreachableError, 3), (StoreError, 1)],
+    [
+        *((AtollError, 1), (UsageError, 2), (DataError, 2), (UnreachableError, 3), (StoreError, 1)),
+        (KeyboardInterrupt, 130),
+    ],
 )
-def test_our_errors_are_one_sentence_and_their_exit_code(
-    jobs_verb: Callable[[Handler], None], error: type[AtollError], code: int, capsys: pytest.CaptureFixture[str]
+def test_our_errors_are_one_sentence_and_their_exit_code_and_an_interrupt_says_nothing(
+    jobs_verb: Callable[[Handler], None], error: type[BaseException], code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     jobs_verb(raising(error("this is so")))
     assert main(["jobs"]) == code
-    assert capsys.readouterr().err == "coordinator: this is so\n"
-
-
-def test_an_interrupt_is_exit_code_130_without_words(
-    jobs_verb: Callable[[Handler], None], capsys: pytest.CaptureFixture[str]
-) -> None:
-    jobs_verb(raising(KeyboardInterrupt()))
-    assert main(["jobs"]) == 130
-    assert capsys.readouterr().err == ""
+    assert capsys.readouterr().err == ("" if error is KeyboardInterrupt else "coordinator: this is so\n")
 
 
 def test_an_unexpected_error_is_one_sentence_that_names_the_log(
@@ -198,25 +193,19 @@ def test_abbreviated_options_are_not_guessed() -> None:
         parse(["run", "a.csv", "--tar", "y"])
 
 
-def test_help_imports_none_of_the_heavy_libraries() -> None:
+@pytest.mark.parametrize(
+    ("does", "heavy"),
+    [
+        ("from atoll.cli.main import main; main(['run', '--help'])",
+         "numpy pydantic zenoh numba sympy polars rich scipy msgpack"),
+        ("import atoll.cli.verbs.submit, atoll_coordinator.service.service_loop", "numba scipy sympy polars"),
+    ],
+)  # fmt: skip
+def test_only_what_is_needed_is_imported(does: str, heavy: str) -> None:
     """The promise of an instant ``--help`` is kept by what is not imported, which can be asserted; time cannot."""
     script = (
-        "import sys, contextlib, io\n"
-        "from atoll.cli.main import main\n"
-        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
-        "    main(['run', '--help'])\n"
-        "heavy = {'numpy', 'pydantic', 'zenoh', 'numba', 'sympy', 'polars', 'rich', 'scipy', 'msgpack'}\n"
-        "print(sorted(heavy & set(sys.modules)))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
-def test_kernels_are_for_the_processes_that_compute() -> None:
-    script = (
-        "import sys\n"
-        "import atoll.cli.verbs.submit, atoll_coordinator.service.service_loop\n"
-        "print(sorted({'numba', 'scipy', 'sympy', 'polars'} & set(sys.modules)))\n"
+        "import sys, contextlib, io\nwith contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
+        f"    {does}\nprint(sorted(set({heavy.split()}) & set(sys.modules)))\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -19,7 +19,6 @@ from atoll_core.wire.messages.clients import (
     Failure,
     FailureKind,
     GetResult,
-    JobFound,
     JobList,
     JobStatus,
     ListJobs,
@@ -176,7 +175,7 @@ def test_an_answer_that_is_not_in_our_words_is_refused() -> None:
 
 
 def test_the_beginning_of_an_id_is_looked_up_by_the_coordinator() -> None:
-    client, _ = client_with(lambda body: JobFound(job="abc1"))
+    client, _ = client_with(lambda body: JobStatus(job=job_view(job="abc1")))
     assert client.resolve("abc") == "abc1"
     with pytest.raises(RefusedError, match="no job 'a/b': ids are 1 to 64 letters"):
         client.resolve("a/b")
@@ -206,6 +205,23 @@ ANSWER = b"12345"
 
 def part(index: int, data: bytes, digest: str = hashlib.sha256(ANSWER).hexdigest()) -> AnalysisAnswer:
     return AnalysisAnswer(job="j1", index=index, size=5, digest=digest, data=data)
+
+
+def test_an_analysis_is_asked_for_until_it_is_there_and_fetched_part_by_part() -> None:
+    pending, made = AnalysisAnswer(job="j1", waits_for="waits for a worker"), AnalysisAnswer(job="j1")
+    answers = [pending, pending, made, part(0, b"123"), made, part(0, b"123"), part(1, b"45")]  # lost once meanwhile
+    asked: list[int] = []
+    said: list[str] = []
+
+    def handle(body: Body) -> AnswerBody:
+        assert isinstance(body, AskAnalysis)
+        asked.append(body.index)
+        return answers.pop(0)
+
+    client, _ = client_with(handle)
+    assert client.analyse("j1", "report", b"q", say=said.append) == ANSWER
+    assert asked == [0, 0, 0, 0, 1, 0, 1]
+    assert said == ["waits for a worker"]
 
 
 def test_an_analysis_that_was_damaged_or_that_nobody_begins_is_refused() -> None:

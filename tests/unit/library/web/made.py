@@ -1,6 +1,5 @@
 """A coordinator that a test speaks for, behind the web process."""
 
-import atexit
 from typing import Any
 
 from atoll.web.access import LOCAL_HOSTS, Access, digest_of
@@ -133,7 +132,6 @@ def access(gateway: Any, *, is_shown: bool = True) -> Access:
 
 READERS = Readers()
 """One process reads the files of all tests; it ends with them."""
-atexit.register(READERS.close)
 
 
 def application(client: Asked, *, is_shown: bool = True) -> Any:

@@ -32,20 +32,6 @@ def test_names_of_this_machine_are_ours(client, host) -> None:
     assert answered(client, "GET", "/api/v1/version", host=host).status == 200
 
 
-@pytest.mark.parametrize(
-    "headers",
-    [
-        {"sec_fetch_site": "cross-site"},
-        {"sec_fetch_site": "same-site"},
-        {"origin": "https://evil.example"},
-        {"origin": "null"},
-    ],
-)
-def test_pages_of_other_origins_change_nothing(client, headers) -> None:
-    assert answered(client, authorization=AUTHORIZED, **headers).status == 403
-    assert client.calls == []
-
-
 @pytest.mark.parametrize("headers", [{"sec_fetch_site": "cross-site"}, {"origin": "https://evil.example"}])
 def test_pages_of_other_origins_ask_nothing_either(client, headers) -> None:
     """A question may cost the coordinator seconds, whoever may not read its answer."""

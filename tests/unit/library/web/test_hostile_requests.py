@@ -162,7 +162,7 @@ BODIES = {"/jobs/{job}/priority": b'{"priority": 1}', "/jobs/{job}/sharing": b'{
 """What is needed for the coordinator to be asked at all."""
 
 
-def asked(client: Asked, method: str, path: str, query: str = "", *headers: bytes, is_shown: bool = True) -> int:
+def asked(client: Asked, method: str, path: str, *headers: bytes, is_shown: bool = True) -> int:
     """Return the status of an operation on job b."""
     target = path.replace("{job}", "b").replace("{format}", "python").replace("{worker}", "w")
     body = BODIES.get(path, b"")
@@ -171,7 +171,7 @@ def asked(client: Asked, method: str, path: str, query: str = "", *headers: byte
         async with listening(application(client, is_shown=is_shown)) as connect:
             reader, writer = await connect()
             length = b"content-length: %d" % len(body)
-            line = f"{method} /api/v1{target}{query} HTTP/1.1".encode()
+            line = f"{method} /api/v1{target} HTTP/1.1".encode()
             writer.write(b"\r\n".join([line, LOCAL, *headers, length, b"", body]))
             return int((await reader.readuntil(b"\r\n"))[9:12])
 
@@ -184,6 +184,7 @@ def test_no_operation_does_without_a_token_what_it_may_not(method, path) -> None
     if method != "GET":
         assert asked(client, method, path) == 401
     assert asked(client, method, path, is_shown=False) == (200 if path in OPEN else 401)
+    assert asked(client, method, path, KEY, b"sec-fetch-site: cross-site") == 403
     assert client.calls == []
 
 

@@ -5,11 +5,7 @@ import pytest
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.epochs import (
-    HitStatement,
-    IslandFinished,
-    Mail,
-)
+from atoll_core.wire.messages.epochs import HitStatement, NotYet, PullAnswer
 from atoll_core.wire.messages.handshake import Greeting
 from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
 from atoll_core.wire.messages.workers import (
@@ -19,7 +15,6 @@ from atoll_core.wire.messages.workers import (
 )
 
 AT = {"job": "j", "variable": "v [m/s]", "term": 1}
-FINISHED = IslandFinished(**AT, epoch=0, generation=10, island=2)
 PLACEMENT = Placement(
     incarnation=1,
     **AT,
@@ -43,7 +38,7 @@ def test_unknown_fields_and_kinds_are_refused_elsewhere() -> None:
 
 def test_a_message_for_another_envelope_is_refused() -> None:
     with pytest.raises(RemoteProtocolError):
-        decode(encode(Mail(body=FINISHED)), Control)
+        decode(encode(PullAnswer(body=NotYet())), Control)
 
 
 @pytest.mark.parametrize("job", ["", "a/b", "x" * 65, "*"])

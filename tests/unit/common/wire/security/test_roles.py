@@ -45,26 +45,23 @@ def covers(expression: str, key: str) -> bool:
 def test_a_worker_speaks_under_its_own_names(process: str) -> None:
     for part in ("status", "report"):
         assert may("lab1", "ingress", "put", topics.worker(CLUSTER, process, part))  # type: ignore[arg-type]
-    assert may("lab1", "ingress", "put", topics.mail(CLUSTER, process, "lab2-3"))
     assert may("lab1", "ingress", "liveliness_token", topics.worker(CLUSTER, process, "alive"))
     assert may("lab1", "ingress", "query", topics.hello(process))
     for message in ("declare_queryable", "reply"):
         assert may("lab1", "ingress", message, topics.worker(CLUSTER, process, "pull"))
     for flow, message in (("ingress", "declare_subscriber"), ("egress", "put")):
-        for key in (topics.control(CLUSTER), topics.control(CLUSTER, process), topics.mail(CLUSTER, "lab2", process)):
+        for key in (topics.control(CLUSTER), topics.control(CLUSTER, process)):
             assert may("lab1", flow, message, key)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("other", ["lab2", "lab2-0", "lab10", "lab", "lab1x"])
-def test_a_worker_does_not_speak_for_others_or_read_their_mail(other: str) -> None:
+def test_a_worker_does_not_speak_for_others_or_read_their_messages(other: str) -> None:
     for part in ("status", "report", "alive", "pull"):
         for message in ("put", "liveliness_token", "declare_queryable", "reply"):
             assert not may("lab1", "ingress", message, topics.worker(CLUSTER, other, part))  # type: ignore[arg-type]
-    assert not may("lab1", "ingress", "put", topics.mail(CLUSTER, other, "lab1"))
     assert not may("lab1", "ingress", "query", topics.hello(other))
-    for key in (topics.control(CLUSTER, other), topics.mail(CLUSTER, "lab1", other)):
-        assert not may("lab1", "ingress", "declare_subscriber", key)
-        assert not may("lab1", "egress", "put", key)
+    assert not may("lab1", "ingress", "declare_subscriber", topics.control(CLUSTER, other))
+    assert not may("lab1", "egress", "put", topics.control(CLUSTER, other))
 
 
 def test_a_worker_neither_submits_nor_commands() -> None:
@@ -72,7 +69,7 @@ def test_a_worker_neither_submits_nor_commands() -> None:
         assert not may("lab1", "ingress", "query", topics.client(CLUSTER, client))
     for key in (topics.control(CLUSTER), topics.control(CLUSTER, "lab1"), topics.control(CLUSTER, "lab2")):
         assert not may("lab1", "ingress", "put", key)
-    for key in (topics.job(CLUSTER, "j"), topics.blob(CLUSTER, DIGEST, 0), topics.HELLO):
+    for key in (topics.states(CLUSTER, "j"), topics.blob(CLUSTER, DIGEST, 0), topics.HELLO):
         assert not may("lab1", "ingress", "declare_queryable", key)
         assert not may("lab1", "ingress", "reply", key)
 
@@ -85,10 +82,8 @@ def test_a_client_asks_under_its_own_name_and_does_nothing_else(name: str) -> No
     keys = [
         topics.control(CLUSTER),
         topics.control(CLUSTER, "lab1"),
-        topics.job(CLUSTER, "j"),
-        topics.job(CLUSTER, "j", "placement"),
+        topics.states(CLUSTER, "j"),
         topics.blob(CLUSTER, DIGEST, 0),
-        topics.mail(CLUSTER, name, "lab1"),
         *(
             topics.worker(CLUSTER, who, part)
             for who in ("lab1", name)

@@ -101,6 +101,17 @@ def test_the_trajectory_column_may_hold_names(read, config):
     assert table.column("trajectory").tolist() == [1, 1, 2]
 
 
+def test_parquet_is_read_like_text(tmp_path):
+    frame = polars.DataFrame({"t": [0, 1, None, 0], "v [m/s]": [1.5, None, None, 2.5], "who": ["a", "b", None, "c"]})
+    frame.write_parquet(tmp_path / "a.parquet")
+    table = read_table([tmp_path / "a.parquet"], DataConfig())
+    assert table.names == ("t", "v")
+    assert table.units == ("", "m/s")
+    assert table.starts == (0, 2)
+    assert table.column("v")[[0, 2]].tolist() == [1.5, 2.5]
+    assert table.places([1]) == "row 2"
+
+
 def test_what_is_no_file_is_refused(tmp_path):
     for paths, words in (([], "no data file"), ([tmp_path], "is a folder"), ([tmp_path / "a"], "there is no file")):
         with pytest.raises(DataError, match=words):

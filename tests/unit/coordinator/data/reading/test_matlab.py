@@ -68,83 +68,37 @@ def test_runs_of_different_fields_are_refused(tmp_path: Path) -> None:
 
 
 def _written(path: Path, values: dict[str, object]) -> None:
-    """Lay values out as MATLAB 7.3 does: references for cells and structure arrays, and matrices as columns."""
+    """Lay values out as MATLAB 7.3 does: structures as groups, and matrices as columns."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, value in values.items():
-            _put(file, file, name, value)
+            fields = value if isinstance(value, dict) else {"": value}
+            for field, part in fields.items():
+                file[f"{name}/{field}".rstrip("/")] = np.asarray(part).T if np.ndim(part) == 2 else [part]
     with path.open("r+b") as raw:
         raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Mon Nov 23 10:00:00 2026".ljust(124))
 
 
-def _put(file: h5py.File, group: h5py.Group, name: str, value: object) -> None:
-    if isinstance(value, dict):
-        made = group.create_group(name)
-        made.attrs["MATLAB_class"] = np.bytes_("struct")
-        for field, part in value.items():
-            _put(file, made, field, part)
-    elif isinstance(value, np.ndarray) and value.dtype.names:
-        made = group.create_group(name)
-        made.attrs["MATLAB_class"] = np.bytes_("struct")
-        for field in value.dtype.names:
-            made.create_dataset(field, data=_references(file, value[field]), dtype=h5py.ref_dtype)
-    elif isinstance(value, np.ndarray) and value.dtype == object:
-        made = group.create_dataset(name, data=_references(file, value), dtype=h5py.ref_dtype)
-        made.attrs["MATLAB_class"] = np.bytes_("cell")
-    elif isinstance(value, str):
-        made = group.create_dataset(name, data=np.array([[ord(letter)] for letter in value], dtype=np.uint16))
-        made.attrs["MATLAB_class"] = np.bytes_("char")
-    else:
-        made = group.create_dataset(name, data=np.atleast_2d(np.asarray(value)).T if np.ndim(value) == 2 else [value])
-        made.attrs["MATLAB_class"] = np.bytes_("double")
+def test_structures_of_version_7_3_are_read_as_of_version_5(tmp_path: Path) -> None:
+    values = {"run": {"t": np.arange(3.0), "x": np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])}, "k": 2.0}
+    _written(tmp_path / "new.mat", values)
+    scipy.io.savemat(tmp_path / "old.mat", values)
+    new, old = (read_table([tmp_path / name], DataConfig()) for name in ("new.mat", "old.mat"))
+    assert (new.names, new.columns.tolist()) == (old.names, old.columns.tolist())
+    assert new.left_out == old.left_out
 
 
-def _references(file: h5py.File, items: np.ndarray) -> np.ndarray:
-    kept = file.require_group("#refs#")
-    found = np.empty((len(items), 1), dtype=h5py.ref_dtype)
-    for place, item in enumerate(items):
-        name = f"r{len(kept)}"
-        _put(file, kept, name, item)
-        found[place, 0] = kept[name].ref
-    return found
-
-
-@pytest.mark.parametrize("lengths", [(6, 8), (6, 6)])
-@pytest.mark.parametrize("kind", _runs((1, 1)))
-def test_runs_of_version_7_3_are_trajectories(kind: str, lengths: tuple[int, int], tmp_path: Path) -> None:
-    """Cells and structure arrays of such files were hidden without a word."""
-    _written(tmp_path / "a.mat", {**_runs(lengths)[kind], "gain": 2.5, "note": "of Monday"})
-    table = read_table([tmp_path / "a.mat"], DataConfig())
-    assert (table.names, table.starts, table.rows) == (("t", "x"), (0, 6), sum(lengths))
-    assert np.allclose(table.column("x"), 10.0 + table.column("t") ** 2)
-    assert table.left_out == ("left out: gain, note",)
-    assert "MATLAB 7.3, 2 runs" in table.read_as
-
-
-def test_structures_and_rows_of_version_7_3_are_read_as_of_version_5(tmp_path: Path) -> None:
-    rows = np.array([(0.0, 1.5), (0.5, 2.5), (1.0, 4.5)], dtype=[("t", "f8"), ("x", "f8")])
-    nested = {"run": {"t": np.arange(3.0), "x": np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])}, "k": 2.0}
-    for values in ({"table": rows}, nested):
-        _written(tmp_path / "new.mat", values)
-        scipy.io.savemat(tmp_path / "old.mat", values)
-        new, old = (read_table([tmp_path / name], DataConfig()) for name in ("new.mat", "old.mat"))
-        assert (new.names, new.columns.tolist()) == (old.names, old.columns.tolist())
-        assert new.left_out == old.left_out
-
-
-def test_arrays_without_elements_are_no_rows(tmp_path: Path) -> None:
-    """Their numbers of rows and columns stand in the file in place of elements, and were read as two rows."""
+def test_what_holds_no_numbers_in_version_7_3_is_left_out(tmp_path: Path) -> None:
+    """Numbers of rows and columns stand in the file in place of no elements, and were read as two rows."""
     _written(tmp_path / "a.mat", {"t": np.arange(6.0), "x": np.arange(6.0) ** 2})
     with h5py.File(tmp_path / "a.mat", "r+") as file:
         file["empty"] = np.array([0, 6], dtype=np.uint64)
         file["empty"].attrs["MATLAB_empty"] = np.uint8(1)
+        file.create_dataset("runs", (6, 1), dtype=h5py.ref_dtype)[0, 0] = file["t"].ref
     table = read_table([tmp_path / "a.mat"], DataConfig())
-    assert (table.names, table.left_out) == (("t", "x"), ("left out: empty",))
-
-
-def test_cells_that_hold_themselves_are_refused(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
-        made = file.create_dataset("c", (2, 1), dtype=h5py.ref_dtype)
-        made.attrs["MATLAB_class"] = np.bytes_("cell")
-        made[0, 0] = made[1, 0] = made.ref
-    with pytest.raises(DataError, match=r"a\.mat holds more than 8 levels of structures and cells within each other"):
+    assert (table.names, table.left_out) == (("t", "x"), ("left out: empty, runs",))
+    with h5py.File(tmp_path / "a.mat", "r+") as file:
+        del file["t"], file["x"]
+    with pytest.raises(
+        DataError, match=r"a\.mat holds no numeric arrays; save vectors or matrices, tables with .* -v7"
+    ):
         read_table([tmp_path / "a.mat"], DataConfig())

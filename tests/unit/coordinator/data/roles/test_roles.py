@@ -141,6 +141,13 @@ def test_keywords_functions_and_other_texts_are_rewritten():
     assert_parsed_back(symbols)
 
 
+def test_rewritten_names_keep_out_of_the_way_of_others():
+    symbols = assign_symbols(["x y", "x_y", "x-y", "lambda", "lambda_"])
+    assert symbols["x_y"] == "x_y"
+    assert symbols["lambda_"] == "lambda_"
+    assert len(set(symbols.values())) == 5
+
+
 @pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.text(max_size=6), min_size=1, max_size=4, unique=True))

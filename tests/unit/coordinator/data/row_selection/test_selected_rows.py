@@ -9,7 +9,7 @@ from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.interpolation import END_ROWS
 from atoll_coordinator.data.differentiation.smoothing import Smoother
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.row_selection.selected_rows import (
+from atoll_coordinator.data.selected_rows import (
     FAR_OUT,
     SelectedRows,
     explain_excluded_rows,

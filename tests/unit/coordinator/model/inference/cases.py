@@ -1,17 +1,23 @@
-"""Evidence on equations of every kind, and the sentences of their verdicts.
+"""Checks of equations of every kind with quantities that tests give, and the sentences of their verdicts.
 
 ``python -m tests.unit.coordinator.model.inference.cases`` writes ``sentences.txt`` anew, after a change of words.
 """
 
 import math
-from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from atoll_coordinator.model.inference.verdict import Evidence, judge
-from atoll_core.data.dataset import FloatArray
+from atoll_coordinator.model.inference.checks import EquationChecks
+from atoll_coordinator.model.inference.long_run import LongRun
+from atoll_coordinator.model.inference.target_checks import TargetChecks
+from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks, UnsimulatedChecks
+from atoll_coordinator.model.inference.verdict import judge
+from atoll_coordinator.model.refinement import Refined, UnitCoefficient
+from atoll_core.data.dataset import FloatArray, Target
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.parts import chaos, constant, prediction
 
 SENTENCES = Path(__file__).with_name("sentences.txt")
@@ -28,26 +34,52 @@ def waves(sd: float) -> tuple[FloatArray, ...]:
     return tuple(sd * np.sqrt(2.0) * np.sin(np.linspace(0.0, 12.0, 100) + start) for start in range(4))
 
 
-NOISY = Evidence(
-    error=0.3, target_uncertainty=0.2, target_r2=0.9, residuals=noise(0.1), parameters=3.0, noise=0.1,
-    standard_deviation=2.0, constants=KNOWN, alternative=9.0, prediction=SURE, null_nats=500.0, piece=500,
-    distinct_rows=400,
+def given(kind: type[EquationChecks], **quantities: Any) -> Any:
+    """Return the checks of an equation whose quantities are given and not measured, in a job of this kind."""
+    made: Any = object.__new__(kind)
+    known = {"constants": (), "unit_coefficients": (), "uncertainty": 0.0, "digits": None, "chaos": None,
+             "predictable_rows": None, "is_cross_validated": False, "are_errors_summed": False, "piece": 500,
+             "held_inputs": (), "is_near": False, "text": "x", "baseless": "", "unknown_inputs": {}, "rivals": 0.0,
+             "passes_pole": False,
+             "is_known": False, "stopped": "", "is_cancelled": False, "target_r2": None, "prediction": None,
+             **quantities}  # fmt: skip
+    units = tuple(UnitCoefficient(from_infix("x", ("x",)), one) for one in known["unit_coefficients"])
+    shown = Refined(0, from_infix(known["text"], ("x",)), 0.0, 0.0, known["constants"], units)
+    values = np.array([0.1, 0.3, 0.4, 0.2, 0.9]) if known["digits"] == 1 else np.random.default_rng(0).normal(size=20)
+    recording = SimpleNamespace(inputs=known["held_inputs"], input_kinds=["held" for _ in known["held_inputs"]])
+    task = SimpleNamespace(piece=known["piece"], recording=recording)
+    final = SimpleNamespace(
+        task=task, are_errors_summed=known["are_errors_summed"], unseen=None if known["is_cross_validated"] else ()
+    )
+    vars(made).update(
+        known, quantities=quantities, shown=shown, target=Target("x", "x", values, known["uncertainty"], 1.0),
+        final=final, long_run=LongRun(None, known["chaos"], None, known["predictable_rows"]),
+        measurements=SimpleNamespace(has_smoothed_inputs=known["is_near"]),
+    )  # fmt: skip
+    return made
+
+
+def replace(made: Any, **quantities: Any) -> Any:
+    """Return the same checks with other quantities."""
+    return given(type(made), **{**made.quantities, **quantities})
+
+
+NOISY = given(
+    TrajectoryChecks, error=0.3, uncertainty=0.2, target_r2=0.9, residuals=noise(0.1), parameters=3.0, noise=0.1,
+    standard_deviation=2.0, constants=KNOWN, alternative=9.0, prediction=SURE, null_nats=500.0, distinct_rows=400,
 )  # fmt: skip
 SHARP = (constant(3.0, 3.0, 2e-9, (3.0, 3.0)), constant(1.0, 1.0, 2e-9, (1.0, 1.0)))
-CLEAN = Evidence(
-    error=1e-12, target_uncertainty=1e-9, target_r2=1.0, residuals=waves(1e-9), parameters=3.0, noise=0.0,
-    standard_deviation=2.0, constants=SHARP, prediction=SURE, null_nats=500.0, piece=500,
-    distinct_rows=400,
+CLEAN = given(
+    TrajectoryChecks, error=1e-12, uncertainty=1e-9, target_r2=1.0, residuals=waves(1e-9), parameters=3.0, noise=0.0,
+    standard_deviation=2.0, constants=SHARP, prediction=SURE, null_nats=500.0, distinct_rows=400,
 )  # fmt: skip
-TARGET = Evidence(
-    kind="target", error=0.05, target_r2=0.99, predicted_r2=0.99, residuals=noise(0.1), parameters=3.0, noise=0.1,
+TARGET = given(
+    TargetChecks, error=0.05, target_r2=0.99, predicted_r2=0.99, residuals=noise(0.1), parameters=3.0, noise=0.1,
     standard_deviation=2.0, constants=KNOWN, null_nats=500.0, distinct_rows=400,
 )  # fmt: skip
 EXACT_TARGET = replace(TARGET, error=3e-14, residuals=noise(1e-14), noise=0.0, constants=SHARP)
+UNSIMULATED = given(UnsimulatedChecks, error=0.3, target_r2=0.9, constants=KNOWN)
 SOLVER = "solve_ivp, RK45, rtol=0.001, atol=1e-06"
-UNSIMULATED: dict[str, Any] = {
-    "residuals": (), "null_nats": None, "is_unsimulated": True, "distinct_rows": None, "alternative": None
-}  # fmt: skip
 
 FAILED: dict[str, tuple[dict[str, Any], ...]] = {
     "explained variance": ({"residuals": noise(1.9)}, {"residuals": (np.array([0.1, np.nan, 0.1]),)}),
@@ -82,16 +114,16 @@ NOT_MADE: dict[str, tuple[dict[str, Any], ...]] = {
     "whole trajectories": ({"fits_whole": None}, {"fits_whole": None, "predictable_rows": 244}),
     "long run": ({"chaos": chaos(2.0, False, None, is_unfinished=True)},),
     "other initial states": (
-        {"prediction": None, "unpredicted": "for a reason"},
+        {"prediction": None, "baseless": "y"},
         {"prediction": SURE.replaced(followed=9, unfinished=3)},
     ),
-    "constants": ({"unfitted": 6},),
+    "constants": ({"constants": (), "text": "1.5*x + 2.5*x*x + 3.5*x*x*x"},),
 }
 """By check, what keeps it from being made, for noisy equations and others."""
 OF_TARGETS: dict[str, tuple[dict[str, Any], ...]] = {
     "good": ({},),
     "doubtful": (
-        {"target_uncertainty": 0.04}, {"predicted_r2": 0.8}, {"predicted_r2": None}, {"residuals": waves(0.1)},
+        {"uncertainty": 0.04}, {"predicted_r2": 0.8}, {"predicted_r2": None}, {"residuals": waves(0.1)},
         {"null_nats": -3.0}, {"distinct_rows": 3}, {"parameters": 400.0}, {"stopped": "the choice of the equation"},
         {"residuals": (), "null_nats": None, "distinct_rows": None, "predicted_r2": None},
     ),
@@ -99,7 +131,7 @@ OF_TARGETS: dict[str, tuple[dict[str, Any], ...]] = {
         {"target_r2": 0.02}, {"target_r2": 0.02, "is_known": True}, {"error": math.inf, "target_r2": None},
     ),
 }  # fmt: skip
-"""By grade, changes of a target's evidence."""
+"""By grade, changes of the quantities of a target."""
 CRUMB = constant(4.6e-07, 4.6e-07, 4.6e-08, (3.6e-07, 5.6e-07))
 OTHERS = (
     NOISY,
@@ -111,15 +143,15 @@ OTHERS = (
     replace(NOISY, residuals=noise(0.12, rows=2), distinct_rows=8),
     replace(NOISY, residuals=noise(1.4, rows=3), noise=1.4, parameters=2.0),
     replace(NOISY, residuals=waves(1e-9)),
-    replace(NOISY, **UNSIMULATED),
+    UNSIMULATED,
     CLEAN,
     replace(CLEAN, residuals=waves(1e-3)),
     replace(CLEAN, solver=SOLVER),
     replace(CLEAN, solver=SOLVER, residuals=waves(1e-3)),
     replace(CLEAN, are_errors_summed=True, residuals=waves(0.02)),
     replace(CLEAN, residuals=noise(0.02, rows=2), noise_estimate=0.008, parameters=2.0),
-    replace(CLEAN, rivals=0.0052, rivals_agree=True),
-    replace(CLEAN, rivals=1.0, rivals_agree=True, alternative=0.0),
+    replace(CLEAN, rivals=0.0052),
+    replace(CLEAN, rivals=1.0, alternative=0.0),
     replace(CLEAN, constants=(*SHARP, CRUMB)),
     replace(CLEAN, constants=(constant(-1e-12, -1e-12, 1e-9, (-2e-9, 2e-9)),)),
     replace(CLEAN, constants=()),
@@ -135,7 +167,7 @@ def sentences() -> str:
         replace(NOISY, **change) for some in (FAILED, NOT_MADE) for changes in some.values() for change in changes
     ]
     of_targets = [replace(TARGET, **change) for changes in OF_TARGETS.values() for change in changes]
-    verdicts = [judge(evidence) for evidence in (*OTHERS, *of_noisy, *of_targets)]
+    verdicts = [judge(checks) for checks in (*OTHERS, *of_noisy, *of_targets)]
     lines = dict.fromkeys(f"{verdict.grade}: {verdict.reason}" for verdict in verdicts)
     reasons: dict[str, None] = {}
     for check in (check for verdict in verdicts for check in verdict.checks):

@@ -11,13 +11,14 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.batches import Batches
+from atoll_coordinator.model.constants.rounding import FittedEquations
+from atoll_coordinator.model.constants.standard_errors import describe_constants
 from atoll_coordinator.model.criteria import system_length
 from atoll_coordinator.model.deadline import CHOICE_SHARE, Deadline
-from atoll_coordinator.model.inference import conclusion, evidence, final_model
+from atoll_coordinator.model.inference import conclusion, final_model, trajectory_checks
 from atoll_coordinator.model.inference.conclusion import _odds_of_data
-from atoll_coordinator.model.inference.evidence import _no_elaborations, _share_of_rate, _standard_deviation
-from atoll_coordinator.model.inference.final_model import _show
-from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
+from atoll_coordinator.model.inference.final_model import _show, estimate_errors
+from atoll_coordinator.model.inference.trajectory_checks import no_elaborations, share_of_rate, standard_deviation
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.model.refinement import Alternative, Refinement
@@ -189,14 +190,14 @@ def test_the_deviation_is_that_of_what_was_measured_and_counts():
     rows = measurements(DECAY, [[2.0]], TIMES, noise=0.3)
     rows.weights[0, :5] = 0.0
     rows.measured[0, :5] = np.nan
-    assert _standard_deviation(rows, 0) == pytest.approx(rows.measured[0, 5:].std())
-    assert _standard_deviation(rows, 0) != pytest.approx(float(rows.scales[0]))
+    assert standard_deviation(rows, 0) == pytest.approx(rows.measured[0, 5:].std())
+    assert standard_deviation(rows, 0) != pytest.approx(float(rows.scales[0]))
 
 
 def test_an_elaboration_of_the_equation_is_no_rival():
     programs = [DECAY.parsed(text) for text in ("-0.5*x", "-0.5*x + 0.1", "-0.4*sin(x)", "-0.5*x")]
     shown, *others = (Alternative(program, 1.0, 0.9, is_shown=not rank) for rank, program in enumerate(programs))
-    assert _no_elaborations(shown.program, [shown, *others]) == others[1:]
+    assert no_elaborations(1, [shown, *others]) == others[1:]
 
 
 def test_fitted_constants_have_intervals_around_them(noisy):
@@ -296,7 +297,7 @@ def test_what_was_fitted_to_fewer_rows_is_simulated_along_all(monkeypatch, noise
 
 
 def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypatch):
-    monkeypatch.setattr(final_model, "round_system", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
+    monkeypatch.setattr(FittedEquations, "simplified", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
     refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
     (constant,) = refinement.equations["x"].constants
     assert constant.value == pytest.approx(constant.fitted, abs=0.1 * constant.std_error)
@@ -399,13 +400,13 @@ def test_what_an_input_makes_between_rows_is_a_share_of_the_rate():
     points = np.array([np.linspace(1.0, 7.0, 50), np.full(50, 2.0)])
     program = from_infix("1.5*u - 0.8*x", ("x", "u"))
     rate = 1.5 * points[1] - 0.8 * points[0]
-    assert _share_of_rate(program, points, 1, 0.002) == pytest.approx(0.003**2 / rate.var(), rel=1e-3)
-    assert _share_of_rate(program, points, 1, 100.0) > 0.99
-    assert _share_of_rate(program, points, 1, 0.0) == 0.0
-    assert math.isnan(_share_of_rate(program, points, 1, math.nan))
+    assert share_of_rate(program, points, 1, 0.002) == pytest.approx(0.003**2 / rate.var(), rel=1e-3)
+    assert share_of_rate(program, points, 1, 100.0) > 0.99
+    assert share_of_rate(program, points, 1, 0.0) == 0.0
+    assert math.isnan(share_of_rate(program, points, 1, math.nan))
     near_one = np.array([points[0], np.full(50, 0.95)])
-    assert _share_of_rate(from_infix("log(1.0 - u) - x", ("x", "u")), near_one, 1, 0.1) == 1.0
-    assert _share_of_rate(from_infix("x*u*u", ("x", "u")), np.full((2, 50), 0.05), 1, 0.1) > 0.9
+    assert share_of_rate(from_infix("log(1.0 - u) - x", ("x", "u")), near_one, 1, 0.1) == 1.0
+    assert share_of_rate(from_infix("x*u*u", ("x", "u")), np.full((2, 50), 0.05), 1, 0.1) > 0.9
 
 
 @pytest.mark.parametrize("gains", [(2.0, -2.0), (2.0, 2.5)])
@@ -535,7 +536,7 @@ def test_an_equation_whose_simulation_passes_a_pole_is_doubtful(monkeypatch):
     """Between measured points a pole must be earned; from one row to the next no solution goes through it."""
     looked = []
     monkeypatch.setattr(
-        evidence, "find_poles", lambda program, *lines: looked.append(lines) or [program][: len(lines) - 1]
+        trajectory_checks, "find_poles", lambda program, *lines: looked.append(lines) or [program][: len(lines) - 1]
     )
     refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
     assert refinement.equations["x"].grade == "doubtful"
@@ -555,13 +556,13 @@ def test_constants_are_shown_within_their_intervals(monkeypatch):
     shown = _show(comparison, near, near.programs)
     assert 2.0 not in np.abs(shown.rounded.programs[1].constants)
     known = describe_constants(
-        comparison, shown.explicit, shown.rounded.programs, narrow(estimate_errors(comparison, shown.free))
+        (), shown.explicit, shown.rounded.programs, narrow(estimate_errors(comparison, shown.free))
     )
     assert all(constant.is_within for equation in known for constant in equation.written)
 
 
 def narrow(errors):
-    return replace(errors, covariance=1e-6 * errors.covariance)
+    return replace(errors, bounded=1e-6 * errors.bounded)
 
 
 @pytest.mark.parametrize("seed", [7, 11])

@@ -11,6 +11,7 @@ from atoll_coordinator.model.inference.prediction import (
     AlternativeSystem as Other,
 )
 from atoll_coordinator.model.inference.prediction import (
+    _differences,
     _Elsewhere,
     _Misses,
     _r2,
@@ -441,8 +442,9 @@ RAMP = np.array([[0.0, 0.1, 0.2, 0.3]])
     ],
 )
 def test_a_rival_that_runs_away_from_one_state_alone_predicts_otherwise_there(courses, agreement, place):
-    misses = _Misses([RAMP, RAMP], 1)
-    misses.add(0, 1.0, courses)
+    misses, differences = _Misses(1), _differences(courses, [RAMP, RAMP], 1)
+    if differences is not None:
+        misses.add(0, 1.0, *differences)
     assert (misses.agreement(0), misses.unlike(0)) == (agreement, place)
 
 

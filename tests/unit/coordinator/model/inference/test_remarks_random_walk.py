@@ -5,7 +5,6 @@ import pytest
 
 from atoll_coordinator.data.recording import Quantisation, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.inference.remarks import stochastic_remarks
-from atoll_coordinator.model.inference.trajectory_simulation import SimulatedTrajectory
 
 TIMES = 0.05 * np.arange(1000)
 
@@ -17,8 +16,7 @@ def recording(states: np.ndarray) -> Recording:
 
 
 def remarks(measured: Recording, values: np.ndarray) -> list[str]:
-    simulated = SimulatedTrajectory("1", False, TIMES, values[None], values[None], None, (0.5,))
-    return stochastic_remarks(measured, ("x",), [simulated])
+    return stochastic_remarks(measured, ("x",), [values[None]])
 
 
 def walk(seed: int) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference.residual_covariance import residual_covariance
+from atoll_coordinator.model.inference.residual_covariance import residual_covariances
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from tests.unit.coordinator.model.shooting.made import SWING, compare, measurements
 
@@ -20,7 +20,7 @@ def fit():
 def taken(fit, *sigmas):
     """Return how many numbers each state takes where its errors have these sizes."""
     errors = ErrorModel.independent(np.array(sigmas))
-    made = [residual_covariance(ROWS, replace(fit, errors=errors), state) for state in range(2)]
+    made = residual_covariances(ROWS, replace(fit, errors=errors))
     return [len(one) - float(np.trace(one)) for one in made]
 
 
@@ -38,4 +38,4 @@ def test_a_state_that_is_followed_far_more_closely_takes_them_all(fit):
 def test_of_many_rows_no_matrix_is_made():
     many = measurements(SWING, ([1.0, 2.0],), 0.01 * np.arange(400.0))
     model = compare(SWING, many, 1e-8).fit_model([SWING.parsed("y"), SWING.parsed("-2.0*x - 0.3*y")])
-    assert residual_covariance(many, model.fit, 0) is None
+    assert residual_covariances(many, model.fit) is None

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.inference import shared_terms
+from atoll_coordinator.model.inference.final_model import errors_of_constants, estimate_errors
 from atoll_coordinator.model.inference.shared_terms import fit_together
-from atoll_coordinator.model.inference.standard_errors import estimate_errors
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.writing.expansion import expand_program
 from tests.unit.coordinator.model.shooting.made import Known, compare, measurements
@@ -55,7 +55,7 @@ def test_a_flux_that_leaves_and_enters_has_one_set_of_constants(together):
 def test_its_constants_are_known_better(together):
     comparison, apart, made = together
     before = np.sqrt(np.diag(estimate_errors(comparison, apart).covariance))
-    errors = estimate_errors(comparison, made.model).of_constants(made.model.fit.system)
+    errors = errors_of_constants(comparison, made.model)
     after = np.sqrt(np.diag(errors.covariance))
     assert (after < before).all()
     assert after[[1, 2]] == pytest.approx(after[[3, 4]] / [2.0, 1.0])

@@ -5,15 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference import standard_errors
+from atoll_coordinator.model.constants import standard_errors
+from atoll_coordinator.model.inference.final_model import estimate_errors
 from atoll_coordinator.model.inference.residual_covariance import widening
-from atoll_coordinator.model.inference.standard_errors import estimate_errors
 from atoll_coordinator.model.inference.trajectory_simulation import (
     bands,
     fit_starts,
     r2_of,
-    scaled_covariance,
-    simulate_trajectories,
 )
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
@@ -32,17 +30,20 @@ def describe_constants(comparison, shown, errors):
     """Return the written constants of each program, errors being those of the programs as they are written."""
     return [
         constant.written
-        for constant in standard_errors.describe_constants(comparison, tuple(map(as_written, shown)), shown, errors)
+        for constant in standard_errors.describe_constants(
+            comparison.fixed, tuple(map(as_written, shown)), shown, errors
+        )
     ]
 
 
 def find_correlations(comparison, variables, shown, errors):
-    places = standard_errors.fitted_places(comparison, variables, tuple(map(as_written, shown)))
+    places = standard_errors.fitted_places(comparison.fixed, variables, tuple(map(as_written, shown)))
     return standard_errors.find_correlations(places, errors)
 
 
 def banded(comparison, rows, model):
-    return bands(rows, model.fit, *scaled_covariance(model.fit, estimate_errors(comparison, model)))
+    errors = estimate_errors(comparison, model)
+    return bands(rows, model.fit, errors.bounded, errors.scale)
 
 
 def drawn(seed, noise=NOISE):
@@ -122,9 +123,9 @@ def test_bands_integrate_once_however_many_pieces_there_are(monkeypatch):
     model = comparison.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
     integrate, times = MultipleShooting.sensitivities, []
     monkeypatch.setattr(MultipleShooting, "sensitivities", lambda self, fit: times.append(1) or integrate(self, fit))
-    spread, scale = scaled_covariance(model.fit, estimate_errors(comparison, model))
+    errors = estimate_errors(comparison, model)
     times.clear()
-    bands(rows, model.fit, spread, scale)
+    bands(rows, model.fit, errors.bounded, errors.scale)
     assert len(times) == 1
 
 
@@ -195,28 +196,6 @@ def test_held_constants_stay_and_starts_are_fitted():
     assert fit.starts[:, 0] == pytest.approx([2.0, 1.0, -1.5], abs=4.0 * NOISE)
     near = fit_starts(comparison, [TRUTH], model.fit)
     assert near.squares[0] == pytest.approx(fit.squares[0], rel=1e-5)
-
-
-def test_simulations_are_by_trajectory():
-    rows = measurements_of(recording(DECAY, STARTS, TIMES, NOISE), [0], piece=10)
-    comparison = compare(DECAY, rows, 1e-6)
-    model = comparison.fit_model([TRUTH])
-    errors = np.arange(60.0)[None]
-    curves = simulate_trajectories(rows, model.fit, errors, ("x",), held_out=False)
-    assert [curve.name for curve in curves] == ["1", "2", "3"]
-    assert [len(curve.times) for curve in curves] == [20, 20, 20]
-    assert np.concatenate([curve.errors[0] for curve in curves]).tolist() == errors[0].tolist()
-    assert np.concatenate([curve.values[0] for curve in curves]).tolist() == model.fit.simulated[0].tolist()
-    assert all(0.5 < curve.r2[0] < 1.0 for curve in curves)
-    assert simulate_trajectories(rows, model.fit, None, ("x",), held_out=True)[0].errors is None
-
-
-def test_what_could_not_be_simulated_has_neither_values_nor_r2():
-    rows = measurements_of(recording(DECAY, STARTS, TIMES, NOISE), [0])
-    curves = simulate_trajectories(rows, None, None, ("x",), held_out=True)
-    assert [(curve.name, curve.held_out, curve.values, curve.errors, curve.r2) for curve in curves] == [
-        (name, True, None, None, (None,)) for name in ("1", "2", "3")
-    ]
 
 
 def test_r2_is_the_share_that_is_explained_of_what_was_measured():

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from atoll_coordinator.model.constants.standard_errors import student_95
 from atoll_coordinator.model.inference.residual_covariance import expected_widening
-from atoll_coordinator.model.regression.covariance import student_95
 from atoll_core.data.dataset import FloatArray
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.criteria import RegressionCriterion
-from atoll_coordinator.model.regression.covariance import estimate_constants
+from atoll_coordinator.model.regression.equation import estimate_constants
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.simplification import simplify_program

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from atoll_coordinator.model.constants.rounding import continuum_density, simple_numbers
 from atoll_coordinator.model.pools import Member
 from atoll_coordinator.model.regression.equation import fit_equation
-from atoll_coordinator.model.regression.rounding import continuum_density, simple_numbers
 from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.text.parsing import from_infix

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
+from atoll_coordinator.model.constants.standard_errors import describe_constants
+from atoll_coordinator.model.inference.final_model import estimate_errors
 from atoll_coordinator.model.selection.comparison import Constraints
 from atoll_core.expression.restrictions import EquationBounds, Restrictions, parse_bound
 from atoll_core.expression.unit_coefficients import as_written
@@ -71,8 +72,7 @@ def test_a_constant_on_its_bound_has_a_one_sided_interval():
     model = comparison.fit_model([DECAY.parsed("-0.3*x")])
     errors = estimate_errors(comparison, model)
     ((constant,),) = (
-        known.written
-        for known in describe_constants(comparison, [as_written(model.programs[0])], model.programs, errors)
+        known.written for known in describe_constants((), [as_written(model.programs[0])], model.programs, errors)
     )
     free = decay().fit_model([DECAY.parsed("-0.7*x")])
     error = float(np.sqrt(estimate_errors(decay(), free).covariance[0, 0]))
@@ -88,7 +88,7 @@ def test_intervals_end_at_bounds_that_are_not_met():
     ((constant,),) = (
         known.written
         for known in describe_constants(
-            comparison, [as_written(model.programs[0])], model.programs, estimate_errors(comparison, model)
+            (), [as_written(model.programs[0])], model.programs, estimate_errors(comparison, model)
         )
     )
     assert constant.bounds == (-0.5002, -0.4)

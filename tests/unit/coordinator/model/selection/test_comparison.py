@@ -197,8 +197,9 @@ def narrowed(fitting: ModelComparison, until: float = math.inf) -> tuple[list[by
 def bits(model: FittedModel) -> bytes:
     fit = model.fit
     arrays = (
-        *fit.system.arrays(), fit.segments, fit.starts, fit.simulated, fit.residuals, fit.errors.sigmas, fit.squares,
-        fit.normal, fit.coupling, fit.own, fit.gradient, np.array([model.misfit, model.nats, fit.is_stiff]),
+        fit.system.constants, fit.system.places, fit.segments, fit.starts, fit.simulated, fit.residuals,
+        fit.errors.sigmas, fit.squares, fit.normal, fit.coupling, fit.own, fit.gradient,
+        np.array([model.misfit, model.nats, fit.is_stiff]),
     )  # fmt: skip
     assert fit.system.programs[-len(model.programs) :] == model.programs
     return b"".join(b"" if array is None else array.tobytes() for array in arrays)
@@ -244,7 +245,7 @@ def test_batches_of_groups_and_bounds_change_no_bit():
         constraints = Constraints(restrictions, GroupedRows(2, problems, restrictions))
         fitting = compare(LOTKA, measured, constraints=constraints, spread=spread)
         near = fitting.fit_model([RIVALS[0], OTHER])
-        return list(map(bits, fitting.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4),), most=math.inf)))
+        return list(map(bits, fitting.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4),))))
 
     assert run(Spread(ScatteredBatches(3))) == run(Spread())
 

@@ -53,7 +53,7 @@ def test_a_law_without_them_stays_as_it_is(noise):
     selection = selected(DECAY, "0.4 - 0.9*h", noise)
     widened = looked_again("further operators", selection)
     assert widened.model is selection.model
-    assert widened.widened == ["h"]
+    assert list(widened.widened) == (["h"] if noise else [])
     assert remarks(widened) == []
 
 

@@ -102,17 +102,3 @@ def test_errors_of_the_integration_do_not_show_in_the_constants_of_all_rows():
 
     assert distance(chosen.model) > 0.3
     assert distance(on_all_rows(chosen).model) < 0.05
-
-
-@pytest.mark.parametrize("rows", [6, 7])
-def test_terms_that_followed_errors_of_a_coarse_integration_are_left_out(rows):
-    """Of so few rows a period the derivatives are uncertain, and with them how precisely systems are first compared."""
-    turning = Known(("x", "y"), lambda _, z: [z[1], -z[0]])
-    times = 2.0 * np.pi / rows * np.arange(80.0)
-    task = field_of(turning, ([1.0, 0.0],), times, 0.0, JobConfig(), x=("y + 1e-6*x",), y=("-x",))
-    measurements = task.measurements(task.variables)
-    comparison = task.compare(measurements, task.variables)
-    model = comparison.fit_model([candidate.front[0].program for candidate in task.candidates.values()])
-    assert model.fit.system.count > 0
-    whole = on_all_rows(SelectedModel(task, comparison, model))
-    assert whole.model.fit.system.count == 0

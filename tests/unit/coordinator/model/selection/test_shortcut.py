@@ -8,15 +8,14 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.inference.conclusion import conclude
-from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.pools import Law, Member, Pool
+from atoll_coordinator.model.pools import Law, Member
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection import proposals
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.shortcut import select_by_laws, with_laws
 from atoll_coordinator.model.selection.stages import select_model
 from atoll_coordinator.model.selection.task import ModellingTask
-from atoll_core.config import PRESETS, JobConfig, SpaceConfig
+from atoll_core.config import PRESETS
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, TERMS, monomials, prepared
@@ -125,16 +124,3 @@ def test_one_wrong_law_gives_way_to_another_candidate_and_leaves_the_others_as_t
     assert select_by_laws(with_laws(task)) is None
     selected = select_model(task)
     assert forms(selected.model.programs[:5]) == forms(from_infix(text, RING) for text in TRUTHS.values())
-
-
-@pytest.mark.slow
-def test_the_state_of_a_wrong_law_is_taken_as_smoothed_where_no_other_equation_holds():
-    preparation, laws = ring_with_a_wrong_law()
-    config = JobConfig(space=SpaceConfig(operators=("+", "-", "*"), variables_of={"x2": ("x3",)}))
-    refinement = refine_all(preparation, config, {name: Pool(()) for name in RING}, laws=laws)
-    assert list(refinement.equations) == ["x0", "x1", "x3", "x4", "x5"]
-    for name in ("x0", "x1", "x3", "x4"):
-        equation = refinement.equations[name]
-        assert forms([equation.program]) == forms([from_infix(TRUTHS[name], RING)])
-        assert equation.grade == "good", equation.reason
-    assert any("x2, without an equation, as smoothed" in warning for warning in refinement.warnings)

@@ -11,25 +11,21 @@ from atoll_coordinator.model.selection.shortcut import with_laws
 from atoll_coordinator.model.selection.stages import STAGES, Choice
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import BudgetConfig, JobConfig, SpaceConfig
-from atoll_core.expression.program import structure
-from atoll_core.expression.writing.shortest import shortest
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
 
 def final_candidates(task):
-    """Return the candidates of each equation that are searched, and the names of the stages that ran before."""
-    choice, ran = Choice(with_laws(task)), []
+    """Return the candidates of each equation that are searched."""
+    choice = Choice(with_laws(task))
     for stage in STAGES:
         if stage.name == "search among the candidates":
             break
         if stage.is_due(choice):
             choice = stage.run(choice)
-            ran.append(stage.name)
-    return choice.lists or choice.pool.lists, ran
+    return choice.pool.lists
 
 
 DRAG = Known(("v",), lambda _, z: [-0.05 * z[0] ** 2])
-TRUTH = "-0.05*v*v"
 CLOSE = "100.0*cos(0.0316227766*v) - 100.0"
 """Differs from the truth by less than a thousandth, which counts as found here."""
 NO_LIBRARIES = JobConfig(space=SpaceConfig(operators=("-", "*")))
@@ -47,17 +43,12 @@ def candidates(prepared, text):
     (entry,) = entries["v"].front
     settled = {"v": Refined(0, DRAG.parsed(text), entry.error, entry.mse)}
     candidates = collect_candidates(prepared.dataset, CONFIG, entries)
-    (ranking,), _ = final_candidates(ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates, settled))
+    (ranking,) = final_candidates(ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates, settled))
     return ranking
 
 
-def test_what_a_converged_search_found_without_noise_stands_alone(prepared):
-    (only,) = candidates(prepared, TRUTH)
-    assert structure(only) == structure(shortest(DRAG.parsed(TRUTH)))
-
-
 @pytest.mark.slow
-def test_unless_the_trajectories_show_that_it_only_comes_close(prepared):
+def test_trajectories_show_that_the_equation_of_a_converged_search_only_comes_close(prepared):
     first, *others = candidates(prepared, CLOSE)
     assert others
     assert "cos" not in DRAG.text(first)
@@ -73,14 +64,5 @@ def test_an_equation_among_many_that_has_a_law_has_no_other_candidates_unless_al
     laws = {name: (Law(SPIRAL.parsed("b - 0.3*a"), 10.0, 0.5, is_tested=True, is_of_rates=True),) for name in lawful}
     candidates = collect_candidates(measured.dataset, NO_LIBRARIES, entries)
     task = ModellingTask(measured.dataset, measured.recording, NO_LIBRARIES, candidates, laws=laws)
-    lists, _ = final_candidates(task)
+    lists = final_candidates(task)
     assert tuple(min(len(ranked_list), 2) for ranked_list in lists) == sizes
-
-
-def test_where_no_system_can_be_simulated_no_libraries_are_tried():
-    """1e9 v^2 leaves the measured range within a row, wherever it begins."""
-    measured = prepare(table(DRAG, ([3.0], [2.0]), 0.1 * np.arange(60.0)), NO_LIBRARIES)
-    for text, is_tried in (("1e9*v*v", False), ("1.5*v - 2.1*v", True)):
-        candidates = collect_candidates(measured.dataset, NO_LIBRARIES, pools(measured, v=(text,)))
-        _, ran = final_candidates(ModellingTask(measured.dataset, measured.recording, NO_LIBRARIES, candidates))
-        assert ("all candidates" in ran) == is_tried, text

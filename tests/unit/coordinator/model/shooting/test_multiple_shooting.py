@@ -9,7 +9,7 @@ from atoll_coordinator.data.differentiation.smoothing import Signal, fit_robustl
 from atoll_coordinator.model.shooting import multiple_shooting
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleShooting, fit_in_stages
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import system_of, variable_program
 from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.settings import SETTINGS
@@ -20,7 +20,6 @@ from tests.unit.coordinator.model.shooting.made import (
     LOTKA,
     SWING,
     Known,
-    compare,
     measurements,
     recording,
 )
@@ -378,26 +377,6 @@ def test_segments_of_groups_are_joined_with_the_constants_of_each():
     assert estimator.cost(whole) < 1.02 * estimator.cost(replace(best, errors=whole.errors))
 
 
-def test_a_fit_ends_where_it_cannot_come_to_its_goal():
-    """A decay has no constants with which it gives a growth, and those with which it gives the least are far away."""
-    rows = measurements(DECAY, ([4.0],), 0.1 * np.arange(60.0), noise=0.02)
-    start, misfit = system(DECAY, "-0.3*x"), compare(DECAY, rows).score.misfit
-    far = system(DECAY, "-0.1*x*x*x")
-
-    def ended(begun, most):
-        estimator = MultipleShooting(rows, 1e-6)
-        fit = estimator.fit(begun, None, 40, goal=Goal(misfit, most))
-        return misfit.total(fit.squares), estimator.work
-
-    least, work = ended(start, 0.0)
-    free, its_work = ended(far, np.inf)
-    left, its_little = ended(far, least + 3.0)
-    assert free > least + 3.0
-    assert left >= free
-    assert its_little < its_work
-    assert ended(start, least + 3.0) == (least, work)
-
-
 GROWTH = Known(("x",), lambda _, z: [0.8 * z[0] - 0.1 * z[0] ** 2])
 BELOW = {0: -0.35, 1: -0.05}
 """Values of the first rows as noise may leave them; the law runs away from there."""
@@ -427,28 +406,6 @@ def test_a_state_that_may_be_of_either_sign_begins_where_it_was_measured():
         system_of([SWING.parsed(text) for text in ("y", "-2.0*x - 0.3*y")], SWING.names, SWING.states), None, 40
     )
     assert fit.starts[0] == pytest.approx([-0.3, 1.0], abs=0.05)
-
-
-def test_the_same_fit_again_is_the_same_object_and_counts_the_same_work():
-    estimator = MultipleShooting(measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05), 1e-6)
-    start = system(DECAY, "-0.4*x")
-    first = estimator.fit(start, 5, 4)
-    work = estimator.work
-    assert estimator.fit(system(DECAY, "-0.4*x"), 5, 4) is first
-    assert estimator.work == 2 * work
-    others = (start.with_values(np.nextafter(start.values, 1.0)), 5, 4), (start, 5, 3), (start, None, 4)
-    assert all(estimator.fit(*other) is not first for other in others)
-    assert estimator.fit(start, 5, 4, errors=ErrorModel.independent(np.ones(1))) is not first
-    given = estimator.fit(start, None, 4, np.array([[3.0], [2.0]]))
-    assert estimator.fit(start, None, 4, np.nextafter([[3.0], [2.0]], 4.0)) is not given
-
-
-def test_a_system_that_cannot_be_integrated_is_remembered_as_such():
-    estimator = MultipleShooting(measurements(DECAY, [[3.0], [2.0]], TIMES), 1e-6)
-    assert estimator.fit(system(DECAY, "x*x*x"), None, 4) is None
-    work = estimator.work
-    assert estimator.fit(system(DECAY, "x*x*x"), None, 4) is None
-    assert estimator.work == 2 * work > 0
 
 
 def test_sensitivities_are_those_of_finite_differences():

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference.standard_errors import estimate_errors
-from atoll_coordinator.model.inference.trajectory_simulation import simulate_trajectories
+from atoll_coordinator.model.inference.final_model import estimate_errors
+from atoll_coordinator.model.inference.trajectory_simulation import simulated_states
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, compare, recording
 
@@ -31,10 +31,10 @@ def test_offsets_are_fitted_with_whole_trajectories(rows):
     assert model.fit.starts.shape == (3, 3)
     assert model.fit.starts[:, 2] == pytest.approx(OFFSETS, abs=0.02)
     assert np.sqrt(model.fit.squares) == pytest.approx([0.01, 0.01], rel=0.15)
-    curves = simulate_trajectories(rows, model.fit, None, ("x", "y"), held_out=False)
-    assert [curve.offsets["x"] for curve in curves] == pytest.approx(OFFSETS, abs=0.02)
-    assert set(curves[0].offsets) == {"x"}
-    assert curves[0].values[0] == pytest.approx(rows.measured[0, :60], abs=0.06)
+    values, offsets = simulated_states(rows, model.fit, ("x", "y"))
+    assert offsets["x"][::60] == pytest.approx(OFFSETS, abs=0.02)
+    assert set(offsets) == {"x"}
+    assert values[0] == pytest.approx(rows.measured[0], abs=0.06)
 
 
 def test_offsets_count_as_fitted_numbers(rows):

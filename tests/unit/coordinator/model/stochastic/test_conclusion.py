@@ -1,19 +1,22 @@
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import ProcessRecording
+from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import Grade
-from atoll_coordinator.model.regression.covariance import Known
-from atoll_coordinator.model.stochastic.conclusion import _Equation, _judge, _pattern, joint_checks
+from atoll_coordinator.model.refinement import Grade, Refined
+from atoll_coordinator.model.stochastic.checks import ProcessChecks, ProcessSteps
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.process_choice import ChosenProcess
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
-from atoll_core.data.dataset import FloatArray
+from atoll_core.data.dataset import FloatArray, Target
 from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.restrictions import NONE
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.data.tables import table_of
 from tests.unit.coordinator.model.stochastic.processes import ornstein_uhlenbeck, steps_of
@@ -21,27 +24,36 @@ from tests.unit.coordinator.model.stochastic.processes import ornstein_uhlenbeck
 NAMES = ("x", "v", "w")
 
 
+def checks_of(residuals: FloatArray, state: int, *, has_noise: bool) -> ProcessChecks:
+    """Return the checks of the drift of a state whose whitened steps are given."""
+    steps = SimpleNamespace(
+        states=NAMES, residuals=residuals, driven=[] if has_noise else [state], certain=[], has_noise=True,
+        chosen=SimpleNamespace(is_stopped=False),
+    )  # fmt: skip
+    target = Target("", "", residuals[state], 0.0, 1.0)
+    return ProcessChecks(Refined(None, from_infix("x", NAMES), 0.0, 0.0), target, cast(ProcessSteps, steps), state)
+
+
 def test_independent_steps_of_variance_one_are_not_objected_to() -> None:
     residuals = np.random.default_rng(2).standard_normal((3, 4000))
     for state in range(3):
-        checks = joint_checks(residuals, state, NAMES, has_noise=state == 1)
-        assert {check.outcome for check in checks} == {"passed"}
+        checks = checks_of(residuals, state, has_noise=state == 1)
+        assert checks.check_correlation_of_states().outcome == "passed"
+        assert checks.check_size_of_steps().outcome == ("not applicable" if state == 1 else "passed")
 
 
 def test_steps_that_go_together_with_those_of_another_state_are_objected_to() -> None:
     residuals = np.random.default_rng(2).standard_normal((3, 4000))
     residuals[2] = np.sqrt(0.99) * residuals[2] - 0.1 * residuals[1]
-    (check,) = joint_checks(residuals, 1, NAMES, has_noise=True)
+    check = checks_of(residuals, 1, has_noise=True).check_correlation_of_states()
     assert check.outcome == "failed"
     assert check.reason.startswith("the residual steps are correlated with the steps of w")
 
 
 def test_steps_that_are_too_small_for_the_noise_of_others_are_objected_to() -> None:
     residuals = 0.5 * np.random.default_rng(2).standard_normal((3, 4000))
-    size, correlation = joint_checks(residuals, 2, NAMES, has_noise=False)
-    assert (size.outcome, correlation.outcome) == ("failed", "passed")
-    assert size.reason.startswith("its steps are 0.508 times as large as the noise of other states makes them")
-    assert {check.outcome for check in joint_checks(residuals, 2, NAMES, has_noise=True)} == {"passed"}
+    checks = checks_of(residuals, 2, has_noise=False)
+    assert (checks.check_size_of_steps().outcome, checks.check_correlation_of_states().outcome) == ("failed", "passed")
 
 
 @pytest.mark.slow
@@ -90,10 +102,6 @@ def test_exact_tables_have_equations_of_which_none_is_said_to_be_the_law_of_a_pr
     }
 
 
-def test_what_is_the_same_everywhere_has_no_pattern() -> None:
-    assert [_pattern([np.full(8, value), np.full(9, value)]) for value in (0.0, -1.0)] == [1.0, 1.0]
-
-
 def judged(rows_a_period: int, model: ProcessModel) -> list[Grade]:
     """Return the grades of the equations of a process, x = cos t and y = -sin t exactly."""
     times = 2.0 * np.pi / rows_a_period * ROWS
@@ -102,11 +110,12 @@ def judged(rows_a_period: int, model: ProcessModel) -> list[Grade]:
     fitted, count = FittedProcess(model, 0.0, lambda: np.zeros((0, 0))), len(model.programs)
     chosen = ChosenProcess(
         process, ("x", "y", *process.components), (*range(count),), (), ProcessLikelihood(steps), fitted,
-        ((),) * count, (), 0.0,
+        ((),) * count, (NONE,) * count, 0.0,
     )  # fmt: skip
+    whitened, target = ProcessSteps(chosen, model), Target("", "", steps.increments[0], 0.0, 1.0)
     return [
-        verdict.grade
-        for verdict in _judge(chosen, model, [_Equation(program, Known((), ())) for program in model.programs])
+        judge(ProcessChecks(Refined(None, program, 0.0, 0.0), target, whitened, number)).grade
+        for number, program in enumerate(model.programs)
     ]
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.service.jobs.job import (
+    CommitCuts,
     CommitResult,
     Job,
     JobAction,
@@ -74,6 +75,20 @@ def report(island: int, epoch: int, variable: str = "x", term: int = 2, program:
         digest=f"{epoch:032x}",
     )
     return EpochReport(job="job", variable=variable, term=term, epoch=epoch, islands=(archipelago,))
+
+
+def test_a_job_runs_until_every_variable_is_cut() -> None:
+    job = running(max_epochs=1)
+    for variable in ("x", "y"):
+        assert job.add_report("w0", report(0, 0, variable), 1.0) == []
+        actions = job.add_report("w1", report(1, 0, variable), 2.0)
+        assert isinstance(actions[0], CommitCuts)
+        assert any(isinstance(action, Refine) for action in actions) == (variable == "y")
+    assert job.state == "refining"
+    job.validate()
+    assert job.finish("{}") == [CommitResult()]
+    assert job.state == "done"
+    assert job.finish("{}") == []
 
 
 def searched(job: Job, now: float) -> list[JobAction]:

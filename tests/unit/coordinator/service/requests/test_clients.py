@@ -11,6 +11,7 @@ from atoll_coordinator.service.requests import uploads as uploads_module
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
+from atoll_coordinator.service.scheduling.limits import Limits, Total
 from atoll_coordinator.service.store.open_file import Room
 from atoll_coordinator.service.store.store import JobRecord, Store
 from atoll_coordinator.service.tasks.analyses import Analyses
@@ -138,6 +139,23 @@ def test_uploads_that_were_given_up_make_room_and_those_that_go_on_do_not(
     ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
     sentence = failure(ask(clients, messages.Upload(blob=other, size=4))).sentence
     assert "coordinator delete ID" in sentence
+
+
+def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
+    clients: ClientRequests, tasks: Tasks
+) -> None:
+    clients._controller.queue.limits = Limits(total=Total(running=1))
+    clients.answer("ann", chunk())
+    for name in ("a", "b"):
+        answer = ask(clients, messages.Submit(job=name, name="", config=JobConfig(), table=BLOB))
+    assert isinstance(answer, messages.JobStatus)
+    assert (answer.job.state, answer.job.reason) == ("queued", "waits for its turn (it is next; 1 job is under way)")
+    cancelled = ask(clients, messages.Cancel(job="a"))
+    assert isinstance(cancelled, messages.JobStatus)
+    assert cancelled.job.state == "cancelled"
+    assert ("b", BLOB) in tasks.prepared
+    assert ("cancel", "a") in tasks.calls  # it may be at work still
+    assert "before its search began" in failure(ask(clients, messages.GetResult(job="a"))).sentence
 
 
 def test_the_table_of_a_job_is_given_to_whoever_sees_the_job(clients: ClientRequests) -> None:

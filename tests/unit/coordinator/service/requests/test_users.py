@@ -392,6 +392,20 @@ def test_jobs_beyond_those_that_may_wait_are_refused(lab: Lab) -> None:
     assert "3 jobs wait, and limits allow 3" in said(lab.submit("bob", "b2"))
 
 
+def test_bytes_of_a_user_hold_to_the_byte(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(admission, "RESULT_RESERVE", 10)
+    limit(lab, user=Allowance(stored=100))
+    table = bytes(range(40))
+    view(lab.submit("ann", "a", table))  # 40 + 10
+    view(lab.submit("ann", "b", table))  # the same table: 40 + 20
+    assert lab.store.held("ann").stored == 40
+    assert "stores 40 bytes" in said(lab.submit("ann", "c", bytes(31)))
+    view(lab.submit("ann", "c", bytes(30)))  # 70 + 30
+    assert lab.store.held("ann").stored == 70
+    assert "are over the 100" in said(lab.submit("ann", "d", table))
+    view(lab.submit("bob", "z", bytes(90)))
+
+
 def test_tables_that_no_deletion_makes_room_for_are_refused_from_who_holds_most(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -409,21 +423,6 @@ def test_tables_that_no_deletion_makes_room_for_are_refused_from_who_holds_most(
         full.fail(job)
     full.fail("a1")
     assert isinstance(full.submit("ann", "more", b"m" * 30), JobStatus)
-
-
-def test_results_push_out_the_oldest_jobs_of_the_same_user_and_of_nobody_else(lab: Lab) -> None:
-    for user, job in (("ann", "old"), ("bob", "his"), ("ann", "new")):
-        lab.submit(user, job, job.encode())
-    for job in ("old", "his"):
-        lab.store.commit_result(job, "done", "x" * 50, None, "2026")
-        lab.controller.jobs.pop(job)
-    limit(lab, user=Allowance(stored=60))
-    live = lab.controller.jobs["new"]
-    assert lab.controller._fitting(live, "y" * 50) == "y" * 50
-    assert (lab.store.job("old"), lab.store.job("his") is not None) == (None, True)
-    assert lab.controller._fitting(live, "y" * 57) == "y" * 57
-    assert lab.controller._fitting(live, "y" * 58) is None
-    assert (live.state, "58 bytes exceeds the 60" in (live.reason or "")) == ("failed", True)
 
 
 def test_time_is_given_and_bounded_and_a_job_known_already_keeps_what_it_has(lab: Lab) -> None:

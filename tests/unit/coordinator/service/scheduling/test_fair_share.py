@@ -80,16 +80,6 @@ def test_within_a_user_priority_counts_then_age_and_age_overtakes_priority() -> 
     assert share.order([Turn("old", None), Turn("higher", None, priority=3, since=3.1 * AGE_S)]) == ["old", "higher"]
 
 
-def test_whoever_has_gone_and_owes_nothing_is_forgotten() -> None:
-    share = FairShare(quantum_s=1.0)
-    for number in range(1000):
-        share.order([*jobs("a", "ann"), Turn(f"j{number}", f"u{number}")])
-        share.charge("ann", 1.0)
-        share.forget(f"j{number}")
-    assert len(share._shares) <= 2
-    assert len(share._users) == 1
-
-
 def test_who_has_tasks_that_run_lets_others_go_before_and_who_was_charged_waits() -> None:
     running, waiting = jobs("a0 a1", "ann"), [Turn("a2", "ann", 1), Turn("a3", "ann"), Turn("b", "bob", since=9.0)]
     assert TaskTurns().order_tasks(waiting, running) == ["b", "a2", "a3"]

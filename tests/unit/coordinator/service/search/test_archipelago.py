@@ -3,6 +3,7 @@
 import pytest
 
 from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
+from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
 from atoll_coordinator.service.search.ending import SearchLimits, Stagnation
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
@@ -140,3 +141,16 @@ def test_newcomers_have_to_wait_for_some_commits_after_a_planned_change() -> Non
         commit(made, commit_at, 100.0 * commits, term=2)
         epoch, commits = commit_at, commits + 1
     assert commits == PLAN_COMMITS
+
+
+def test_what_was_committed_earlier_is_where_the_first_term_begins() -> None:
+    made, other = archipelago(), archipelago()
+    place(other, 1)
+    report(other, 0, 8)
+    checkpoint, _ = commit(other, 8, 1.0)
+    made.resume(checkpoint.stored_search_state(1.0).search_state())
+    place(made, 2)
+    report(made, 8, 12, term=2)
+    report(other, 8, 12)
+    assert made.collector.state == other.collector.state
+    assert made.interval == FIRST_INTERVAL

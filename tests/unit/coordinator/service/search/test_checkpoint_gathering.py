@@ -55,6 +55,17 @@ def test_no_epoch_that_may_have_begun_becomes_a_checkpoint_or_a_barrier(steps: l
         schedule = after
 
 
+def test_a_barrier_lies_one_epoch_behind_what_is_known_and_stays() -> None:
+    assert checkpoints.schedule_after(Schedule(next=8, last=16), 8, 20, wants_barrier=True) == Schedule(
+        next=16, last=17, holds=True
+    )
+    assert checkpoints.schedule_after(Schedule(next=8, last=16), 16, 20, wants_barrier=True) == Schedule(
+        next=17, last=17, holds=True
+    )
+    barrier = Schedule(next=16, last=17, holds=True)
+    assert checkpoints.schedule_after(barrier, 16, 20, wants_barrier=False) == Schedule(next=17, last=17, holds=True)
+
+
 def answered(islands: tuple[int, ...], offset: int = 0, room: int = 1000) -> States:
     return States(pieces=split_states(islands, offset, STATES.__getitem__, room))
 

@@ -98,6 +98,13 @@ def test_convergence_has_the_improvements_of_each_island_in_order(collector: Col
     assert generations == {0: [(4, 1.0), (4, 0.5), (9, pytest.approx(1 / 3))], 1: [(4, 8.0), (106, 4.0)]}
 
 
+def test_a_report_given_up_at_a_hit_waits_for_the_report_of_that_hit(collector: Collector) -> None:
+    assert not collector.add_reports("w0", 0, [report(0, generations=20)], 1.0)
+    assert collector.state.epochs == 0
+    assert collector.add_reports("w1", 0, [report(1, hit=20)], 2.0)
+    assert collector.cut is not None
+
+
 # ------------------------------------------------------------------------------------------------- ends
 
 

@@ -228,7 +228,7 @@ def test_a_disk_that_is_full_is_one_sentence_and_leaves_nothing(verb: str, state
         "from atoll.cli.main import main\nsys.exit(main(sys.argv[1:]))"
     )
     ended = subprocess.run(
-        [sys.executable, "-c", program, verb, target, "--state", place],
+        [sys.executable, "-B", "-c", program, verb, target, "--state", place],
         cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert ended.returncode == 1, "it may pass, and is no mistake in the options"

@@ -48,6 +48,18 @@ class Waiting:
         return True
 
 
+def test_a_death_is_noticed_at_the_next_look(monkeypatch: pytest.MonkeyPatch, served: Store, tmp_path: Path) -> None:
+    waiting = Waiting(monkeypatch, tmp_path / "state")
+    waiting.before_look = lambda look: served.close() if look == 3 else None
+    store = waiting.store()
+    assert store is not None
+    assert store.incarnation == served.incarnation + 1
+    store.close()
+    (said,) = waiting.said
+    assert f"process {os.getpid()}" in said
+    assert "on standby and takes over" in said
+
+
 def test_a_coordinator_that_gets_on_keeps_its_store(
     monkeypatch: pytest.MonkeyPatch, served: Store, tmp_path: Path
 ) -> None:

@@ -83,6 +83,18 @@ def _upload(size: int) -> tuple[bytes, str]:
     return data, hashlib.sha256(data).hexdigest()
 
 
+def test_chunks_of_an_upload_are_kept_in_their_order(store: Store) -> None:
+    data, digest = _upload(2 * CHUNK_SIZE + 5)
+    chunks = [data[:CHUNK_SIZE], data[CHUNK_SIZE : 2 * CHUNK_SIZE], data[2 * CHUNK_SIZE :]]
+    assert store.put_chunk("hers", 0, chunks[0])
+    assert not store.put_chunk("hers", 2, chunks[2], digest)
+    assert store.put_chunk("hers", 1, chunks[1])
+    assert (store.has_blob(digest), store.blob_bytes()) == (False, 2 * CHUNK_SIZE)
+    assert store.put_chunk("hers", 2, chunks[2], digest)
+    assert store.get_blob(digest) == data
+    assert (store.unused_blobs(), store.blob_bytes()) == ((digest,), len(data))
+
+
 @pytest.mark.parametrize("is_first", [True, False])
 def test_two_uploads_of_one_blob_are_kept_once(store: Store, is_first: bool) -> None:
     data, digest = _upload(CHUNK_SIZE + 1)
@@ -337,13 +349,12 @@ def test_commits_are_forgotten_before_what_is_rarer(store: Store) -> None:
 # ------------------------------------------------------------------------------------------ checkpoints
 
 
-def states_of(epoch: int, size: int = 5) -> dict[int, IslandState]:
-    return {island: IslandState.of(f"{epoch}/{island}".encode() * size) for island in range(3)}
+def states_of(epoch: int) -> dict[int, IslandState]:
+    return {island: IslandState.of(f"{epoch}/{island}".encode()) for island in range(3)}
 
 
-def checkpoint(store: Store, epoch: int, variable: str = "x", size: int = 5) -> bool:
-    progress = f"progress {epoch}".encode()
-    return store.commit_checkpoint("j1", variable, epoch, progress, states_of(epoch, size), elapsed=epoch / 2)
+def checkpoint(store: Store, epoch: int) -> bool:
+    return store.commit_checkpoint("j1", "x", epoch, b"progress", states_of(epoch), 1.0)
 
 
 def test_of_the_last_jobs_that_failed_so_the_last_checkpoints_are_kept(store: Store) -> None:
@@ -356,6 +367,7 @@ def test_of_the_last_jobs_that_failed_so_the_last_checkpoints_are_kept(store: St
     kept = [number for number in range(MAX_FAILED + 2) if store.checkpoints(f"j{number}")]
     assert kept == list(range(2, MAX_FAILED + 2))
     assert store.checkpoints("j2") == {"x": (16, b"progress"), "y": (16, b"progress")}
+    assert {job.elapsed for job in store.jobs()} == {1.0}
     assert store.state("j2", "x", 16, 0)
     with pytest.raises(KeyError):
         store.state("j2", "x", 8, 0)
@@ -413,17 +425,6 @@ def test_a_coordinator_whose_store_was_opened_by_another_writes_nothing_more(tmp
                 StoreError, match=r"another coordinator \(incarnation 2\) has taken over.*incarnation 1"
             ):
                 act()
-
-
-def ended(store: Store, name: str, finished: str | None, table: bytes, dataset: bytes) -> None:
-    """Add a job that has been searched and has ended."""
-    store.add_job(JobRecord(name, name, "{}", put_blob(store, table), "2026-01-01T00:00:00", submitter="ann"))
-    store.keep_prepared(name, dataset, b"what preparing gave of " + name.encode())
-    begin_term(store, name, "x")
-    store.commit_checkpoint(name, "x", 8, b"progress", states_of(8), 1.0)
-    store.commit_cuts(name, {"x": b"cut"})
-    store.add_events([EventRecord(name, "now", "submitted", "{}")])
-    store.commit_result(name, "done", "{}", finished=finished)
 
 
 def test_a_checkpoint_of_a_job_that_was_deleted_while_it_waited_to_be_written_is_dropped(store: Store) -> None:

@@ -4,7 +4,7 @@ import hashlib
 
 import pytest
 
-from atoll_coordinator.service.tasks.analyses import MAX_OPEN, Analysis
+from atoll_coordinator.service.tasks.analyses import MAX_OPEN, WANTED_S, Analysis
 from atoll_coordinator.service.tasks.background import (
     JobPrepared,
     PreparationBegun,
@@ -308,6 +308,41 @@ def asked(question: bytes = b"q", job: str = "ended") -> AskAnalysis:
 
 def analyse(scene: Scene, question: bytes = b"q") -> Analysis:
     return scene.controller.analyse(asked(question), b'{"job": "ended"}', 0, "ann", scene.now)
+
+
+def test_a_question_is_leased_with_the_result_and_answered_to_whoever_asks() -> None:
+    scene = Scene("w0")
+    analysis = analyse(scene)
+    ((worker, lease),) = scene.said()
+    assert isinstance(lease, messages.Lease)
+    assert (worker, lease.function, [given.data for given in lease.inputs]) == (
+        "w0", "report", [b'{"job": "ended"}', b"q"]
+    )  # fmt: skip
+    assert analysis.is_open
+    scene.chunk("w0", "ended", b"page", seconds=0.0)
+    assert scene.posted == []
+    assert (analysis.answer, analysis.is_open) == (b"page", False)
+    assert scene.controller.analyses.ask(asked(), 5.0) is analysis
+    assert scene.said() == [("w0", messages.Release(task=lease.task))]
+
+
+def test_a_question_that_nobody_asks_again_is_ended_and_forgotten() -> None:
+    scene = Scene("w0")
+    analysis = analyse(scene)
+    scene.said()
+    scene.now = WANTED_S
+    scene.controller.tick(scene.now)
+    assert scene.said() == []
+    scene.controller.analyses.ask(asked(), scene.now)
+    scene.now = 2.0 * WANTED_S
+    scene.controller.tick(scene.now)
+    assert len(scene.controller.table) == 1
+    scene.now += 1.0
+    scene.controller.tick(scene.now)
+    assert scene.said() == [("w0", messages.Release(task=analysis.id))]
+    assert len(scene.controller.table) == 0
+    assert scene.controller.analyses.ask(asked(), scene.now) is None
+    assert scene.forgotten == [analysis.id]
 
 
 def test_questions_of_a_user_are_bounded_and_go_with_their_job() -> None:

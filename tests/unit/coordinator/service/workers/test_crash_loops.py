@@ -1,7 +1,5 @@
 """What follows when the workers of an archipelago die again and again."""
 
-import pytest
-
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
@@ -21,14 +19,6 @@ def after(deaths: int) -> CrashLoop:
     for term in range(1, deaths + 1):
         assert loop.add_death(term, process(term))
     return loop
-
-
-@pytest.mark.parametrize(
-    ("deaths", "state"),
-    [(0, "healthy"), (1, "suspicious"), (2, "suspicious"), (3, "quarantined"), (4, "quarantined"), (5, "failed")],
-)
-def test_the_state_follows_from_the_number_of_terms_that_ended_by_a_death(deaths: int, state: str) -> None:
-    assert (after(deaths).deaths, after(deaths).state) == (deaths, state)
 
 
 def test_a_process_that_comes_back_takes_its_death_back() -> None:
@@ -57,24 +47,6 @@ def started(store: Store) -> CrashLoops:
 
 def events(store: Store, loops: CrashLoops) -> list[EventView]:
     return list(loops._events.read("job", 0, 99))
-
-
-def test_deaths_are_counted_over_restarts_until_the_job_fails() -> None:
-    with Store.open(None) as store:
-        store.add_job(JobRecord("job", "", "{}", put_blob(store, b"t"), "2026-01-01T00:00:00"))
-        kinds = []
-        for number in range(1, FAIL_AFTER):
-            loops = started(store)
-            assert loops.add_death(KEY, number, process(number), "silent for 15 s") is None
-            kinds.append([event.event for event in events(store, loops)])
-            loops.save()
-            assert started(store).loop(KEY).deaths == number
-        assert kinds == [[]] * (QUARANTINE_AFTER - 1) + [["isolated"]] * 2
-        reason = started(store).add_death(KEY, FAIL_AFTER, process(FAIL_AFTER), "silent for 15 s")
-        assert reason is not None
-        assert "islands of x end the workers" in reason
-        assert "in 5 placements in a row" in reason
-        assert "the last was w5: silent for 15 s" in reason
 
 
 def test_a_commit_ends_the_quarantine_and_a_return_the_suspicion() -> None:

@@ -11,8 +11,6 @@ from pathlib import Path
 import pytest
 
 from atoll.cli import doctor
-from atoll.cli import doctor as doctor_machine
-from atoll.cli import doctor as doctor_network
 from atoll.cli import options as arguments
 from atoll.cli.doctor import Diagnosis, as_text, as_tree, check_data, fine
 from atoll_coordinator.service.service_loop import Service
@@ -86,13 +84,13 @@ def test_text_and_json_say_the_same() -> None:
 def test_memory_is_what_system_and_control_group_leave(tmp_path: Path) -> None:
     meminfo = tmp_path / "meminfo"
     meminfo.write_text("MemTotal: 100 kB\nMemAvailable: 50 kB\n")
-    assert doctor_machine.available_memory(meminfo, tmp_path) == 50 * 1024
+    assert doctor.available_memory(meminfo, tmp_path) == 50 * 1024
     (tmp_path / "memory.max").write_text("30000\n")
     (tmp_path / "memory.current").write_text("10000\n")
-    assert doctor_machine.available_memory(meminfo, tmp_path) == 20000
+    assert doctor.available_memory(meminfo, tmp_path) == 20000
     (tmp_path / "memory.max").write_text("max\n")
-    assert doctor_machine.available_memory(meminfo, tmp_path) == 50 * 1024
-    assert doctor_machine.available_memory(tmp_path / "none", tmp_path) is None
+    assert doctor.available_memory(meminfo, tmp_path) == 50 * 1024
+    assert doctor.available_memory(tmp_path / "none", tmp_path) is None
 
 
 def test_kernels_are_compiled_or_can_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,29 +98,29 @@ def test_kernels_are_compiled_or_can_be(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
     monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path))
-    (before,) = doctor_machine.check_kernels(options())
+    (before,) = doctor.check_kernels(options())
     assert (before.grade, "not compiled yet" in before.found) == ("fine", True)
-    monkeypatch.setattr(doctor_machine.os, "access", lambda *_: False)
-    (locked,) = doctor_machine.check_kernels(options())
+    monkeypatch.setattr(doctor.os, "access", lambda *_: False)
+    (locked,) = doctor.check_kernels(options())
     assert locked.grade == "problem"
     assert "ATOLL_KERNEL_CACHE" in locked.advice
     marker("atoll_island_worker").parent.mkdir()
     marker("atoll_island_worker").touch()
-    (after,) = doctor_machine.check_kernels(options())
+    (after,) = doctor.check_kernels(options())
     assert after.found.startswith("compiled")
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
-    assert grades(doctor_machine.check_kernels(options())) == ["warning"]
+    assert grades(doctor.check_kernels(options())) == ["warning"]
 
 
 def test_the_state_folder_must_have_room_and_may_not_be_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     place = tmp_path / "new" / "state"
-    assert grades(doctor_machine.check_state(options("--state", str(place)))) == ["fine"]
+    assert grades(doctor.check_state(options("--state", str(place)))) == ["fine"]
     assert not place.parent.exists(), "nothing is made"
-    for free, grade in ((500 * doctor_machine.MB, "warning"), (5, "problem")):
-        monkeypatch.setattr(doctor_machine.shutil, "disk_usage", lambda _, free=free: Namespace(free=free))
-        assert grades(doctor_machine.check_state(options("--state", str(place)))) == [grade]
+    for free, grade in ((500 * doctor.MB, "warning"), (5, "problem")):
+        monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _, free=free: Namespace(free=free))
+        assert grades(doctor.check_state(options("--state", str(place)))) == [grade]
     (tmp_path / "file").touch()
-    assert grades(doctor_machine.check_state(options("--state", str(tmp_path / "file")))) == ["problem"]
+    assert grades(doctor.check_state(options("--state", str(tmp_path / "file")))) == ["problem"]
 
 
 # ------------------------------------------------------------------------------------------- the network
@@ -135,11 +133,11 @@ def router() -> Iterable[ZenohBus]:
 
 
 def test_a_port_in_use_is_a_problem_and_a_free_one_is_not(router: ZenohBus) -> None:
-    (finding,) = doctor_network.check_listen(options("--listen", router.endpoint))
+    (finding,) = doctor.check_listen(options("--listen", router.endpoint))
     assert finding.grade == "problem"
     assert "in use" in finding.found
     assert "--listen" in finding.advice
-    assert grades(doctor_network.check_listen(options())) == []
+    assert grades(doctor.check_listen(options())) == []
 
 
 def test_a_coordinator_in_order_is_greeted_and_its_workers_are_missed(router: ZenohBus, tmp_path: Path) -> None:
@@ -153,8 +151,7 @@ def test_a_coordinator_in_order_is_greeted_and_its_workers_are_missed(router: Ze
         loop.start()
         try:
             findings = {
-                finding.subject: finding
-                for finding in doctor_network.check_coordinator(options("--connect", router.endpoint))
+                finding.subject: finding for finding in doctor.check_coordinator(options("--connect", router.endpoint))
             }
         finally:
             stop.set()
@@ -168,22 +165,22 @@ def test_a_coordinator_in_order_is_greeted_and_its_workers_are_missed(router: Ze
 
 def test_another_version_is_a_problem_for_workers() -> None:
     ours = Welcome(realm="r", incarnation=1, protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION)
-    assert list(doctor_network.version_findings(ours)) == []
-    (finding,) = doctor_network.version_findings(ours.model_copy(update={"version": "9.9"}))
+    assert list(doctor.version_findings(ours)) == []
+    (finding,) = doctor.version_findings(ours.model_copy(update={"version": "9.9"}))
     assert finding.grade == "problem"
     assert "9.9" in finding.advice
 
 
 @pytest.mark.parametrize(("seconds", "grade"), [(0, "fine"), (4, "fine"), (-90, "warning"), (90, "warning")])
 def test_clocks_are_compared(seconds: float, grade: str) -> None:
-    (finding,) = doctor_network.clock_findings((NOW + timedelta(seconds=seconds)).isoformat(), NOW)
+    (finding,) = doctor.clock_findings((NOW + timedelta(seconds=seconds)).isoformat(), NOW)
     assert finding.grade == grade
     assert ("ahead" in finding.found, "behind" in finding.found) == (seconds > 5, seconds < -5)
 
 
 def test_workers_that_hang_or_are_not_ready_are_named() -> None:
     workers = [worker("a"), worker("b", silent=9.0), worker("c", state="compiling", detail="compiling kernels")]
-    findings = list(doctor_network.worker_findings([*workers, worker("d", state="lost")], "tcp/a:1"))
+    findings = list(doctor.worker_findings([*workers, worker("d", state="lost")], "tcp/a:1"))
     assert grades(findings) == ["fine", "warning", "fine"]
     assert findings[0].found == "3 on 1 machine"
     assert "b on lab has been silent for 9 s" in findings[1].found
@@ -227,29 +224,29 @@ def test_data_that_cannot_be_used_is_a_problem_with_the_readers_words(tmp_path: 
 
 
 def test_a_certificate_is_examined_before_anybody_is_dialled(lab: Lab, other_lab: Lab) -> None:
-    (good,) = doctor_network.check_certificates(options(*lab.options("ann")))
+    (good,) = doctor.check_certificates(options(*lab.options("ann")))
     assert (good.grade, good.found.split(",")[0]) == ("fine", "of ann")
-    (serving,) = doctor_network.check_certificates(options("--listen", "tls/0.0.0.0:0", *lab.options("coordinator")))
+    (serving,) = doctor.check_certificates(options("--listen", "tls/0.0.0.0:0", *lab.options("coordinator")))
     assert "lab.example" in serving.found
     authority, certificate, key = other_lab.files("ann")[0], *lab.files("ann")[1:]
     words = ["--tls-ca", str(authority), "--tls-cert", str(certificate), "--tls-key", str(key)]
-    (foreign,) = doctor_network.check_certificates(options(*words))
+    (foreign,) = doctor.check_certificates(options(*words))
     assert (foreign.grade, "was not issued by the authority" in foreign.found) == ("problem", True)
     assert foreign.advice
-    assert list(doctor_network.check_certificates(options())) == []
+    assert list(doctor.check_certificates(options())) == []
 
 
 def test_a_certificate_that_expires_soon_is_pointed_out(lab: Lab) -> None:
     files = load(*lab.files("ann"), use="connect")
     assert files.expires is not None
-    soon = doctor_network.certificate_finding(files, files.expires - 86400.0)
+    soon = doctor.certificate_finding(files, files.expires - 86400.0)
     assert soon.grade == "warning"
     assert "--renew ann" in soon.advice
 
 
 def test_an_address_with_tls_and_no_certificate_is_a_problem(lab: Lab) -> None:
     with open_router(destination("tls/127.0.0.1:0", load(*lab.files("coordinator"), use="serve"))) as bus:
-        findings = list(doctor_network.check_coordinator(options("--connect", bus.endpoint)))
+        findings = list(doctor.check_coordinator(options("--connect", bus.endpoint)))
     assert grades(findings) == ["fine", "problem"]
     assert "needs certificates" in findings[1].found
 

@@ -66,7 +66,7 @@ PLACED = EventView(
 DONE = EventView(number=9, time="2026-01-01T10:11:13.000+00:00", event="done", text="done", job="alpha")
 
 
-TRAFFIC = (Traffic(kind="mail", messages_in=2, bytes_in=1500), Traffic(kind="report", messages_out=1, bytes_out=20))
+TRAFFIC = (Traffic(kind="pull", messages_in=2, bytes_in=1500), Traffic(kind="report", messages_out=1, bytes_out=20))
 COUNTERS = Counters(traffic=TRAFFIC, memory_bytes=123_400_000, cpu_s=61.0, waited_s=1.5, refused=2, duplicates=1)
 WORKER = WorkerView(
     worker="lab2", host="lab", pid=7, state="computing", islands=8, silent=0.1, version="0.1.0", counters=COUNTERS,

@@ -98,25 +98,6 @@ def test_an_early_end_is_said_and_is_no_error(driven: Path, capsys: pytest.Captu
     assert "ended early: a state grows without bounds" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--initial", "x=a"], "must be a finite number"),
-        (["--initial", "nothing.csv"], "is neither"),
-        (["--initial", "y=1"], "names 'y'"),
-        (["--until", "-1"], "must be after the first time"),
-        (["--step", "0"], "must be above 0"),
-    ],
-)
-def test_bad_input_is_one_sentence(
-    driven: Path, capsys: pytest.CaptureFixture[str], words: list[str], sentence: str
-) -> None:
-    assert main(["simulate", str(driven), *words]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said
-    assert said.count("\n") == 1
-
-
 def test_paths_of_a_process_are_written_as_bounds_or_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "result.json").write_text(json.dumps(process_result()))
     words = ["simulate", str(tmp_path), "--until", "0.2", "--step", "0.1"]
@@ -133,23 +114,6 @@ def test_paths_of_a_process_are_written_as_bounds_or_each(tmp_path: Path, capsys
     assert len(json.loads(capsys.readouterr().out)["states"]["x"]) == 2
     assert main(words) == 0
     assert "the drift was simulated, without the noise of the process; --paths" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "fault"),
-    [
-        (["--seed", "1"], "--seed needs --paths"),
-        (["--each-path"], "--each-path needs --paths"),
-        (["--paths", "x"], "--paths must be a whole number, but 'x' was given"),
-        (["--paths", "0"], "paths must be a whole number of at least 1"),
-    ],
-)
-def test_options_of_paths_that_do_not_fit_are_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], fault: str
-) -> None:
-    (tmp_path / "result.json").write_text(json.dumps(process_result()))
-    assert main(["simulate", str(tmp_path), *words]) == 2
-    assert fault in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -217,28 +181,6 @@ def test_inputs_are_held_and_files_written(saved: Path) -> None:
     assert 0.5 * x - x**3 + 1.5 == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--box", "x=3"], "--box x wants LOWER:UPPER"),
-        (["--box", "x=3:1"], "wants LOWER below UPPER"),
-        (["--box", "x=0:inf"], "must be a finite number"),
-        (["--box", "z=0:1"], "no state 'z'"),
-        (["--box", "x=0:1,x=0:2"], "names 'x' twice"),
-        (["--hold", "v=1"], "no input 'v'"),
-        (["--parameter", "c9", "--range", "0:1"], "no parameter 'c9'; the model has c1 = 0.5 of x"),
-        (["--parameter", "c1"], "without --range"),
-    ],
-)
-def test_bad_options_of_analyse_are_refused(
-    saved: Path, capsys: pytest.CaptureFixture[str], words: list[str], sentence: str
-) -> None:
-    assert main(["analyse", str(saved), *words]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said
-    assert said.count("\n") == 1
-
-
 def test_identifiability_is_that_of_the_measurements(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     times = np.linspace(0.0, 5.0, 20)
     decay = 3.0 * np.exp(-0.6 * times) + 0.02 * np.random.default_rng(1).standard_normal(20)
@@ -287,29 +229,6 @@ def test_text_names_candidates_bounds_and_experiments(found: Path, capsys: pytes
     assert "(of the data, smoothed)" in said
     assert "experiment 1: x = " in said
     assert "per unit of samples" in said
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--box", "z=0:1"], "there is no 'z' to bound"),
-        (["--box", "x=1"], "--box x wants LOWER:UPPER"),
-        (["--cost", "money"], "the cost is trajectory, duration or samples"),
-        (["--samples", "2.5"], "--samples must be a whole number"),
-        (["--duration", "soon"], "--duration must be a finite number"),
-        (["--rival", "x"], "--rival wants dx=EXPR"),
-        (["--rival", ";"], "--rival wants dx=EXPR, but got nothing"),
-        (["--rival", "dx=z"], "z"),
-    ],
-)
-def test_what_does_not_fit_is_a_sentence(
-    found: Path, capsys: pytest.CaptureFixture[str], words: list[str], sentence: str
-) -> None:
-    assert main(["suggest", str(found), *words]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("coordinator: ")
-    assert sentence in said
-    assert said.count("\n") == 1
 
 
 @pytest.fixture
@@ -454,24 +373,6 @@ def test_a_folder_is_written(exportable: Path, capsys: pytest.CaptureFixture[str
     assert len((exportable / "problem" / "measurements.tsv").read_text().splitlines()) == 9
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("--format", "petab"), "petab is a folder of several files; name it with -o FOLDER"),
-        (("--format", "c", "--candidate", "2"), "--candidate 2 is not there: the result has 1 candidates"),
-        (("--format", "c", "--candidate", "1", "--pick", "x=0"), "both choose equations"),
-        (("--format", "c", "--hold", "v=1"), "--hold names 'v'; the inputs are u"),
-        (("--format", "c", "--data", "a.csv"), "--data belongs to --format petab"),
-        (("--format", "fortran"), "but 'fortran' was given"),
-    ],
-)
-def test_what_does_not_fit_is_said(
-    exportable: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], sentence: str
-) -> None:
-    assert main(["export", str(exportable), *words]) == 2
-    assert sentence in capsys.readouterr().err
-
-
 def test_what_needs_no_model_is_written_of_a_result_without_one(
     exportable: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -501,3 +402,60 @@ def test_the_heading_of_one_group_names_it(exportable: Path, capsys: pytest.Capt
     assert "0.75" in picked
     assert "Constants belong to group a b." in text
     assert "0.6" in text
+
+
+@pytest.fixture
+def noisy(tmp_path: Path) -> Path:
+    (tmp_path / "result.json").write_text(json.dumps(process_result()))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("result_of", "verb", "words", "sentence"),
+    [
+        ("driven", "simulate", "--initial x=a", "must be a finite number"),
+        ("driven", "simulate", "--initial nothing.csv", "is neither"),
+        ("driven", "simulate", "--initial y=1", "names 'y'"),
+        ("driven", "simulate", "--until -1", "must be after the first time"),
+        ("driven", "simulate", "--step 0", "must be above 0"),
+        ("saved", "analyse", "--box x=3", "--box x wants LOWER:UPPER"),
+        ("saved", "analyse", "--box x=3:1", "wants LOWER below UPPER"),
+        ("saved", "analyse", "--box x=0:inf", "must be a finite number"),
+        ("saved", "analyse", "--box z=0:1", "no state 'z'"),
+        ("saved", "analyse", "--box x=0:1,x=0:2", "names 'x' twice"),
+        ("saved", "analyse", "--hold v=1", "no input 'v'"),
+        ("saved", "analyse", "--parameter c9 --range 0:1", "no parameter 'c9'; the model has c1 = 0.5 of x"),
+        ("saved", "analyse", "--parameter c1", "without --range"),
+        ("found", "suggest", "--box z=0:1", "there is no 'z' to bound"),
+        ("found", "suggest", "--box x=1", "--box x wants LOWER:UPPER"),
+        ("found", "suggest", "--cost money", "the cost is trajectory, duration or samples"),
+        ("found", "suggest", "--samples 2.5", "--samples must be a whole number"),
+        ("found", "suggest", "--duration soon", "--duration must be a finite number"),
+        ("found", "suggest", "--rival x", "--rival wants dx=EXPR"),
+        ("found", "suggest", "--rival ;", "--rival wants dx=EXPR, but got nothing"),
+        ("found", "suggest", "--rival dx=z", "z"),
+        ("exportable", "export", "--format petab", "petab is a folder of several files; name it with -o FOLDER"),
+        ("exportable", "export", "--format c --candidate 2", "--candidate 2 is not there: the result has 1 candidates"),
+        ("exportable", "export", "--format c --candidate 1 --pick x=0", "both choose equations"),
+        ("exportable", "export", "--format c --hold v=1", "--hold names 'v'; the inputs are u"),
+        ("exportable", "export", "--format c --data a.csv", "--data belongs to --format petab"),
+        ("exportable", "export", "--format fortran", "but 'fortran' was given"),
+        ("noisy", "simulate", "--seed 1", "--seed needs --paths"),
+        ("noisy", "simulate", "--each-path", "--each-path needs --paths"),
+        ("noisy", "simulate", "--paths x", "--paths must be a whole number, but 'x' was given"),
+        ("noisy", "simulate", "--paths 0", "paths must be a whole number of at least 1"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused_in_one_sentence(
+    request: pytest.FixtureRequest,
+    capsys: pytest.CaptureFixture[str],
+    result_of: str,
+    verb: str,
+    words: str,
+    sentence: str,
+) -> None:
+    assert main([verb, str(request.getfixturevalue(result_of)), *words.split()]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("coordinator: ")
+    assert sentence in said
+    assert said.count("\n") == 1

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.structure.one_sided import one_sided_reaches
+from atoll_coordinator.model.constants.standard_errors import one_sided_reaches
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 20.0, 1e4])
@@ -24,7 +24,8 @@ def test_reaches_are_quantiles_of_a_truncated_normal(slope):
 def test_what_takes_long_to_load_is_not_loaded_for_it():
     """scipy.stats takes longer than many a refinement."""
     code = (
-        "import sys, numpy as np; from atoll_coordinator.model.structure.one_sided import one_sided_reaches as its; "
+        "import sys, numpy as np; "
+        "from atoll_coordinator.model.constants.standard_errors import one_sided_reaches as its; "
         "its(np.eye(1), None, np.array([True])); print('scipy.stats' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

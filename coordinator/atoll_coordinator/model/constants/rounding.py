@@ -15,16 +15,14 @@ constants of K are simple with the probability m! (K - m)!/(K + 1)! (Laplace's r
 simple numbers support each other, and estimates speak against a single simple number. And a constant may be simple
 as a factor of one that is decided already: 0.9 (c + f) with c = 0.1111 is 0.1 + 0.9 f with the bracket expanded.
 
-All routes round by this module: equations of a target (`equation`), systems along trajectories and groups of them
-(`selection.rounding`, `inference`), and processes.
+All fits round by this module: to a target, to trajectories, to the steps of a process.
 """
 
 import math
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -33,6 +31,10 @@ from atoll_coordinator.model.least_squares import inverse
 from atoll_coordinator.result.equations import SimpleNumber, SimpleTogether
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
+from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.restrictions import Restrictions
+from atoll_core.expression.writing.shortest import collected
 
 ERROR_DIGITS: Final = tuple(1 + 2**power for power in range(5))
 """Digits of standard errors to which estimates may be rounded, at last all of a double: the first number of digits with
@@ -43,10 +45,14 @@ _DIGIT: Final = math.log(3.0)
 """Nats of each digit beyond the first, in addition to the nats of the whole number."""
 _SHORT: Final = 3
 """For numerators with more digits, the sum of probabilities is replaced by an integral."""
+_REACH: Final = 4.0
+"""Simple numbers are considered within this many standard errors of a constant: others have no weight."""
+_BESIDE: Final = 2
+"""Numerators on either side of the nearest that are considered: others are far less probable."""
 _DIGITS_OF_PI: Final = 2
 """Digits of multiples of pi: with more, they would say less than a decimal of the same size."""
 _LARGE: Final = 1e200
-"""Beyond, and below its inverse, numbers are scaled first, since powers of ten would overflow."""
+"""Numbers beyond, or below its inverse, are not simple: powers of ten would overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,47 +96,50 @@ class Decision:
         )
 
 
-class Considered:
-    """Decisions that were compared, and the odds of a property that some of them share."""
+class Estimates:
+    """Fitted constants, and the decisions on them, which are weighed once for any number of digits."""
 
-    def __init__(self, weighed: Sequence[Decision] = ()) -> None:
-        """Weigh these decisions."""
-        self.decisions: Final = weighed
-        self.numbers: Final = [frozenset(decision.numbers) for decision in weighed]
-        most = max((decision.nats for decision in weighed), default=0.0)
-        self._weights: Final = [math.exp(decision.nats - most) for decision in weighed]
-        self._whole: Final = math.fsum(self._weights)
+    def __init__(self, means: FloatArray, covariance: FloatArray) -> None:
+        """Take the `means` (K,) and the `covariance` of the constants."""
+        self.count: Final = len(means)
+        self._open: Final = Decision.none(means, covariance)
+        self._errors: Final = np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
-    def odds_of(self, chosen: Iterable[bool]) -> float:
-        """Return the odds of the chosen decisions (true here) against all others."""
-        share = math.fsum(compress(self._weights, chosen))
-        return share / max(self._whole - share, 1e-300)
+    @cached_property
+    def _weighed(self) -> list[tuple[dict[int, float], float]]:
+        """The simple numbers of the most probable decisions, with their weights; none of too many constants."""
+        compared = decisions(self._open) if self.count <= SETTINGS.effort.beam else []
+        most = max((decision.nats for decision in compared), default=0.0)
+        return [(dict(decision.numbers), math.exp(decision.nats - most)) for decision in compared]
+
+    def _odds_of(self, numbers: Mapping[int, float]) -> float:
+        """Return the odds of the decisions that have these simple numbers against all others."""
+        weights = [weight for decided, weight in self._weighed if numbers.items() <= decided.items()]
+        share = math.fsum(weights)
+        return share / max(math.fsum(weight for _, weight in self._weighed) - share, 1e-300)
 
     @cached_property
     def odds(self) -> dict[tuple[int, float], float]:
         """The odds of each number of each constant against all decisions without it."""
-        found = dict.fromkeys(number for decision in self.decisions for number in decision.numbers)
-        return {number: self.odds_of([number in numbers for numbers in self.numbers]) for number in found}
+        found = dict.fromkeys(number for decided, _ in self._weighed for number in decided.items())
+        return {number: self._odds_of(dict([number])) for number in found}
 
     @property
     def singled_out(self) -> dict[int, float]:
-        """The simple numbers whose odds suffice, by constant."""
+        """The simple numbers that the data single out, by the number of the constant."""
         least = math.exp(SETTINGS.inference.distinct_nats)
         return {index: value for (index, value), odds in self.odds.items() if odds >= least}
 
-
-@dataclass(frozen=True, eq=False)
-class Rounding:
-    """Constants as they are shown: their `values` (K,), and the nearest simple number of each.
-
-    `means` (K,) and `covariance` belong to the estimates; `considered` are the decisions that were weighed.
-    """
-
-    values: FloatArray
-    simple: tuple[SimpleNumber | None, ...]
-    means: FloatArray
-    covariance: FloatArray
-    considered: "Considered"
+    @cached_property
+    def simple(self) -> tuple[SimpleNumber | None, ...]:
+        """The most probable simple number near each constant; None where none was considered."""
+        found: list[SimpleNumber | None] = []
+        for index, (mean, error) in enumerate(zip(self._open.means.tolist(), self._errors.tolist(), strict=True)):
+            near = {number: odds for (constant, number), odds in self.odds.items() if constant == index}
+            number = max(near, key=near.__getitem__, default=0.0)
+            away = abs(number - mean) / error if error > 0.0 else 0.0
+            found.append(SimpleNumber(value=number, odds=near[number], standard_errors=away) if near else None)
+        return tuple(found)
 
     def together(self, constants: Sequence[int]) -> SimpleTogether | None:
         """Return simple numbers of two and more of these constants that are right together; None if that is unlikely.
@@ -138,68 +147,127 @@ class Rounding:
         The largest combination that the data single out, else the largest that is likelier than all others together.
         Its places are indices of `constants`.
         """
-        decided = self.considered.numbers
         combinations = dict.fromkeys(
-            tuple(number for number in decision.numbers if number[0] in constants)
-            for decision in self.considered.decisions
+            tuple(number for number in decided.items() if number[0] in constants) for decided, _ in self._weighed
         )
-        odds = {
-            key: self.considered.odds_of([numbers.issuperset(key) for numbers in decided])
-            for key in combinations
-            if len(key) > 1
-        }
+        odds = {numbers: self._odds_of(dict(numbers)) for numbers in combinations if len(numbers) > 1}
         for least in (math.exp(SETTINGS.inference.distinct_nats), 1.0):
-            likely = [key for key, key_odds in odds.items() if key_odds >= least]
+            likely = [numbers for numbers in odds if odds[numbers] >= least]
             if likely:
-                best = max(likely, key=lambda key: (len(key), odds[key]))
-                numbers = dict(best)
-                places = tuple(place for place, index in enumerate(constants) if index in numbers)
-                chosen = sorted(numbers)
-                away = self.means[chosen] - [numbers[index] for index in chosen]
-                chi_square = 2.0 * quadratic_form(away, self.covariance[np.ix_(chosen, chosen)])
-                values = tuple(numbers[constants[place]] for place in places)
+                best = max(likely, key=lambda numbers: (len(numbers), odds[numbers]))
+                chosen = dict(best)
+                places = tuple(place for place, index in enumerate(constants) if index in chosen)
+                values = tuple(chosen[constants[place]] for place in places)
+                chi_square = 2.0 * self.growth(chosen)
                 return SimpleTogether(constants=places, values=values, odds=odds[best], chi_square=chi_square)
         return None
 
+    def growth(self, numbers: Mapping[int, float]) -> float:
+        """Return by how many nats the misfit grows, near its minimum, when constants, by number, become `numbers`."""
+        chosen = sorted(numbers)
+        away = self._open.means[chosen] - [numbers[index] for index in chosen]
+        return quadratic_form(away, self._open.covariance[np.ix_(chosen, chosen)])
 
-class Estimates:
-    """Fitted constants, and the decisions on them, which are weighed once for any number of digits."""
-
-    def __init__(self, means: FloatArray, covariance: FloatArray) -> None:
-        """Take the `means` (K,) and the `covariance` of the constants."""
-        self._means: Final = means
-        self._covariance: Final = covariance
-
-    @cached_property
-    def considered(self) -> Considered:
-        """The most probable decisions on them."""
-        return Considered(decisions(self._means, self._covariance, has_products=True))
-
-    def rounded(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> Rounding:
-        """Return the constants as they are shown.
+    def rounded(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> FloatArray:
+        """Return the constants (K,) as they are shown.
 
         Estimates are rounded to this many digits of their standard errors, one after another, each at its estimate
         given the earlier ones: so the last of several constants that are only determined together keeps the digits it
         needs. Simple numbers that the data single out replace estimates, except for the `estimates`, by number.
         """
-        means, decision = self._means, Decision.none(self._means, self._covariance)
-        covariance = decision.covariance
-        considered = self.considered if len(estimates) < len(means) else Considered()
-        numbers = {index: number for index, number in considered.singled_out.items() if index not in estimates}
-        for index, number in numbers.items():
-            decision = decision.followed(decision.open.index(index), number)
+        decision = self._open
+        for index, number in self.singled_out.items():
+            if index not in estimates:
+                decision = decision.followed(decision.open.index(index), number)
         while decision.open:
             number = _rounded(float(decision.means[0]), math.sqrt(float(decision.covariance[0, 0])), digits)
             decision = decision.followed(0, number)
-        values = np.array([value for _, value in decision.numbers])
-        constants = zip(range(len(means)), means, np.diag(self._covariance), strict=True)
-        remarks = [_simple_number(*constant, considered.odds) for constant in constants]
-        return Rounding(values, tuple(remarks), means, covariance, considered)
+        return np.array([value for _, value in decision.numbers])
 
 
-def find_simple(means: FloatArray, covariance: FloatArray) -> dict[int, float]:
-    """Return the simple numbers that the data single out, by the number of the constant."""
-    return Estimates(means, covariance).considered.singled_out
+@dataclass(frozen=True, eq=False)
+class RoundedEquations:
+    """The equations with constants as they are shown; `simple` has for each of its constants the nearest simple number.
+
+    `together` has the joint odds of the simple numbers shown in each equation, empty if these were not judged. A given
+    equation has none.
+    """
+
+    programs: tuple[Program, ...]
+    simple: tuple[tuple[SimpleNumber | None, ...], ...]
+    together: tuple[SimpleTogether | None, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FittedEquations:
+    """Equations with fitted constants, of whichever fit, and the `estimates` of the fitted numbers (Q,).
+
+    The constants of `given` equations were not fitted; others keep to their `restrictions`. Constant p of the others is
+    the number `columns[p]` times `multiples[p]`, one after another by default. Estimates are rounded, simple numbers
+    found once for any number of digits.
+    """
+
+    programs: Sequence[Program]
+    estimates: Estimates
+    restrictions: Sequence[Restrictions]
+    given: Collection[int] = ()
+    columns: Ints | None = None
+    multiples: FloatArray | None = None
+
+    def simplified(self, growth: Callable[[Sequence[Program]], float]) -> tuple[Program, ...]:
+        """Return the programs with those constants simple that the data single out, neutral ones left out.
+
+        As they are where there are too many, or where simple ones describe the data less well than they should.
+
+        Args:
+            growth: by how many nats the misfit of programs with these constants is larger than the fitted one.
+        """
+        numbers = self.estimates.singled_out
+        simple = self.rounded(ERROR_DIGITS[-1]).programs if numbers else ()
+        if not simple or growth(simple) > self.estimates.growth(numbers) + SETTINGS.inference.distinct_nats:
+            return tuple(self.programs)
+        return tuple(
+            program if equation in self.given else collected(program) for equation, program in enumerate(simple)
+        )
+
+    def rounded(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> RoundedEquations:
+        """Return the equations with constants as they are shown.
+
+        Args:
+            digits: number of digits of the standard errors to which estimates are rounded.
+            estimates: fitted numbers, by index, that stay estimates although a simple number is singled out.
+        """
+        rounded, near = self.estimates.rounded(digits, estimates), self.estimates.simple
+        columns = (np.arange(self.estimates.count) if self.columns is None else self.columns).tolist()
+        multiples = (np.ones(len(columns)) if self.multiples is None else self.multiples).tolist()
+        programs, simple, together, first = [], [], [], 0
+        for equation, (program, restrictions) in enumerate(zip(self.programs, self.restrictions, strict=True)):
+            places = [] if equation in self.given else constant_places(program)
+            numbers, by = (values[first : first + len(places)] for values in (columns, multiples))
+            first += len(places)
+            values = [_tidied(*pair) for pair in zip(by, rounded[numbers].tolist(), strict=True)]
+            moved = with_constants(program, dict(zip(places, values, strict=True)))
+            programs.append(moved if restrictions.bounds is None else restrictions.bounds.clipped(moved))
+            simple.append(tuple(_times(near[k], multiple) for k, multiple in zip(numbers, by, strict=True)))
+            together.append(_together(self.estimates.together(numbers), by))
+        return RoundedEquations(tuple(programs), tuple(simple), tuple(together))
+
+
+def _together(together: SimpleTogether | None, multiples: Sequence[float]) -> SimpleTogether | None:
+    """Return the joint odds of simple numbers, given how many times its number each constant is."""
+    if together is None:
+        return None
+    pairs = zip(together.constants, together.values, strict=True)
+    return together.replaced(values=tuple(_tidied(multiples[place], value or 0.0) for place, value in pairs))
+
+
+def _times(number: SimpleNumber | None, multiple: float) -> SimpleNumber | None:
+    return None if number is None else number.replaced(value=_tidied(multiple, number.value or 0.0))
+
+
+def _tidied(multiple: float, value: float) -> float:
+    """Return the multiple of a decimal as a decimal."""
+    return value if multiple == 1.0 else float(f"{multiple * value:.{sys.float_info.dig}g}")
 
 
 def quadratic_form(away: FloatArray, covariance: FloatArray) -> float:
@@ -207,26 +275,17 @@ def quadratic_form(away: FloatArray, covariance: FloatArray) -> float:
     return 0.5 * float(away @ inverse(covariance) @ away)
 
 
-def allowed_growth(means: FloatArray, covariance: FloatArray, numbers: Mapping[int, float]) -> float:
-    """Return by how many nats the misfit may grow when constants, by their place, become simple `numbers`.
+def decisions(none: Decision) -> list[Decision]:
+    """Return the most probable decisions on constants, that on `none` among them.
 
-    By the growth that the quadratic form predicts, and by what is no evidence.
+    A constant may also be what makes its product with a constant already decided a simple number.
     """
-    chosen = sorted(numbers)
-    away = means[chosen] - [numbers[index] for index in chosen]
-    return quadratic_form(away, covariance[np.ix_(chosen, chosen)]) + SETTINGS.inference.distinct_nats
-
-
-def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool = False) -> list[Decision]:
-    """Return the most probable decisions on constants with these `means` (K,) and `covariance`, none among them.
-
-    With `has_products` a constant may also be what makes its product with a constant already decided a simple number.
-    """
-    all_decisions = beam = [Decision.none(means, covariance)]
+    count = len(none.open)
+    all_decisions = beam = [none]
     while beam:
         following: dict[tuple[tuple[int, float], ...], tuple[float, Decision, int, float]] = {}
         for decision in beam:
-            others = [number for _, number in decision.numbers] if has_products else []
+            others = [number for _, number in decision.numbers]
             for k in range(len(decision.open)):
                 gains = _gains(float(decision.means[k]), math.sqrt(float(decision.covariance[k, k])), others)
                 for number in sorted(gains, key=lambda number: -gains[number])[: SETTINGS.effort.beam]:
@@ -241,7 +300,7 @@ def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool =
 
     def of_share(simple: int) -> float:
         """Return the logarithm of the probability that so many certain constants, and no others, are simple."""
-        return -math.log((len(means) + 1) * math.comb(len(means), simple))
+        return -math.log((count + 1) * math.comb(count, simple))
 
     return [replace(decision, nats=decision.nats + of_share(len(decision.numbers))) for decision in all_decisions]
 
@@ -285,19 +344,6 @@ def _rounded(value: float, error: float, digits: int) -> float:
     return float(f"{value:.{min(places, sys.float_info.dig) - 1}e}") if places < 17 else value
 
 
-def _simple_number(
-    index: int, mean: float, variance: float, odds: Mapping[tuple[int, float], float]
-) -> SimpleNumber | None:
-    """Return the most probable simple number near a constant; None when none was considered."""
-    near = {number: number_odds for (constant, number), number_odds in odds.items() if constant == index}
-    if not near:
-        return None
-    number = max(near, key=near.__getitem__)
-    error = math.sqrt(max(float(variance), 0.0))
-    away = abs(number - float(mean)) / error if error > 0.0 else 0.0
-    return SimpleNumber(value=number, odds=near[number], standard_errors=away)
-
-
 # ------------------------------------------------------------------------------------------------ simple numbers
 
 
@@ -316,17 +362,11 @@ def simple_numbers(value: float, error: float) -> dict[float, float]:
         value: not 0.
         error: its standard error.
     """
-    if value != 0.0 and not 1.0 / _LARGE < abs(value) < _LARGE:
-        scale = _LARGE**0.5 if abs(value) < 1.0 else _LARGE**-0.5
-        near = simple_numbers(value * scale, error * scale).items()
-        return {
-            quotient: length
-            for number, length in near
-            if (quotient := number / scale) != 0.0 and math.isfinite(quotient)
-        }
+    if not 1.0 / _LARGE < abs(value) < _LARGE:
+        return {}
     lengths: dict[float, float] = {}
-    for unit, digits, price in ((1.0, sys.float_info.dig, 0.0), (math.pi, _DIGITS_OF_PI, SETTINGS.regression.pi_nats)):
-        for denominator in SETTINGS.regression.denominators:
+    for unit, digits, price in ((1.0, sys.float_info.dig, 0.0), (math.pi, _DIGITS_OF_PI, number_length(31))):
+        for denominator in SETTINGS.inference.denominators:
             for number, numerator in _near(value, error, denominator, unit, digits):
                 length = number_length(numerator, denominator) + price
                 lengths[number] = min(length, lengths.get(number, math.inf))
@@ -347,7 +387,7 @@ def _probability_of_decade() -> float:
     """Return the sum of e^-L over the simple numbers between a power of ten and ten times that, pi left out."""
     lengths: dict[str, float] = {}
     rest = 0.0
-    for denominator in SETTINGS.regression.denominators:
+    for denominator in SETTINGS.inference.denominators:
         for numerator in range(1, 10**_SHORT):
             if numerator % 10 and math.gcd(numerator, denominator) == 1:
                 digits = f"{numerator / denominator:.12e}".split("e")[0]
@@ -361,10 +401,7 @@ def _probability_of_decade() -> float:
 
 def _near(value: float, error: float, denominator: int, unit: float, digits: int) -> Iterator[tuple[float, int]]:
     """Yield multiples of `unit` by p/q times powers of ten near `value`, with at most this many digits in p."""
-    if value == 0.0:
-        return
-    beside = SETTINGS.regression.numerators_beside
-    reach = max(SETTINGS.regression.rounding_reach * error, abs(value) * 4.0 * 2.0**-52)
+    reach = max(_REACH * error, abs(value) * 4.0 * 2.0**-52)
     size, scale = value / unit * denominator, denominator / unit
     finest = max(error if scale != 1.0 else error / 10.0, abs(value) * 10.0**-sys.float_info.dig) * scale
     first = math.floor(math.log10(abs(size))) + 1
@@ -372,7 +409,7 @@ def _near(value: float, error: float, denominator: int, unit: float, digits: int
         step = 10.0**exponent
         if step < 0.999 * finest:  # not equal by chance of rounding in another unit
             return
-        nearest, around = round(size / step), beside if reach * scale > 0.25 * step else 0
+        nearest, around = round(size / step), _BESIDE if reach * scale > 0.25 * step else 0
         if abs(nearest * step - size) > 2.0 * reach * scale:
             continue
         for numerator in range(nearest - around, nearest + around + 1):

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from atoll_coordinator.model.regression.rounding import (
+from atoll_coordinator.model.constants.rounding import (
     continuum_density,
     number_length,
     simple_numbers,

@@ -1,11 +1,9 @@
 """What the rows of a target say: an equation that is as near, and predicts something else, is a doubt."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference.target_evidence import target_evidence
+from atoll_coordinator.model.inference.target_checks import TargetChecks
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import Alternative, Refined
 from atoll_core.data.dataset import Problem, Target
@@ -31,7 +29,7 @@ def judged(*others):
         0, program, float(np.abs(errors).mean()), float(np.mean(errors**2)), known, (),
         (Alternative(program, 0.0, 1.0, is_shown=True), *alternatives),
     )  # fmt: skip
-    return judge(target_evidence(shown, PROBLEM, None))
+    return judge(TargetChecks(shown, PROBLEM, None))
 
 
 @pytest.mark.parametrize("others", [(), (("1.99*a", 0.1),), (("2.0*a + 0.001*a*a", 0.5),), (("9.0*sin(a)", 5.0),)])
@@ -54,8 +52,9 @@ def test_a_wave_in_the_last_digit_does_not_make_an_equation_exact():
     def judged_as_exact(number, error):
         known = constant(number, number, 1e-14, (number, number))
         shown = Refined(0, from_infix(f"{number}*x + 4.2", ("x",)), error, error**2, (known,))
-        evidence = target_evidence(shown, table, None)
-        return judge(replace(evidence, error=error, residuals=[np.full(26, 1e-15)], predicted_r2=1.0, noise=0.0))
+        checks = TargetChecks(shown, table, None)
+        vars(checks).update(error=error, residuals=[np.full(26, 1e-15)], predicted_r2=1.0, noise=0.0)
+        return judge(checks)
 
     assert judged_as_exact(2.4, 1e-14).grade == "exact"
     wave = judged_as_exact(2.400000078645654, 1e-14)
@@ -68,6 +67,6 @@ def test_constants_that_were_not_fitted_again_are_not_known(text, grade):
     """As the search left them; an equation without constants has none to be known."""
     errors = VALUES - 2.0 * INPUTS[0]
     shown = Refined(0, parsed(text), float(np.abs(errors).mean()), float(np.mean(errors**2)), ())
-    verdict = judge(target_evidence(shown, PROBLEM, None))
+    verdict = judge(TargetChecks(shown, PROBLEM, None))
     assert verdict.grade == grade
     assert ("its constant" in verdict.reason) == (grade == "doubtful")

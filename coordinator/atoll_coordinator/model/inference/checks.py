@@ -1,0 +1,341 @@
+"""The checks of an equation in every kind of job: the quantity, its limit, and the clause for the sentence. Pure.
+
+An object of `EquationChecks` stands for one equation. Its methods `check_...` are the checks, whose names are listed in
+the table of `verdict`; its properties are the quantities, computed when the first check asks for them.
+`trajectory_checks`, `target_checks` and `stochastic.checks` say where the quantities come from, and have the further
+checks of their kind.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import ClassVar, Final, NamedTuple
+
+from atoll_coordinator.model.inference.residuals import (
+    ReferenceSmoother,
+    ResidualStatistics,
+    clip_outliers,
+    residual_statistics,
+)
+from atoll_coordinator.model.refinement import CheckOutcome, JobKind, Refined
+from atoll_coordinator.result.equations import Prediction
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray, Target
+from atoll_core.expression.program import constant_places
+
+_UNKNOWN: Final = 10.0
+"""Standard errors over an estimate from which on a percentage is not shown: of an estimate of 0 it is infinite."""
+
+
+class Finding(NamedTuple):
+    """The outcome of a check, see `Check`; its reason as a clause, and `advice` on what to do."""
+
+    outcome: CheckOutcome
+    reason: str
+    value: float | None = None
+    limit: float | None = None
+    power: float | None = None
+    advice: str = ""
+
+    @property
+    def clause(self) -> str:
+        """The reason, and the advice behind a colon."""
+        return f"{self.reason}: {self.advice}" if self.advice else self.reason
+
+
+UNSIMULATED: Final = Finding("not made", "it was not simulated along the trajectories")
+
+
+class EquationChecks:
+    """The checks that apply to an equation in every kind of job.
+
+    A check returns None if the equation was not simulated or has no value on some rows: the outcome is `unmade` then.
+
+    The quantities of the residuals are in the unit of the state or target. `residuals` has (R,) numbers for each piece
+    of a trajectory: measured minus simulated values of this state, or target minus equation; the rows stand in the one
+    of `orders` possible orders in which neighbours are most alike. `innovations` are the whitened residuals if the
+    errors of a sensor are correlated. `covariance` (R, R) is the covariance of the residuals for independent errors of
+    variance one, None if it is not known. `parameters` is the count of numbers fitted to the residuals: constants and
+    initial values, each divided by the number of states that it was fitted to. `noise` is the standard deviation of the
+    measurement errors, 0 without noise; `reference` the smoother by which it was estimated, None if it is known.
+    `has_outliers` makes the tests robust.
+    """
+
+    kind: ClassVar[JobKind]
+    unmade: ClassVar[Finding]
+    null_models: ClassVar[str]
+    residuals: Sequence[FloatArray] = ()
+    parameters: float = 0.0
+    noise: float = 0.0
+    standard_deviation: float = 1.0
+    orders: int = 1
+    innovations: Sequence[FloatArray] | None = None
+    covariance: FloatArray | None = None
+    reference: ReferenceSmoother | None = None
+    has_outliers: bool = False
+    null_nats: float | None = None
+    """Log-likelihood ratio of the equation over no equation, see `null_models`."""
+    distinct_rows: int | None = None
+    """Number of rows that differ by more than rounding."""
+    alternative: float | None = None
+    """Δ description length of the next best equation that is another function and has no more constants."""
+    solver: str | None = None
+
+    def __init__(
+        self, shown: Refined, target: Target, *, is_known: bool = False, stopped: str = "", is_cancelled: bool = False
+    ) -> None:
+        """Take the equation as it is `shown`, and its `target` on the rows of the search.
+
+        The equation was given if it `is_known`. `stopped` names the stage that the time limit or, with `is_cancelled`,
+        the user stopped.
+        """
+        self.shown, self.target = shown, target
+        self.is_known, self.stopped, self.is_cancelled = is_known, stopped, is_cancelled
+
+    # ------------------------------------------------------------------------------------------------------- quantities
+
+    @cached_property
+    def error(self) -> float:
+        """The normalized error on the rows of the search."""
+        return self.target.normalized(self.shown.error)
+
+    @cached_property
+    def target_r2(self) -> float | None:
+        """The explained share of the target's variance."""
+        return self.target.r2(self.shown.mse)
+
+    @cached_property
+    def prediction(self) -> Prediction | None:
+        """How far a state can be predicted from other initial states; None if that was not tested."""
+        return None
+
+    @property
+    def merit(self) -> str:
+        """Why an equation is good of which the checks say nothing better."""
+        return "all checks have passed"
+
+    @cached_property
+    def statistics(self) -> ResidualStatistics:
+        """The tests of the residuals."""
+        residuals, innovations = self.residuals, self.innovations
+        if self.has_outliers:  # outliers must not decide
+            residuals = clip_outliers(residuals)
+            innovations = None if innovations is None else clip_outliers(innovations)
+        statistics = residual_statistics(
+            residuals, self.noise, self.parameters, self.reference, innovations, self.covariance
+        )
+        return replace(statistics, patterned=min(self.orders * statistics.patterned, 1.0))
+
+    @property
+    def rows(self) -> int:
+        """Number of residuals."""
+        return sum(map(len, self.residuals))
+
+    @property
+    def left(self) -> float:
+        """The standard deviation of the residuals over that of the measured values."""
+        return self.statistics.standard_deviation / self.standard_deviation
+
+    @property
+    def relative_noise(self) -> float:
+        """The noise over the standard deviation of the measured values."""
+        return self.noise / self.standard_deviation
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the noise is more than bias and rounding."""
+        return self.relative_noise > SETTINGS.common.clean
+
+    @property
+    def are_integration_errors(self) -> bool:
+        """Whether the residuals are as small as integration errors may be, which always have a pattern."""
+        return self.left <= (SETTINGS.inference.exact if self.is_noisy else SETTINGS.common.negligible)
+
+    @property
+    def largest_departure(self) -> float:
+        """The largest share of a variance that residuals of this size can hide, at 95 %: their own upper bound."""
+        from scipy import special
+
+        free = self.rows - self.parameters
+        if free < 1.0:
+            return math.inf
+        sum_of_squares = free * self.left**2
+        return float(sum_of_squares / special.chdtri(free, 1.0 - math.exp(-SETTINGS.inference.distinct_nats)))
+
+    def departure(self, share: float) -> float:
+        """Return `share` times the variance of the noise, over the variance of the state.
+
+        At most the largest departure that residuals of this size can hide.
+        """
+        return min(share * self.relative_noise**2, self.largest_departure) if self.rows else math.inf
+
+    # ----------------------------------------------------------------------------------------------- rows and their fit
+
+    def check_explained_variance(self) -> Finding:
+        """Check the R2: an equation that explains less than a tenth of the variance is no model."""
+        if not math.isfinite(self.error):
+            return Finding("failed", "its error is not finite", None, SETTINGS.inference.part)
+        if self.target_r2 is None:
+            return Finding("not made", "the target does not vary")
+        what = "it is not" if self.is_known else "no equation was found that is"
+        what += f" much better than a constant (R2 {r2_text(self.target_r2)} on the target)"
+        return by_r2(self.target_r2, SETTINGS.inference.part, f"R2 {r2_text(self.target_r2)}", what)
+
+    def check_time(self) -> Finding:
+        """Check that no stage was stopped."""
+        if not self.stopped:
+            return Finding("passed", "no time limit was reached")
+        if self.is_cancelled:
+            return Finding("not made", f"the job was cancelled before {self.stopped}", advice="let it run on")
+        reason = f"the time limit stopped {self.stopped}"
+        return Finding("not made", reason, advice="give more time with --max-time")
+
+    def check_degrees_of_freedom(self) -> Finding | None:
+        """Check that there are more rows than numbers that were fitted to them."""
+        if not self.residuals:
+            return None
+        rows = self.rows if self.distinct_rows is None else min(self.rows, self.distinct_rows)
+        free = rows - self.parameters
+        if free >= 1.0:
+            return Finding("passed", f"{free:.0f} rows more than fitted numbers", free, 1.0)
+        which = "rows" if rows == self.rows else "rows that differ"
+        reason = f"{self.parameters:.0f} numbers were fitted to {rows} {which}, so that no rows are left to test them"
+        return Finding("failed", reason, free, 1.0, advice="measure more rows")
+
+    def check_distinct_rows(self) -> Finding | None:
+        """Check that enough rows differ by more than rounding."""
+        count, least = self.distinct_rows, SETTINGS.common.fewest_rows
+        if count is None:
+            return None
+        if count >= least:
+            return Finding("passed", f"{count} rows differ", count, least)
+        reason = f"only {count} rows differ, and many equations fit so few"
+        return Finding("failed", reason, count, least, advice="measure at other times or points")
+
+    def check_no_equation(self) -> Finding | None:
+        """Check that the equation describes the rows better than no equation does."""
+        nats, least = self.null_nats, SETTINGS.inference.chance_nats
+        if nats is None:
+            return None
+        if nats >= least:
+            reason = f"it describes the rows better than no equation (Δ log-likelihood {nats:.3g})"
+            return Finding("passed", reason, nats, least)
+        reason = f"{self.null_models} describes the rows about as well (Δ log-likelihood {nats:.2g})"
+        return Finding("failed", reason, nats, least, advice="measure more rows")
+
+    def check_residual_pattern(self) -> Finding | None:
+        """Check that neighbouring residuals are not correlated."""
+        if not self.residuals:
+            return None
+        statistics, limit = self.statistics, SETTINGS.inference.part
+        if not statistics.standard_deviation > 0.0:
+            return Finding("not applicable", "there are no residuals")
+        if self.are_integration_errors:
+            reason = f"a term of {percent(self.left)} of the standard deviation would look like integration errors"
+            return Finding("passed", reason, statistics.correlation, limit, self.largest_departure)
+        seen = statistics.seen_correlation
+        power = self.departure(seen / (1.0 - seen) if seen < 1.0 else math.inf)
+        if statistics.correlation > limit and statistics.patterned < SETTINGS.inference.improbable:
+            share = percent(min(statistics.correlation, 1.0))
+            reason = f"{share} of the residual variance follows a pattern (p = {statistics.patterned:.1g})"
+            return Finding("failed", reason, statistics.correlation, limit, power)
+        reason = "the residuals show no pattern"
+        if self.innovations is not None:
+            reason = "the residuals are correlated like errors of a sensor and show no other pattern"
+        return Finding("passed", reason, statistics.correlation, limit, power)
+
+    # ------------------------------------------------------------------------------------------ alternatives, constants
+
+    def check_alternative_equations(self) -> Finding | None:
+        """Check that other equations with as few constants describe the data less well."""
+        nats, least = self.alternative, SETTINGS.inference.distinct_nats
+        if nats is None and not self.residuals:
+            return None
+        if nats is None:
+            reason = "no other equation with as few constants, which predicts something else, was compared"
+            return Finding("not applicable", reason)
+        if nats >= least:
+            reason = f"the best other equation with as few constants fits worse (Δ description length {nats:.3g})"
+            return Finding("passed", reason, nats, least)
+        reason = f"another equation describes the data about as well (Δ description length {nats:.2g})"
+        return Finding("failed", reason, nats, least)
+
+    def check_constants(self) -> Finding | None:
+        """Check that the data determine all constants, within their bounds."""
+        constants = self.shown.constants
+        unfitted = 0 if self.is_known or constants else len(constant_places(self.shown.program))
+        if unfitted:
+            many = f"{unfitted} constants" if unfitted > 1 else "constant"
+            reason = f"the errors of its {many} are not known"
+            return Finding("not made", reason, advice="ask for a shorter equation with --max-size")
+        if not constants:
+            return Finding("not applicable", "the equation has no constants")
+        bound = next((constant for constant in constants if constant.at_bound), None)
+        if bound is not None:
+            return Finding("failed", f"the best value of the constant {bound.value or 0.0:.3g} lies beyond its bound")
+        loose = sum(not constant.identifiable for constant in constants)
+        if not loose:
+            return Finding("passed", "all constants are determined by the data", loose, 0.0)
+        many = f"{loose} of {len(constants)} constants are" if len(constants) > 1 else "its constant is"
+        return Finding("failed", f"{many} not determined by the data", loose, 0.0)
+
+    # -------------------------------------------------------------------------------------------------------- exactness
+
+    def check_precision(self) -> Finding:
+        """Check that the residuals are as small as rounding and integration errors."""
+        limit = self.target.convergence_threshold()
+        is_met = self.target.uncertainty <= SETTINGS.common.clean and self.error <= limit
+        reason = f"the error, {self.error:.1g} of the target's standard deviation, is at the level of rounding"
+        return Finding("passed" if is_met else "failed", reason, self.error, limit)
+
+    def check_odds_against_chance(self) -> Finding | None:
+        """Check that the equation is likelier than no equation by odds of 200, as `exact` requires."""
+        nats, least = self.null_nats, SETTINGS.inference.exact_nats
+        if nats is None:
+            return None
+        reason = f"it describes the rows better than no equation (Δ log-likelihood {nats:.2g}; {least} is needed)"
+        return Finding("passed" if nats >= least else "failed", reason, nats, least)
+
+    def check_precision_of_constants(self) -> Finding:
+        """Check that all constants are known as precisely as in an exact law.
+
+        Dropping a constant whose estimate is t standard errors away from zero costs about t^2/2 nats. In data without
+        noise a term of the law gains millions of nats, a term that follows integration errors gains tens. Redundant
+        factors of one, such as the factors of x*y in x*y - x*(y - x), have no errors and do not count.
+        """
+        limit = SETTINGS.common.negligible
+        shares = [
+            (constant.std_error / max(abs(constant.estimate), 1e-300), constant.value or 0.0)
+            for constant in (*self.shown.constants, *(factor.constant for factor in self.shown.unit_coefficients))
+            if constant.std_error is not None
+        ]
+        if not shares:
+            return Finding("not applicable", "no constant has a standard error")
+        share, value = max(shares)
+        if share <= limit:
+            return Finding("passed", f"all constants are known to {percent(share)} or better", share, limit)
+        certainty = f"is known to {percent(share)} only" if share < _UNKNOWN else "is not distinguishable from 0"
+        return Finding(
+            "failed", f"the constant {value:.3g} {certainty}: its term may describe errors of the data", share, limit
+        )
+
+
+def by_r2(r2: float, least: float, merit: str, fault: str) -> Finding:
+    """Return the outcome of a check by an R2; NaN explains nothing."""
+    return Finding("passed", merit, r2, least) if r2 >= least else Finding("failed", fault, r2, least)
+
+
+def where(known: Prediction) -> str:
+    """Return the initial state from which a measurement is most informative, in words."""
+    return ", ".join(f"{name} = {value:.3g}" for name, value in (known.measure_from or {}).items())
+
+
+def percent(share: float) -> str:
+    """Return a share in percent, two digits of it."""
+    return f"{100.0 * share:.2g} %" if share < 0.995 else f"{100.0 * share:.0f} %"
+
+
+def r2_text(value: float) -> str:
+    """Return R2 in up to four decimals, never rounded up to 1."""
+    return f"{math.floor(value * 1e4) / 1e4:.4g}" if math.isfinite(value) else str(value)

@@ -1,0 +1,569 @@
+"""The checks of an equation along trajectories: quantities, limits, clauses. Pure.
+
+The equation is a part of a final model that was simulated along the measured trajectories, or could not be simulated.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from atoll_coordinator.data.columns.finding import listed
+from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
+from atoll_coordinator.model.inference.checks import (
+    UNSIMULATED,
+    EquationChecks,
+    Finding,
+    by_r2,
+    percent,
+    r2_text,
+    where,
+)
+from atoll_coordinator.model.inference.final_model import FinalModel
+from atoll_coordinator.model.inference.long_run import LongRun
+from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps, structure_price
+from atoll_coordinator.model.inference.residuals import ReferenceSmoother
+from atoll_coordinator.model.inference.trajectory_simulation import squares_about_mean
+from atoll_coordinator.model.refinement import Alternative, JobKind, Refined
+from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE, roughness
+from atoll_coordinator.model.structure.poles import find_poles
+from atoll_coordinator.result.equations import Prediction
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import EXACT_ERROR, FloatArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program, constant_places, variables_of
+
+
+class TrajectoryChecks(EquationChecks):
+    """The checks of an equation of a model that was simulated along the trajectories.
+
+    `index` is the place of the equation in the model, and `equations` has the checks of all its equations.
+    `held_out_r2` is the R2 of simulations of trajectories that took no part, or were left out one at a time; None:
+    there are none. `fits_whole`: the equation describes whole trajectories; None: that was not tested.
+    `noise_estimate` is the noise by the smoother also for an interpolated state, whose noise counts as 0; second
+    differences give it. `is_noise_residual`: the rows are too few for an estimate, and the rough part of the residuals
+    is treated as noise. `solver` names the solver that computed the table, whose errors were subtracted from it.
+    """
+
+    kind: ClassVar[JobKind] = "trajectories"
+    unmade: ClassVar[Finding] = UNSIMULATED
+    null_models: ClassVar[str] = "a constant or a random walk"
+    noise_estimate: float = 0.0
+    is_noise_residual: bool = False
+    fits_whole: bool | None = True
+    held_out_r2: float | None = None
+
+    def __init__(
+        self, final: FinalModel, long_run: LongRun, index: int, shown: Refined, held_out_r2: float | None,
+        equations: "Sequence[TrajectoryChecks]",
+    ) -> None:  # fmt: skip
+        """Take the model, its description of whole trajectories, and the equation."""
+        task = final.task
+        self.name = task.variables[index]
+        stopped = "the choice of the equations" if task.has_been_stopped else ""
+        super().__init__(shown, task.dataset.problem(self.name).target, stopped=stopped)
+        self.final, self.long_run, self.index, self.equations = final, long_run, index, equations
+        self.held_out_r2, self.solver = held_out_r2, task.solver
+        self.measurements = final.seen.estimator.measurements
+        sensor = final.comparison.score.errors
+        self._measure(sensor if sensor is not None and sensor.shares[index] > 0.0 else None)
+
+    # ------------------------------------------------------------------------------ residuals and errors of measurement
+
+    def _measure(self, sensor: ErrorModel | None) -> None:
+        """Set the quantities of the residuals; `sensor` are its errors if they are correlated."""
+        final, measurements, index, residuals = self.final, self.measurements, self.index, self.final.seen_fit.residuals
+        recording = final.task.recording
+        smoothing = recording.smoothing[recording.states.index(self.name)]
+        noise = self.noise_estimate = float(measurements.noise[index])
+        if sensor is not None:
+            noise = float(sensor.sigmas[index])
+            self.innovations = _pieces_of(final.seen.estimator.whitened(residuals, sensor), measurements, index)
+        if smoothing.method == "interpolation" and np.bincount(measurements.owners_of_rows).max() <= 2 * HALF_WIDTHS:
+            # Of rows so few that none has all the neighbours that predict it, interpolation hides noise: it takes the
+            # least of several estimates. What is rough in the residuals is noise then.
+            rough = float(roughness(measurements, residuals)[index])
+            self.is_noise_residual = rough > self.noise_estimate
+            self.noise_estimate = max(self.noise_estimate, rough)
+            noise = max(noise, self.noise_estimate)
+        self.residuals = _pieces_of(residuals, measurements, index)
+        self.standard_deviation = standard_deviation(measurements, index)
+        self.has_outliers = smoothing.outliers > 0
+        self.distinct_rows = self._count_distinct_rows()
+        is_free_of_noise = smoothing.method == "interpolation" and smoothing.quantisation is None
+        self.noise = 0.0 if is_free_of_noise else noise
+        if sensor is None and smoothing.degree is not None and smoothing.narrower_span:
+            narrower = smoothing.narrower_noise * (noise / smoothing.noise if smoothing.noise > 0.0 else 1.0)
+            self.reference = ReferenceSmoother(smoothing.narrower_span, smoothing.degree, narrower)
+        covariance = None if final.residual_covariances is None else final.residual_covariances[index]
+        self.covariance = covariance if sensor is None else None
+        # In few rows the share of the fitted numbers follows from the covariance of residuals, by the projection on all
+        # of them: a state gets the share of a number that other states do not need. In many rows, and without noise,
+        # the numbers are shared evenly.
+        numbers = final.free.fit.system.count + final.seen_fit.starts.size
+        self.parameters = numbers / len(measurements.observed)
+        if covariance is not None and not is_free_of_noise:
+            self.parameters = len(covariance) - float(np.trace(covariance))
+        self.null_nats = self._nats_over_none(sensor)
+        self.fits_whole = self._fits_whole(noise / self.standard_deviation)
+        # More constants than the equation had before they were made simple always describe about as well; that is no
+        # reason to doubt the equation with fewer, unless they describe the data far better.
+        most = len(constant_places(final.ranking.selection.model.programs[index]))
+        self.alternative = min((one.nats for one in no_elaborations(most, self.shown.alternatives)), default=None)
+
+    def _count_distinct_rows(self) -> int:
+        """Return how many rows differ by more than rounding in the state and in the variables of its equation.
+
+        Rows at a point of rest say the same over and over. Where a variable was not measured, all columns count.
+        """
+        measurements, dataset = self.measurements, self.final.task.dataset
+        used = {dataset.names[one] for one in variables_of(self.shown.program)}
+        states, inputs = len(measurements.smoothed), measurements.variables[len(measurements.smoothed) :]
+        names = [*(measurements.variables[:states][place] for place in measurements.observed), *inputs]
+        values = np.concatenate([measurements.measured, measurements.inputs])
+        if used <= set(names):
+            values = values[[place for place, name in enumerate(names) if place == self.index or name in used]]
+        scales = np.maximum(np.nanstd(values, axis=1), 1e-300)[:, None]
+        return len(np.unique(np.nan_to_num(np.round(values / (EXACT_ERROR * scales))) + 0.0, axis=1).T)
+
+    def _nats_over_none(self, sensor: ErrorModel | None) -> float:
+        """Return by how many nats the equation describes the measured state better than no equation does.
+
+        Without an equation the state is constant along each trajectory, or a random walk: the better of both counts. A
+        constant rate is compared with a walk that has a drift, since few rows of any smooth curve are about a line.
+        Residuals about a constant count as many as are independent; where a walk is compared, the innovations of
+        correlated errors do. Rows count by their weights. Constants are the equation's own, or as many as each state
+        has on average, or the numbers fitted to this one, if they are more, and with them initial numbers beyond one
+        for each trajectory.
+        """
+        final, measurements, index, fit = self.final, self.measurements, self.index, self.final.seen_fit
+        program, is_given = self.shown.program, index in final.comparison.fixed
+        squares = deviations = effective = 0.0
+        series, times = [], []
+        for owner in range(len(measurements.names)):
+            rows = (measurements.owners_of_rows == owner) & (measurements.weights[index] > 0.0)
+            values, weights = measurements.measured[index][rows], measurements.weights[index][rows]
+            if len(values):
+                mean = float((weights * values).sum() / weights.sum())
+                deviations += float((weights * (values - mean) ** 2).sum())
+                squares += float((weights * fit.residuals[index][rows] ** 2).sum())
+                effective += float(weights.sum()) ** 2 / float((weights * weights).sum())
+                series.append(np.sqrt(weights) * (values - mean))
+                times.append(measurements.times[rows])
+        steps = squared_steps(series)
+        if not (deviations > 0.0 and steps > 0.0):
+            return math.inf
+        drift = 0
+        if not variables_of(program):  # a constant rate is the drift of a random walk
+            drift, least = 1, deviations * EXACT_ERROR**2
+            squares, steps = max(squares, least), max(squared_steps(series, times), 2.0 * least)
+        lengths = final.free.fit.errors.lengths
+        rows_of_one = max(float(lengths[index]) if len(lengths) > index else 1.0, 1.0)
+        own = max(len(constant_places(program)), final.free.fit.system.count / len(final.programs))
+        constants = 0.0 if is_given else own
+        constants += max(fit.starts.size / len(measurements.observed) - len(series), 0.0)
+        constants = max(constants, self.parameters - len(series))
+        of_constant = log_bayes_factor(effective / rows_of_one - (len(series) - 1), constants, squares / deviations)
+        innovations = squares
+        if sensor is not None:
+            innovations = float(final.seen.estimator.squared_innovations(fit.residuals, sensor)[index])
+            constants += 1.0  # the correlation was fitted as well, and a walk has none
+        free = effective - drift - (len(series) - 1)
+        of_walk = log_bayes_factor(free, max(constants - drift, 0.0), innovations / steps)
+        price = 0.0 if is_given else structure_price(program, len(final.task.dataset.names))
+        return min(of_constant, of_walk) - price
+
+    def check_explained_variance(self) -> Finding:
+        """Check the R2 of the simulation, else the R2 on the target."""
+        if not self.residuals:
+            return super().check_explained_variance()
+        r2 = 1.0 - self.left**2
+        what = f"its simulation explains too little of the measurements (R2 {r2_text(r2)})"
+        return by_r2(r2, SETTINGS.inference.part, f"R2 {r2_text(r2)}", what)
+
+    def check_simulation(self) -> Finding:
+        """Check that the trajectories could be simulated."""
+        return Finding("passed", "it was simulated along the trajectories")
+
+    def check_residual_size(self) -> Finding | None:
+        """Check that the residuals are as large as the noise."""
+        if not self.residuals:
+            return None
+        if not self.is_noisy:
+            return self._size_without_noise()
+        statistics, limit, left = self.statistics, SETTINGS.inference.excess, self.left
+        power = self.departure(max(statistics.seen_ratio**2 - 1.0, 0.0))
+        size = f"the residuals ({percent(left)} of the standard deviation)"
+        if statistics.ratio > limit and statistics.too_large < SETTINGS.inference.improbable:
+            reason = f"{size} are {statistics.ratio:.2g} times the noise (p = {statistics.too_large:.1g})"
+            return Finding("failed", reason, statistics.ratio, limit, power)
+        noise = percent(self.relative_noise)
+        reason = f"{size} agree with the noise ({noise})"
+        if self.is_noise_residual:
+            reason = f"{size} look like noise in these few rows"
+            power = self.largest_departure
+        if self.are_integration_errors:
+            reason = f"{size} are as small as integration errors, although the noise was estimated as {noise}"
+        if not self.is_noise_residual and statistics.ratio > limit:
+            reason = f"{size} may be noise ({noise} by these few rows)"
+        return Finding("passed", reason, statistics.ratio, limit, power)
+
+    def _size_without_noise(self) -> Finding:
+        left, negligible = self.left, SETTINGS.common.negligible
+        limit = max(SETTINGS.inference.exact, 2.0 * self.relative_noise)
+        reason = f"there is no noise, and the residuals are {percent(left)} of the standard deviation"
+        if self.solver is not None:
+            reason += f": these are the rows that {self.solver}, computes from the equations"
+        elif self.final.are_errors_summed and 1.0 - left * left >= 1.0 - SETTINGS.inference.part:
+            reason += ", since errors accumulate along trajectories, like the errors of a solver"
+        elif left > negligible and self._exceeds_noise():
+            return Finding("failed", reason.replace("noise, and", "noise, but"), left, limit)
+        elif left > negligible:
+            reason = f"the residuals ({percent(left)} of the standard deviation) may be noise in these few rows"
+        elif left > limit:
+            limit = negligible  # errors of integration, or a departure that no prediction shows
+        return Finding("passed", reason, left, limit, self.largest_departure)
+
+    def _exceeds_noise(self) -> bool:
+        """Tell whether residuals are larger than the noise of an interpolated state can be (F test).
+
+        The noise is estimated from second differences, which have 18/35 as many degrees of freedom as rows.
+        """
+        from scipy import special
+
+        noise = max(self.noise_estimate, 0.5 * SETTINGS.common.clean * self.standard_deviation)
+        ratio = (self.statistics.standard_deviation / noise) ** 2
+        free, known = max(self.rows - self.parameters, 1.0), 2.0 * self.rows / ROUGHNESS_VARIANCE
+        return bool(special.fdtrc(free, known, ratio) < SETTINGS.inference.improbable)
+
+    @property
+    def are_integration_errors(self) -> bool:
+        """Whether the residuals are as small as errors of integration may be, or were computed by a solver."""
+        is_of_solver = self.final.are_errors_summed or self.solver is not None
+        return super().are_integration_errors or (is_of_solver and not self.is_noisy)
+
+    def check_precision(self) -> Finding:
+        """Check whether the residuals are as small as integration errors."""
+        if not self.residuals:
+            return super().check_precision()
+        left, limit = self.left, max(SETTINGS.inference.exact, 2.0 * self.relative_noise)
+        reason = f"without noise, the residuals are {left:.1g} of the standard deviation"
+        if self.solver is not None:
+            reason = (
+                f"without noise, the rows are those that {self.solver}, computes from the equations, up to "
+                f"{left:.1g} of the standard deviation"
+            )
+        return Finding("passed" if not self.is_noisy and left <= limit else "failed", reason, left, limit)
+
+    # ----------------------------------------------------------------------------------------------- whole trajectories
+
+    def check_held_out_trajectories(self) -> Finding:
+        """Check the R2 of trajectories that took no part, or were left out one at a time."""
+        r2 = self.held_out_r2
+        if r2 is None:
+            return Finding("not applicable", "no trajectory was held out or left out")
+        which = "trajectories left out one at a time" if self.final.unseen is None else "held-out trajectories"
+        least = 1.0 - self.relative_noise**2 - SETTINGS.inference.part
+        return by_r2(r2, least, f"R2 of {which}: {r2_text(r2)}", f"the R2 of {which} is only {r2_text(r2)}")
+
+    def _fits_whole(self, noise: float) -> bool | None:
+        """Tell whether the equation describes whole trajectories; None where that was not tested.
+
+        Where only pieces are described up to the noise (over the standard deviation), whole trajectories have an R2
+        above 0.9 minus the noise.
+        """
+        long_run = self.long_run
+        if long_run.fits is not None or long_run.r2 is None:
+            return long_run.fits
+        r2 = long_run.r2[self.index]
+        return r2 is None or r2 >= 1.0 - SETTINGS.inference.part - noise * noise
+
+    def check_whole_trajectories(self) -> Finding | None:
+        """Check that whole trajectories are described, and not only the pieces to which constants were fitted."""
+        if not self.residuals:
+            return None
+        if self.long_run.chaos is not None:
+            return Finding("not applicable", "the model is chaotic, and its long run is compared instead")
+        if self.fits_whole:
+            return Finding("passed", "whole trajectories are simulated")
+        pieces = f"pieces of {self.final.task.piece} rows"
+        if self.fits_whole is False:
+            reason = f"it describes {pieces} but not whole trajectories: a term that matters in the long run is missing"
+            return Finding("failed", reason)
+        if self.long_run.predictable_rows is not None:
+            reason = (
+                f"errors of initial states grow so fast that only {self.long_run.predictable_rows} rows can be "
+                "predicted, and the long run of a model with inputs is not compared"
+            )
+            return Finding("not made", reason, advice="measure shorter trajectories")
+        reason = f"only {pieces} were simulated, not whole trajectories"
+        return Finding("not made", reason, advice="sample less often, or measure shorter trajectories")
+
+    def check_long_run(self) -> Finding | None:
+        """Check a chaotic model by a simulation much longer than its trajectories can be predicted."""
+        if not self.residuals:
+            return None
+        chaos, limit = self.long_run.chaos, SETTINGS.inference.improbable
+        if chaos is None:
+            return Finding("not applicable", "whole trajectories are tested, or no chaos was found")
+        value = chaos.probability
+        if chaos.is_kept:
+            reason = (
+                f"chaotic: errors grow by a factor of e in {chaos.lyapunov_time or 0.0:.2g}, and a long simulation "
+                "keeps the measured means and variances"
+            )
+            return Finding("passed", reason, value, limit)
+        if chaos.is_unfinished:
+            reason = "a long simulation needs more integration steps than are allowed: its end is not known"
+            return Finding("not made", reason, value, limit)
+        if value is None:
+            return Finding("failed", "a long simulation diverges from the measured range", value, limit)
+        reason = f"the means or variances of a long simulation differ from the measured ones (p = {value:.1g})"
+        return Finding("failed", reason, value, limit)
+
+    @cached_property
+    def passes_pole(self) -> bool:
+        """Whether the simulation of the model goes from one row to the next through a pole of the equation."""
+        points, owners = self.final.visited, self.measurements.owners_of_rows
+        rows = np.flatnonzero(owners[1:] == owners[:-1])
+        return bool(find_poles(self.shown.program, points[:, rows], points[:, rows + 1]))
+
+    def check_poles(self) -> Finding | None:
+        """Check that the simulation passes no pole."""
+        if not self.residuals:
+            return None
+        if not self.passes_pole:
+            return Finding("passed", "its simulation passes no pole")
+        # such as the pole of 6e-13/(3e-12 - x**3), by which a state seems to be switched
+        reason = "its simulation passes a pole, where the equation has no value"
+        return Finding("failed", reason, advice="measure there, or leave out divisions")
+
+    # --------------------------------------------------------------------- predictions, and the states they follow from
+
+    @cached_property
+    def followed(self) -> "list[TrajectoryChecks]":
+        """The other equations that the simulation of the state follows from, directly or through others."""
+        task, recording = self.final.task, self.final.task.recording
+        owners = {symbol: column for column, symbol in zip(recording.states, recording.state_symbols, strict=True)}
+        owners |= dict(zip(recording.velocity_symbols, recording.states, strict=False))
+        needed, waiting = {self.name}, [self.index]
+        while waiting:
+            symbols = (task.dataset.names[one] for one in variables_of(self.final.programs[waiting.pop()]))
+            new = {owners[symbol] for symbol in symbols if symbol in owners} - needed
+            needed |= new
+            waiting += [task.variables.index(name) for name in new if name in task.variables]
+        return [other for other in self.equations if other.name in needed and other is not self]
+
+    @cached_property
+    def baseless(self) -> str:
+        """A state that the predictions follow from, and whose equation is no better than no equation.
+
+        The simulation of such a state holds only along the measured trajectories. "" if there is none; given equations
+        need no evidence.
+        """
+        least, given = SETTINGS.inference.chance_nats, self.final.comparison.fixed
+        return next(
+            (one.name for one in self.followed if (one.null_nats or 0.0) < least and one.index not in given), ""
+        )
+
+    @cached_property
+    def prediction(self) -> Prediction | None:
+        """How far the state can be predicted from other initial states; None if that was not tested."""
+        if self.baseless or self.shown.prediction is None or not self._are_rivals_likely:
+            return None if self.baseless else self.shown.prediction
+        ranking = self.final.ranking
+        others = [one.model for one in ranking.alternatives[self.index]]
+        disputed = ranking.selection.comparison.disputed_state(ranking.selection.model, others, self.index)
+        return self.shown.prediction.replaced(measure_from=disputed, is_disputed=True)
+
+    def check_other_initial_states(self) -> Finding | None:
+        """Check whether predictions from other initial states within the measured range can be trusted."""
+        if not self.residuals:
+            return None
+        known, wrong = self.prediction, math.exp(-SETTINGS.inference.distinct_nats)
+        if known is None:
+            reason = (
+                f"predictions from other initial states were not tested: they follow from '{self.baseless}', whose "
+                "equation describes its rows no better than no equation"
+            )
+            return Finding("not made", reason)
+        starts, unfinished, probability = known.starts or 0, known.unfinished or 0, known.probability or 0.0
+        lost = starts - (known.followed or 0) - unfinished
+        if lost:
+            reason = f"from {lost} of {starts} other initial states within the measured range its simulation diverges"
+            return Finding("failed", reason, probability, 1.0 - wrong)
+        if unfinished:
+            reason = (
+                f"from {unfinished} of {starts} other initial states within the measured range its simulation needs "
+                "more integration steps than are allowed: its end is not known"
+            )
+            return Finding("not made", reason, probability, 1.0 - wrong)
+        if 1.0 - probability > wrong:
+            reason = (
+                "alternative models that fit about as well predict something different from other initial states "
+                f"within the measured range ({percent(probability)} of the odds agree)"
+            )
+            return Finding("failed", reason, probability, 1.0 - wrong, advice=self._where_to_decide)
+        where = " near the measured ones" if self.measurements.has_smoothed_inputs else ""
+        reason = f"{percent(probability)} of the odds agree from {starts} other initial states{where}"
+        return Finding("passed", reason, probability, 1.0 - wrong)
+
+    @property
+    def _where_to_decide(self) -> str:
+        """The advice where to measure, empty without a prediction."""
+        return "" if self.prediction is None else f"measure from {where(self.prediction)} to decide"
+
+    # ----------------------------------------------------------------------------------------------------- alternatives
+
+    @cached_property
+    def rivals(self) -> float:
+        """The odds of all other equations of a table without noise, which may be the law; 0 with noise."""
+        if not self.final.task.is_nearly_clean:
+            return 0.0
+        return sum(math.exp(-max(one.nats, 0.0)) for one in self.shown.alternatives if not one.is_shown)
+
+    @property
+    def _are_rivals_likely(self) -> bool:
+        return self.rivals > math.exp(-SETTINGS.inference.exact_nats)
+
+    def check_alternative_equations(self) -> Finding | None:
+        """Check alternatives; of a table without noise some agree along the trajectories, and differ elsewhere."""
+        finding = super().check_alternative_equations()
+        if finding is None or finding.outcome != "failed" or not self._are_rivals_likely:
+            return finding
+        return finding._replace(advice=self._where_to_decide)
+
+    def check_other_laws(self) -> Finding:
+        """Check that no other equation may be the law of a table without noise."""
+        limit = math.exp(-SETTINGS.inference.exact_nats)
+        if not self._are_rivals_likely:
+            return Finding("passed", "no other equation fits as well", self.rivals, limit)
+        share = self.rivals / (1.0 + self.rivals)
+        reason = (
+            "the data do not distinguish it from other equations that agree on the measured trajectories and differ "
+            f"elsewhere ({percent(share)} of the odds)"
+        )
+        return Finding("failed", reason, self.rivals, limit, advice=self._where_to_decide)
+
+    # ----------------------------------------------------------------------------------------------------------- inputs
+
+    @cached_property
+    def unknown_inputs(self) -> dict[str, float]:
+        """The share of the variance of a rate that each input makes between its rows, where it is not known.
+
+        The largest of the equations that the state follows from, and of the groups of trajectories with their own
+        constants. NaN if there are too few rows.
+        """
+        names, shares = self.final.task.dataset.names, dict[str, float]()
+        for name, symbol, variance in self.final.unknown_variances:
+            column = names.index(symbol) if symbol in names else -1
+            places = [one.index for one in (self, *self.followed)]
+            using = [place for place in places if column in variables_of(self.final.programs[place])]
+            if using:
+                by = math.nan if variance is None else math.sqrt(variance)
+                shares[name] = max(
+                    share_of_rate(programs[place], points, column, by)
+                    for programs, points in self.final.visited_by_group
+                    for place in using
+                )
+        return shares
+
+    def check_inputs_between_rows(self) -> Finding:
+        """Check that the inputs are known between their rows."""
+        most, shares = SETTINGS.inference.part, self.unknown_inputs
+        if not shares:
+            return Finding("not applicable", "the equations have no input")
+        unestimated = [one for one, share in shares.items() if math.isnan(share)]
+        if unestimated:
+            reason = f"there are too few rows to estimate {_quoted(unestimated)} between them"
+            return Finding("not made", reason, advice="sample more rows")
+        unknown, worst = [one for one, share in shares.items() if share > most], max(shares.values())
+        if not unknown:
+            reason = f"uncertain inputs between rows cause at most {percent(worst)} of the variance of a rate"
+            return Finding("passed", reason, worst, most)
+        recording, verb = self.final.task.recording, "is" if len(unknown) == 1 else "are"
+        kinds = zip(recording.inputs, recording.input_kinds, strict=False)
+        held = listed(sorted({*(name for name, kind in kinds if kind == "held"), *unknown}))
+        reason = (
+            f"{_quoted(unknown)} {verb} uncertain between rows, which causes {percent(worst)} of the variance of a rate"
+        )
+        advice = (
+            f"add --hold {held} if {_quoted(unknown)} {verb} constant from row to row, else sample faster, or with "
+            "less noise"
+        )
+        return Finding("not made", reason, worst, most, advice=advice)
+
+
+class UnsimulatedChecks(TrajectoryChecks):
+    """The checks of an equation that could not be simulated along the trajectories, or not in time.
+
+    It was fitted to derivatives only: the quantities of a simulation are not known.
+    """
+
+    unknown_inputs: ClassVar = {}
+    rivals = 0.0
+    __init__ = EquationChecks.__init__
+
+    def check_simulation(self) -> Finding:
+        """Fail."""
+        return Finding("failed", f"{UNSIMULATED.reason}; it was fitted to the derivatives only")
+
+    def check_constants(self) -> Finding | None:
+        """Check constants, if they have errors."""
+        return super().check_constants() if self.shown.constants else None
+
+
+def no_elaborations(most: int, alternatives: Sequence[Alternative]) -> list[Alternative]:
+    """Return the others that have at most so many constants, or describe the data far better."""
+    return [
+        one
+        for one in alternatives
+        if not one.is_shown
+        and (len(constant_places(one.program)) <= most or one.nats < -SETTINGS.inference.distinct_nats)
+    ]
+
+
+def standard_deviation(measurements: Measurements, index: int) -> float:
+    """Return the standard deviation of the measured values of a state, where they count, as in a row of weight 1."""
+    squares, count = squares_about_mean(measurements, index, slice(None))
+    return max(math.sqrt(squares / max(count, 1)), 1e-300)
+
+
+def _pieces_of(residuals: FloatArray, measurements: Measurements, index: int) -> list[FloatArray]:
+    """Return the residuals of a state along each piece, on measured rows that count, as in a row of weight 1."""
+    own = residuals[index]
+    if measurements.inverse_variances is not None:
+        own = own * np.sqrt(measurements.inverse_variances[index])
+    pieces = (slice(first, end) for first, end in measurements.bounds.tolist())
+    parts = [own[rows][measurements.weights[index, rows] > 0.0] for rows in pieces]
+    return [part for part in parts if len(part)]
+
+
+def _quoted(names: Sequence[str]) -> str:
+    return " and ".join(f"'{name}'" for name in names)
+
+
+def share_of_rate(program: Program, points: FloatArray, column: int, by: float) -> float:
+    """Return the share of the variance of a rate that errors of one variable, of this size (`by`), make of it.
+
+    The errors have either sign, and the larger change of the rate counts at each of the points (V, R). The share is of
+    the sum of both variances: 1 where a change leads to where the rate has no value, NaN for a size that is not known.
+    """
+    if not by > 0.0:
+        return by
+    moved = np.repeat(points[:, :, None], 2, axis=2)
+    moved[column] += np.array([-by, by])
+    rates = values_of(program, points)
+    with np.errstate(all="ignore"):
+        changes = np.abs(values_of(program, moved.reshape(len(points), -1)).reshape(-1, 2) - rates[:, None])
+        squares = np.maximum(changes[:, 0], changes[:, 1])[np.isfinite(rates)] ** 2
+        variance = float(np.var(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else 0.0
+    is_finite = np.isfinite(squares)
+    if not is_finite.all() or not len(squares):
+        return 1.0
+    change = float(np.mean(squares))
+    return change / (change + variance) if change > 0.0 else 0.0
