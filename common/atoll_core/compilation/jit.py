@@ -26,7 +26,7 @@ try:
     import numba.core.sigutils
     import numba.extending
     from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
-    from numba.core.dispatcher import _FunctionCompiler
+    from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]  # numba has no types
     from numba.core.registry import CPUDispatcher
 except ImportError as error:
     raise AtollError(
