@@ -179,7 +179,7 @@ def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
         assert by_a_worker.stdout == coordinator("suggest", str(saved), cwd=tmp_path).stdout
         refused = coordinator("analyse", "first", "--box", "nothing=0:1", *there, cwd=tmp_path)
         assert (refused.returncode, refused.stdout) == (2, "")
-        assert refused.stderr == "coordinator: there is no state 'nothing' to bound; the states are x, y\n"
+        assert refused.stderr == "coordinator: the box has 'nothing', but the states are x, y\n"
 
         serve.send_signal(signal.SIGTERM)
         finish(serve)

@@ -216,7 +216,7 @@ def test_an_ecologist_with_two_sites_decimal_commas_and_a_gap(stage: Stage) -> N
         tab.get_by_label("Name").fill("hares and foxes")
         tab.get_by_role("button", name="Submit the job").click()
         tab.get_by_role("button", name="Open the report").wait_for(timeout=4 * LIMIT_MS)
-        tab.get_by_text("equations that say how fast hares and foxes change", exact=False).wait_for()
+        tab.get_by_text("equations that describe how fast hares and foxes change", exact=False).wait_for()
         tab.get_by_text("Dots are measured, lines simulated by the model", exact=False).wait_for()
         tab.get_by_role("region", name="Measured and simulated").locator("canvas").first.wait_for()
         assert tab.get_by_text("Nordmoor", exact=False).first.is_visible()
@@ -242,7 +242,7 @@ def test_an_engineer_with_the_log_of_a_motor(stage: Stage) -> None:
         tab.locator("canvas").first.wait_for()
         tab.get_by_role("button", name="Submit the job").click()
         tab.get_by_role("button", name="Open the report").wait_for(timeout=4 * LIMIT_MS)
-        tab.get_by_text("equations that say how fast current and speed change", exact=False).wait_for()
+        tab.get_by_text("equations that describe how fast current and speed change", exact=False).wait_for()
         tab.get_by_role("region", name="Measured and simulated").locator("canvas").first.wait_for()
         with tab.expect_download() as saved:
             tab.get_by_role("button", name="matlab").click()

@@ -27,7 +27,7 @@ from starlette.routing import BaseRoute, Route
 from atoll.api.model import Model
 from atoll.client.client import Client
 from atoll.client.over_http import MESSAGE
-from atoll.export.formats import LANGUAGES, OF_RESULTS, written
+from atoll.export.formats import LANGUAGES, RESULT_FORMATS, written
 from atoll.tasks.analyses import FUNCTIONS, Report, answered
 from atoll.text.render import parse_picks, pick
 from atoll.web.access import gateway_of
@@ -538,16 +538,16 @@ class Api:
     @operation("GET", "/jobs/{job}/exports")
     async def exports(self, request: Request) -> dict[str, Any]:
         """List the formats of exports."""
-        return {"formats": [*LANGUAGES, *OF_RESULTS]}
+        return {"formats": [*LANGUAGES, *RESULT_FORMATS]}
 
     @operation("GET", "/jobs/{job}/exports/{format}", media="text/plain")
     async def export(self, request: Request, query: ExportQuery) -> Response:
         """Return the model in a format."""
         name, result = request.path_params["format"], await self._picked(request, query.pick)
-        if name not in (*LANGUAGES, *OF_RESULTS):
+        if name not in (*LANGUAGES, *RESULT_FORMATS):
             raise HTTPException(404, f"there is no format {name[:64]!r} of an export")
         text = await run_in_threadpool(
-            lambda: OF_RESULTS[name](result) if name in OF_RESULTS else written(Model(result), name)
+            lambda: RESULT_FORMATS[name](result) if name in RESULT_FORMATS else written(Model(result), name)
         )
         return _file(query, text, f"{_job(request)}.{name}.txt", "text/plain")
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.api.model import Model
-from atoll.display.curves import chosen, curves_of, label
+from atoll.display.curves import choose_trajectories, curves_of, label
 from atoll.display.notation import equation_mathml
 from atoll.model.arguments import initial_conditions
 from atoll.model.equations import r2_text, rounded
@@ -162,7 +162,7 @@ def simulation_of(result: Result) -> dict[str, Any]:
         model = Model(result)
         if model.is_regression:
             return answer | {"fitted": _fitted_values(model)}
-        parts = chosen(result.simulated)
+        parts = choose_trajectories(result.simulated)
         simulation = None if model.groups else model.simulate(has_bands=False)
         if not parts and simulation is not None:
             parts = [_simulated(model, simulation)]

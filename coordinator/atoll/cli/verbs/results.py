@@ -315,7 +315,7 @@ def _candidate(name: str, number: int | None, options: argparse.Namespace) -> Mo
 def export(options: argparse.Namespace) -> int:
     """Write the model of ``options.result`` in ``options.format``."""
     from atoll.export.description import describe
-    from atoll.export.formats import LANGUAGES, OF_RESULTS, PETAB, write
+    from atoll.export.formats import LANGUAGES, PETAB, RESULT_FORMATS, write
 
     if options.format == PETAB:
         model = _chosen(_load(options), options)
@@ -325,11 +325,11 @@ def export(options: argparse.Namespace) -> int:
         return DONE
     if options.data is not None:
         raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
-    if options.format in OF_RESULTS:
+    if options.format in RESULT_FORMATS:
         # A result without a model will do, unless a group or other equations are chosen.
         is_plain = options.group is None and options.candidate is None and not options.pick
         found = result_of(options.result, options) if is_plain else _chosen(_load(options), options).result
-        deliver(OF_RESULTS[options.format](found), options.output)
+        deliver(RESULT_FORMATS[options.format](found), options.output)
         return DONE
     model = _chosen(_load(options), options)
     language = LANGUAGES[options.format]

@@ -25,7 +25,7 @@ HELD = {"u": 0.0}
         (lambda: MODEL.simulate([1.0, 1.0], "abc", HELD), "times must be numbers"),
         (lambda: MODEL.simulate([1.0, 1.0], 1.0, "abc"), "inputs must be numbers"),
         (lambda: MODEL.simulate([1.0, 1.0], 1.0, {"u": None}), "input 'u' must be numbers, but None"),
-        (lambda: MODEL.simulate([1.0, 1.0], 1.0, lambda _: "a"), "what u returns must be numbers"),
+        (lambda: MODEL.simulate([1.0, 1.0], 1.0, lambda _: "a"), "the return value of u must be numbers"),
         (lambda: MODEL.predict([[1, 2], [3]], [[1], [2]]), "rows of x, y must be numbers"),
         (lambda: MODEL.predict(np.zeros((2, 2)), np.zeros((3, 1))), "3 rows of inputs for 2 of states"),
         (lambda: MODEL.predict({"x": [1.0, 2.0], "y": [1.0], "u": [0.0]}), "columns have 1, 2 rows"),
