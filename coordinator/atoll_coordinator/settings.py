@@ -126,7 +126,7 @@ class EffortSettings:
 
     @property
     def longest_sum(self) -> int:
-        """Longest sum, in terms, that is fitted again without each term: the work grows with the square of its length."""
+        """Longest sum, in terms, that is fitted again without each term: the work grows with the square of terms."""
         return 2 * self.beam
 
     @property
@@ -154,7 +154,7 @@ class CriterionSettings:
 
 @dataclass(frozen=True)
 class SparseSettings:
-    """Sparse sums of products by regression."""
+    """Sparse regression: sums of products, and of products with functions."""
 
     degree: int = 4
     """Highest degree of products: few laws have a higher one, and libraries grow as a power of it."""
@@ -162,62 +162,26 @@ class SparseSettings:
     """Larger libraries are not tried: eliminating their terms costs the fourth power of their number."""
     rows_per_term: float = 2.0
     """Fewest independent rows for each term of a library: with fewer, a full library fits anything."""
-    stretch: int = 1_000
-    """Larger tables are subsampled in blocks of this many rows: a law of a hundred products needs a few hundred
-    windows."""
-    smoothness: int = 4
-    """Power p of the test functions (1 - s^2)^p: it determines the order of the trapezoidal rule's error."""
-    step: float = 0.25
-    """Distance between successive windows over their width."""
-    least_half: int = 5
-    """Half width of the shortest window in rows: nine rows have weight."""
-    least_half_noise: float = 0.01
-    """Noise, as a share of the standard deviation, from which on the shortest window is used: the trapezoidal errors of
-    a left-hand side are a tenth of this (the transform of (1 - s^2)^4 at one wave per row)."""
-    least_windows: int = 4
-    """Fewest half widths in the longest trajectory."""
-    pursued_rows: int = 256
-    """Number of rows of a pursuit of sums with functions; up to twice as many are used. Enough for twenty terms."""
-    most_shapes: int = 600
-    """Larger dictionaries of products with functions are not tried: with all operators a dictionary of two states
-    has up to 214 terms, of three states 590."""
-    pursued_functions: int = 2
-    """Most products with functions that are added."""
-    pursued_constants: int = 7
-    """Sums with more constants are not candidates."""
-    reweightings: int = 3
-    """Number of fits until the weights of windows converge; each fit uses the weights from the previous law."""
-
-
-@dataclass(frozen=True)
-class RateSettings:
-    """Laws by regression on derivatives with known errors."""
-
-    trusted_share: float = 0.4
-    """Share of the rows, most certain first, on which functions are searched. Measured for seven states with fast
-    transients and 51 rows for each trajectory: the errors of these rows were 1e-3 of the standard deviation; with a
-    share of 0.7 they were 0.3."""
+    windows_in_width: int = 4
+    """Number of windows of the weak form that begin within one width. Also the fewest half widths in the longest
+    trajectory."""
+    functions: int = 2
+    """Most products with functions that are added to a sum."""
+    most_constants: int = 7
+    """Sums with more constants are not candidates for trajectories."""
     most_atoms: int = 40_000
     """Most products with functions, one for each inner constant tried, that are compared: some seconds of work."""
+    trusted_share: float = 0.4
+    """Share of the derivatives, most certain first, with which functions are searched. Measured for seven states with
+    fast transients and 51 rows for each trajectory: the errors of these derivatives were 1e-3 of the standard
+    deviation; with a share of 0.7 they were 0.3."""
     screened: int = 8
     """Most variables of an equation, if there are too many variables for a library of all products."""
 
-
-@dataclass(frozen=True)
-class WindowSettings:
-    """Laws by regression on short windows with errors in all variables."""
-
-    smoothness: int = 2
-    """Power of the test functions (1 - s^2)^p: the smallest whose slope vanishes at both ends."""
-    least_half: int = 2
-    """Half width of the shortest windows in rows: five rows, three of which have weight."""
-    half_ratio: float = 1.5
-    """Ratio of each half width tried to the previous one."""
-    resolved_share: float = 0.75
-    """Windows get wider as long as, in this share of them, lines between rows are as good as cubics within the
-    noise."""
-    most: int = 2_000
-    """Approximate maximum of windows; larger sets are subsampled."""
+    @property
+    def rows(self) -> int:
+        """Number of rows that determine the largest library; this number is also enough for a pursuit."""
+        return round(self.rows_per_term * self.largest_library)
 
 
 @dataclass(frozen=True)
@@ -334,8 +298,6 @@ class Settings:
     effort: EffortSettings = EffortSettings()
     criterion: CriterionSettings = CriterionSettings()
     sparse: SparseSettings = SparseSettings()
-    rates: RateSettings = RateSettings()
-    windows: WindowSettings = WindowSettings()
     shooting: ShootingSettings = ShootingSettings()
     selection: SelectionSettings = SelectionSettings()
     inference: InferenceSettings = InferenceSettings()

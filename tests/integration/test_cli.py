@@ -121,7 +121,7 @@ def test_a_worker_that_dies_is_said_and_started_again_as_long_as_somebody_watche
         _, err = finish(process)
         assert until(lambda: not workers_of(tmp_path))
     assert process.returncode == 1
-    assert "the process that watches over the workers has ended" in err
+    assert "the supervisor process of the workers has ended" in err
 
 
 def test_nobody_at_the_address_is_exit_code_3_within_seconds(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_serve_submit_status_result_and_cancel_by_hand(tmp_path: Path) -> None:
         assert by_a_worker.stdout == coordinator("suggest", str(saved), cwd=tmp_path).stdout
         refused = coordinator("analyse", "first", "--box", "nothing=0:1", *there, cwd=tmp_path)
         assert (refused.returncode, refused.stdout) == (2, "")
-        assert refused.stderr == "coordinator: there is no state 'nothing' to bound; the states are x, y\n"
+        assert refused.stderr == "coordinator: the box has 'nothing', but the states are x, y\n"
 
         serve.send_signal(signal.SIGTERM)
         finish(serve)

@@ -70,7 +70,7 @@ NOT_RUN = {
     # outputs
     r"limit cycles as c3 varies": "minutes of another system: tests/unit/library/analysis/test_cycle_continuation.py",
     r"identifiability \(95 %": "of data that the page does not have: tests/unit/library/experiments",
-    r"candidates, their constants": "of data that the page does not have: tests/unit/library/experiments",
+    r"candidates, with constants": "of data that the page does not have: tests/unit/library/experiments",
     r"dhare/dyear: ": "of the run that examples/quotes.py makes: tests/integration/test_quotes.py",
     r"dx/dt = 0.534067": "of data that the page lacks: tests/unit/coordinator/model/inference/test_groups.py",
     r"dx/dt = x\*\(1\.5 - y\)": "of data that the page does not have: tests/unit/coordinator/test_units.py",

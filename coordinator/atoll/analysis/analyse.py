@@ -1,4 +1,4 @@
-"""Analyse the dynamics of a model: fixed points, cycles, basins, comparison with the data, branches."""
+"""Analyse the dynamics of a model: fixed points, cycles, basins, branches, and a comparison with the data."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,7 +10,7 @@ from atoll.analysis.basins import Attractor, basins
 from atoll.analysis.conserved import conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import Branch, Coefficients, ContinuationParameter, continuation
 from atoll.analysis.cycle_continuation import CycleBranch, cycle_continuation
-from atoll.analysis.dynamics import MeasuredTrajectory, compared, measured_trajectories
+from atoll.analysis.dynamics import MeasuredTrajectory, compare, measured_trajectories
 from atoll.analysis.fixed_points import fixed_points
 from atoll.analysis.flow import Box, Flow
 from atoll.analysis.limit_cycles import LimitCycle, limit_cycles
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 from atoll.analysis.analysis import Analysis
 
 MOST_STATES: Final = 12
-"""The Lorenz 96 model with 12 states takes 8 s of one core, near the 10 s that an analysis may take."""
+"""Largest number of states. The Lorenz 96 model with 12 states takes 8 s on one core; an analysis may take 10 s."""
 
 _MARGIN: Final = 0.5
-"""Widths of the measured range by which the default box is larger on either side. It decides where the analysis
-searches, which is reported, and not the results there."""
+"""The default box is wider than the measured range by this share of its width on either side. The margin decides where
+the analysis searches, which is reported; it does not change results inside the range."""
 
 
 @np.errstate(all="ignore")  # rates may overflow in a part of the box
@@ -46,11 +46,11 @@ def analyse(
     measured: Sequence[MeasuredTrajectory] = (),
     vary: tuple[str, tuple[float, float]] | None = None,
 ) -> Analysis:
-    """Return the dynamics of `field` in `box`; every part is bounded in steps and reports its extent.
+    """Return the dynamics of `field` in `box`. Every part has a limited number of steps and reports what it covered.
 
-    The `inputs` (U,) are held, by default at 0; the model is compared with `measured` trajectories; `vary` is the name
-    of a parameter, as `Coefficients.find` takes it, and its range. Raises UsageError for more than `MOST_STATES` states
-    and for an unknown name.
+    The `inputs` (U,) are constant, by default 0. The model is compared with the `measured` trajectories. `vary` is the
+    name of a parameter, in the form for `Coefficients.find`, and its range. Raises UsageError for more than
+    `MOST_STATES` states and for an unknown name.
     """
     if len(field.states) > MOST_STATES:
         raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
@@ -66,7 +66,7 @@ def analyse(
     reached = basins(flow, box, stable)
     is_open = flow.size > 2 and len(cycles.unsettled) > 0
     if vary is not None and parameter is not None:
-        branches, cycle_branches = _continued(box, varied, parameter, vary[1], cycles.cycles)
+        branches, cycle_branches = _continue_branches(box, varied, parameter, vary[1], cycles.cycles)
     return Analysis(
         field,
         box,
@@ -78,7 +78,7 @@ def analyse(
         reached,
         conserved_quantities(flow, box),
         is_volume_preserving(flow, box),
-        compared(flow, box, stable, measured, reached.duration, has_family=cycles.has_family),
+        compare(flow, box, stable, measured, reached.duration, has_family=cycles.has_family),
         coefficients,
         parameter,
         branches,
@@ -87,7 +87,7 @@ def analyse(
     )
 
 
-def _continued(
+def _continue_branches(
     box: Box, flow: Flow, parameter: ContinuationParameter, bounds: tuple[float, float], cycles: Sequence[LimitCycle]
 ) -> tuple[tuple[Branch, ...], tuple[CycleBranch, ...]]:
     branches = continuation(flow, box, parameter, bounds)
@@ -118,11 +118,11 @@ def analyse_model(
     field = model.field
     for name in held:
         if name not in field.inputs:
-            raise UsageError(f"there is no input '{name}' to hold; inputs: {', '.join(field.inputs) or 'none'}")
+            raise UsageError(f"there is no input '{name}'; the inputs are {', '.join(field.inputs) or 'none'}")
     values = np.array([held.get(name, 0.0) for name in field.inputs])
     measured = measured_trajectories(model.result, field)
     sides = [equation.lhs for equation in model.result.equations if equation.verdict == "no model"]
-    caveat = f"The verdict on {', '.join(sides)} is no model: these equations do not fit the data." if sides else ""
+    caveat = f'The verdict on {", ".join(sides)} is "no model": these equations do not fit the data.' if sides else ""
     found = analyse(field, box_of(model.result, field, measured, bounds), inputs=values, measured=measured, vary=varied)
     return replace(found, caveat=caveat)
 
@@ -133,10 +133,10 @@ def box_of(
     measured: Sequence[MeasuredTrajectory],
     bounds: Mapping[str, tuple[float, float]],
 ) -> Box:
-    """Return the box to search: `bounds` by state, otherwise the measured range, wider by half on either side.
+    """Return the box to search: the `bounds` of each state, by default the measured range.
 
-    The box does not reach below 0 if no value below 0 was measured. Raises UsageError for a state with neither bounds
-    nor measurements.
+    The measured range is widened by half its width on either side, but not below 0 if no negative value was measured.
+    Raises UsageError for a state with neither bounds nor measurements.
     """
     ranges = {name: ends for name, ends in result.ranges.items() if name in field.states}
     if measured:
@@ -145,17 +145,17 @@ def box_of(
         ranges |= dict(zip(field.states, ends, strict=True))
     known: dict[str, tuple[float, float]] = {}
     for name, (low, high) in ranges.items():
-        # a state that was measured at one value has the width of that value, or 1 if it is 0
+        # a state with only one measured value is widened by half that value, or by 1 if it is 0
         beyond = _MARGIN * (high - low) or _MARGIN * abs(high) or 1.0
         known[name] = (max(low - beyond, 0.0) if low >= 0.0 else low - beyond, high + beyond)
     for name in bounds:
         if name not in field.states:
             hint = did_you_mean(name, field.states)
-            raise UsageError(f"there is no state '{name}' to bound; the states are {', '.join(field.states)}{hint}")
+            raise UsageError(f"the box has '{name}', but the states are {', '.join(field.states)}{hint}")
     known |= bounds
     for name in field.states:
         if name not in known:
-            raise UsageError(f"state '{name}' was not measured, so that the box needs its lower and upper bound")
+            raise UsageError(f"state '{name}' was not measured; give its lower and upper bound in the box")
         low, high = known[name]
         if not (np.isfinite([low, high]).all() and low < high):
             raise UsageError(f"the bounds {low:g} and {high:g} of '{name}' are not an interval; give the lower first")

@@ -1,6 +1,6 @@
 """The dynamics of a model in one object, with its text, tables and plain data.
 
-``analyse --json`` prints the plain data; text and report render the sentences and tables.
+``analyse --json`` prints the plain data. The text output and the report render the sentences and tables.
 """
 
 from collections.abc import Mapping
@@ -36,11 +36,11 @@ from atoll.terminal.output import attributes, plain
 SCHEMA: Final = 1
 
 CODES: Final[Mapping[int, str]] = {UNDECIDED: "undecided", RUNS_AWAY: "runs away", NO_VALUE: "no value"}
-"""The ends of simulations without an attractor, in the order in which they are listed."""
+"""How simulations end that reach no attractor, in the order in which they are listed."""
 
 _ENDINGS: Final = {
-    UNDECIDED: "reach none of these within the simulated time",
-    RUNS_AWAY: "run away",
+    UNDECIDED: "reach no attractor within the simulated time",
+    RUNS_AWAY: "diverge",
     NO_VALUE: "reach a point where a rate is undefined",
 }
 
@@ -49,10 +49,11 @@ _ENDINGS: Final = {
 class Analysis:
     """The dynamics of `field` in `box` with the inputs held at `inputs` (U,).
 
-    `nullclines` has the polylines (n, 2) for each of two states, and is empty for others. `lyapunov` belongs to
-    trajectories that no fixed point or cycle explains, None if all are explained. Trajectories `not_compared` have
-    inputs that are not known. `branches` (of fixed points) and `cycle_branches` follow the `continuation_parameter`,
-    one of `coefficients`. `caveat` names the equations with the verdict `no model`, "" where there are none.
+    For systems of two states, `nullclines` has the polylines (n, 2) for each state; for other systems it is empty.
+    `lyapunov` belongs to trajectories that end at no known fixed point or cycle; it is None without such trajectories.
+    Trajectories `not_compared` have inputs that are not known. `branches` (of fixed points) and `cycle_branches` follow
+    the `continuation_parameter`, one of `coefficients`. `caveat` names the equations with the verdict `no model`; it is
+    "" if there are none.
     """
 
     field: VectorField
@@ -80,9 +81,9 @@ class Analysis:
         return first_lines(str(self), "print it")
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
-        """Return the isolated fixed points, a row each: the states, `kind`, `is_stable` and `attracts_in_box`.
+        """Return a ``"polars"`` or ``"pandas"`` frame with a row for each isolated fixed point.
 
-        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing.
+        Its columns are the states, `kind`, `is_stable` and `attracts_in_box`. Raises UsageError without that library.
         """
         points = self.fixed_points.points
         states = {name: [float(point.point[place]) for point in points] for place, name in enumerate(self.field.states)}
@@ -95,13 +96,13 @@ class Analysis:
 
     @property
     def attractors(self) -> tuple[Attractor, ...]:
-        """The fixed points, curves and surfaces of fixed points, and limit cycles that attract from within the box."""
+        """The fixed points, sets of fixed points and limit cycles that attract from within the box."""
         return self.basins.attractors
 
 
 @dataclass(frozen=True)
 class TextRow:
-    """One row of a table: its `cells`, "" where there is nothing to tell, and the same as one `line`."""
+    """One row of a table: its `cells` (an empty cell is ""), and the same content as one `line`."""
 
     cells: tuple[str, ...]
     line: str
@@ -109,7 +110,7 @@ class TextRow:
 
 @dataclass(frozen=True)
 class TextTable:
-    """Rows under a `title`, with a cell for each of `heads`; without a heading only the lines are printed."""
+    """Rows under a `title`, with a cell for each of `heads`; if `has_heading` is False, text shows only the rows."""
 
     title: str
     heads: tuple[str, ...]
@@ -118,7 +119,7 @@ class TextTable:
 
 
 def as_text(analysis: Analysis) -> str:
-    """Return the analysis as lines for a person."""
+    """Return the analysis as lines of text."""
     lines: list[str] = []
     for part in describe(analysis):
         if isinstance(part, str):
@@ -259,7 +260,7 @@ def _basins(analysis: Analysis) -> TextTable:
         share = without_error.get(part, f"{100 * part:.1f} ± {100 * error:.1f} %")
         ending = _ENDINGS[which] if which < 0 else f"reach the {_destination_text(which, analysis)}"
         if which == UNDECIDED and analysis.cycles.has_family:
-            ending = "follow closed orbits, or reach none of these within the simulated time"
+            ending = "follow closed orbits, or reach no attractor within the simulated time"
         rows.append(TextRow((share, ending), f"{share} {ending}"))
     title = f"basins: of {len(analysis.basins.reached)} initial states in the box"
     return TextTable(title, ("share", "of the initial states"), tuple(rows))
@@ -284,7 +285,7 @@ def _comparison(comparison: TrajectoryComparison, analysis: Analysis) -> TextRow
     facts = (
         "is bounded" if comparison.is_bounded else "is not bounded",
         period,
-        "has the amplitudes of the data" if is_same else "has other amplitudes than the data",
+        "has the amplitudes of the data" if is_same else "has different amplitudes than the data",
         phases,
         end,
     )
@@ -321,7 +322,7 @@ def _branch_row(values: FloatArray, character: str, special: list[str]) -> TextR
 
 
 def as_data(analysis: Analysis) -> dict[str, object]:
-    """Return the analysis as dictionaries, lists, texts and numbers; null is not finite, or unknown."""
+    """Return the analysis as dictionaries, lists, texts and numbers; null stands for an infinite or unknown number."""
     field, box, fixed, cycles = analysis.field, analysis.box, analysis.fixed_points, analysis.cycles
     return plain(
         {

@@ -1,4 +1,4 @@
-"""Basins of attraction: which attractor simulations from the box reach. Letters: N initial states, D states."""
+"""Basins of attraction: the attractors that simulations from the box reach. Letters: N initial states, D states."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,33 +13,35 @@ from atoll.analysis.limit_cycles import LimitCycle
 from atoll_core.data.dataset import FloatArray
 
 GRID: Final = 40
-"""Cells in each direction of a system of two states."""
+"""Number of cells in each direction for a system of two states."""
 
 STARTS: Final = 1000
-"""Seeded random initial states of other systems; fractions are then known to 1.6 percentage points."""
+"""Number of random initial states of other systems: the standard error of a fraction is below 1.6 percentage points."""
 
 _MOST_STEPS: Final = 4000
-"""Steps of one simulation: with a tolerance of 1e-5 they take some hundred, stiff ones ten times as many."""
+"""Largest number of steps of one simulation. With a tolerance of 1e-5 most simulations take some hundred steps, and
+stiff ones ten times as many."""
 
 UNDECIDED: Final = -1
 RUNS_AWAY: Final = -2
 NO_VALUE: Final = -3
 
 _PARTS: Final = 60
-"""How often it is tested where the states are: once in each time that a state takes through the box."""
+"""Number of tests whether the states have reached an attractor: one test in each time needed to cross the box."""
 
 _CAUGHT: Final = 1e-2
-"""Widths of the box within which an attractor is reached; at most a tenth of the distance to the next attractor."""
+"""Distance, in widths of the box, at which an attractor counts as reached, but at most a tenth of the distance to the
+next attractor."""
 
 Attractor = FixedPoint | FixedSet | LimitCycle
 
 
 @dataclass(frozen=True, eq=False)
 class Basins:
-    """Which of `attractors` each of `starts` (N, D) reached.
+    """The attractors that simulations from the initial states `starts` (N, D) reached.
 
-    `reached` (N,) has the index of an attractor, `UNDECIDED` (none of them within `duration`), `RUNS_AWAY` or
-    `NO_VALUE` (a rate became undefined). In a grid of (n, n) initial states the first state varies slowest.
+    `reached` (N,) has the index of an attractor, or a code: `UNDECIDED` (no attractor within `duration`), `RUNS_AWAY`,
+    or `NO_VALUE` (a rate became undefined). In a `grid` of (n, n) initial states, the first state varies slowest.
     """
 
     attractors: tuple[Attractor, ...]
@@ -55,9 +57,9 @@ class Basins:
 
 
 def basins(flow: Flow, box: Box, attractors: Sequence[Attractor], *, grid: int = GRID) -> Basins:
-    """Return which of the stable `attractors` initial states in `box` reach.
+    """Return the stable `attractors` that initial states in `box` reach.
 
-    They are the middles of the cells of a grid for two states, and drawn uniformly otherwise.
+    For two states, the initial states are the middles of the cells of a grid. Otherwise they are drawn uniformly.
     """
     if flow.size == 2:
         axes = [low + width * (np.arange(grid) + 0.5) / grid for low, width in zip(box.lower, box.widths, strict=True)]
@@ -72,9 +74,10 @@ def basins(flow: Flow, box: Box, attractors: Sequence[Attractor], *, grid: int =
 def destinations(
     flow: Flow, box: Box, attractors: Sequence[Attractor], starts: FloatArray, duration: float
 ) -> tuple[npt.NDArray[np.int64], FloatArray]:
-    """Return the attractor reached from each of `starts` (N, D) within `duration`, as in `Basins`, and the last states.
+    """Return the attractors (N,) that are reached from `starts` (N, D) within `duration`, and the last states (N, D).
 
-    States that have nearly come to rest by then are followed for longer.
+    Attractors are indices or codes, as in `Basins`. States that are nearly at rest after `duration` are simulated for
+    longer.
     """
     reached, ends = np.full(len(starts), UNDECIDED, dtype=np.int64), np.array(starts)
     radii = _radii(attractors, box)
@@ -102,7 +105,7 @@ def destinations(
 
 
 def _is_caught(attractor: Attractor, radius: float, flow: Flow, states: FloatArray, box: Box) -> np.ndarray:
-    """Tell which of `states` (N, D) are within `radius` of an attractor, or of an attracting part of a set."""
+    """Tell which of the `states` (N, D) are within `radius` of an attractor, or of an attracting part of a set."""
     if not isinstance(attractor, FixedSet):
         return np.asarray(attractor.distances(states, box) < radius)
     is_caught = attractor.distances(flow, states, box) < radius
@@ -111,7 +114,7 @@ def _is_caught(attractor: Attractor, radius: float, flow: Flow, states: FloatArr
 
 
 def _radii(attractors: Sequence[Attractor], box: Box) -> list[float]:
-    """Return the distance at which each attractor counts as reached; larger where it is approached slowly."""
+    """Return the distance at which each attractor counts as reached; it is larger if the approach is slow."""
     radii = []
     for attractor in attractors:
         members = attractor.points if isinstance(attractor, FixedSet) else (attractor,)

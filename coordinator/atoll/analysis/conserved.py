@@ -1,13 +1,13 @@
 """Hints of conserved quantities: combinations of simple functions that do not change along the flow.
 
-The Lie derivatives of the functions are taken at points all over the box, and in boxes 1e6 and 1e12 times as small and
-as large. Within one narrow box some polynomial is always conserved to any accuracy, because every combination that
-hardly varies there seems conserved; a law of the formulas holds in boxes of any size. A combination whose Lie
-derivative vanishes at every point is a vector of the null space of these derivatives (singular values). It is reported
-if, in every one of the boxes, its derivative along the flow is negligible next to its gradient.
+The Lie derivatives of the functions are computed at points all over the box, and in boxes that are 1e6 and 1e12 times
+smaller and larger. One box is not enough: in a narrow box, any combination that hardly varies seems conserved. A true
+conservation law holds in boxes of any size. A combination whose Lie derivative vanishes at every point is a vector in
+the null space of these derivatives, which is found from their singular values. The combination is reported if, in every
+box, its derivative along the flow is negligible compared with its gradient.
 
-This is a hint only: estimated constants make no combination vanish exactly, and functions outside of the dictionary are
-not found. Letters: D states, F functions, N points.
+Doubtful: this is only a hint. If the constants of the model are estimates, no combination vanishes exactly. Functions
+outside of the dictionary are not found. Letters: D states, F functions, N points.
 """
 
 from collections.abc import Sequence
@@ -27,34 +27,34 @@ from atoll_core.expression.program import Program, live_nodes
 from atoll_core.expression.text.parsing import from_infix
 
 DEGREE: Final = 4
-"""Largest degree of a power: energies of oscillators with cubic forces have it."""
+"""Largest degree of a polynomial: the energy of an oscillator with a cubic force has degree 4."""
 
 MOST_FUNCTIONS: Final = 150
-"""Larger dictionaries are not examined. There are four times as many points, so that no null vector is by chance."""
+"""Largest size of a dictionary. There are four times as many points, so that null vectors do not occur by chance."""
 
 TOLERANCE: Final = 1e-9
-"""Largest singular value of a null vector, as a share of the largest, and largest share of a gradient along the flow:
-the rounding error of texts with ten digits."""
+"""Largest singular value of a null vector, divided by the largest singular value. Also the largest component of a
+gradient along the flow, divided by the gradient. It is the rounding error of numbers with ten digits."""
 
 _POINTS: Final = 4 * MOST_FUNCTIONS
 
 _ANGLE_POINTS: Final = 16
-"""Points at which the slopes of an angle are compared."""
+"""Number of points at which the slopes of an angle are compared."""
 
 _FACTORS: Final = (2.0**-40, 2.0**-20, 1.0, 2.0**20, 2.0**40)
-"""Scales of the further boxes: a term that is a millionth of another one in one of them equals it in the next one, and
-`TOLERANCE` is far less."""
+"""Scales of the further boxes. A linear term that is a millionth of a quadratic one in one box equals it in the next
+box, and `TOLERANCE` is far below a millionth."""
 
 _LEAST_SHARE: Final = 1e-7
-"""Smallest coefficient, next to the largest one over the box: elimination yields smaller numbers instead of 0."""
+"""Smallest coefficient, relative to the largest one. Elimination yields smaller numbers instead of 0."""
 
 _Functions = Sequence[tuple[str, str]]
-"""Functions by displayed text and exact text."""
+"""Functions as pairs of displayed text and exact text."""
 
 
 @dataclass(frozen=True)
 class ConservedQuantity:
-    """A sum of functions, as (coefficient, text), that is constant along the flow; the largest coefficient is 1."""
+    """A sum of functions that is constant along the flow: (coefficient, text) pairs; the largest coefficient is 1."""
 
     terms: tuple[tuple[float, str], ...]
 
@@ -67,9 +67,10 @@ class ConservedQuantity:
 
 
 def conserved_quantities(flow: Flow, box: Box) -> tuple[ConservedQuantity, ...]:
-    """Return the conserved quantities of the simplest dictionary that has any: degree 2, functions, degrees 3 and 4.
+    """Return the conserved quantities from the simplest dictionary that has any.
 
-    If one dictionary has several, elimination gives each as few terms as possible.
+    Dictionaries grow in this order: polynomials up to degree 2, sines, cosines and logarithms, degree 3, degree 4. If a
+    dictionary has several conserved quantities, elimination gives each as few terms as possible.
     """
     around = Box(np.minimum(box.lower, 0.0), np.maximum(box.upper, 0.0))
     spread = [box.points(_POINTS), *(factor * around.points(_POINTS // 4, 1) for factor in _FACTORS)]
@@ -83,14 +84,14 @@ def conserved_quantities(flow: Flow, box: Box) -> tuple[ConservedQuantity, ...]:
     for more in _dictionaries(flow, box):
         functions += more
         if more and len(functions) <= min(MOST_FUNCTIONS, len(boxes[0][0]) // 2):
-            quantities = _laws(functions, flow.field.states, boxes)
+            quantities = _conserved_combinations(functions, flow.field.states, boxes)
             if quantities:
                 return tuple(quantities)
     return ()
 
 
 def is_volume_preserving(flow: Flow, box: Box) -> bool:
-    """Tell whether the divergence of the flow vanishes all over the box, up to rounding of its terms if it has any."""
+    """Tell whether the divergence of the flow is 0, up to rounding, at points all over the box."""
     jacobians = flow.jacobian(box.points(_POINTS))
     diagonals = np.einsum("nii->ni", jacobians[np.isfinite(jacobians).all(axis=(1, 2))])
     if not len(diagonals):
@@ -101,8 +102,8 @@ def is_volume_preserving(flow: Flow, box: Box) -> bool:
 def _dictionaries(flow: Flow, box: Box) -> list[_Functions]:
     """Return the functions that are added to the dictionary, step by step.
 
-    Sines and cosines have the arguments that they have in the model: the sine of a state that is not an angle means
-    nothing.
+    Sines and cosines have the same arguments as in the model, because the sine of a state that is not an angle is
+    meaningless.
     """
     states = flow.field.states
     degrees: list[_Functions] = []
@@ -138,7 +139,7 @@ def _angles(flow: Flow, box: Box) -> list[FloatArray]:
             slopes *= box.widths[:, None]
             middle = slopes.mean(axis=1)
             is_linear = np.abs(slopes - middle[:, None]).max() <= TOLERANCE * np.abs(middle).max()
-            if is_linear and middle.any():  # the sine of an input has no slopes at all
+            if is_linear and middle.any():  # the sine of an input does not depend on the states
                 middle = middle / box.widths * np.sign(middle[np.flatnonzero(middle)[0]])
                 if not any(np.allclose(known * box.widths, middle * box.widths, TOLERANCE, 0.0) for known in angles):
                     angles.append(middle)
@@ -147,7 +148,11 @@ def _angles(flow: Flow, box: Box) -> list[FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class _LieDerivatives:
-    """For F functions at N points of one box: `along` the flow (N, F), and the `sizes` of the summed terms (N, F)."""
+    """Lie derivatives of F functions at N points of one box.
+
+    `along` (N, F) are the derivatives along the flow, and `sizes` (N, F) the sums of the absolute values of their
+    terms. `gradients` are (N, D, F), `rates` (N, D).
+    """
 
     along: FloatArray
     sizes: FloatArray
@@ -165,16 +170,16 @@ class _LieDerivatives:
         return cls(products.sum(axis=1)[known], sizes[known], gradients[known], rates[known])
 
     def is_conserved(self, vector: FloatArray) -> bool:
-        """Tell whether the gradient (D,) of a combination (F,) has no part along the flow."""
+        """Tell whether the gradient (D,) of a combination `vector` (F,) has no component along the flow."""
         along, most = np.abs(self.along @ vector), (np.abs(self.gradients @ vector) * np.abs(self.rates)).sum(axis=1)
         unit = float(most.max(initial=0.0)) or 1.0  # squares of rates may overflow or underflow
         return float(((along / unit) ** 2).sum()) <= TOLERANCE**2 * float(((most / unit) ** 2).sum())
 
 
-def _laws(
+def _conserved_combinations(
     functions: _Functions, states: Sequence[str], boxes: Sequence[tuple[FloatArray, FloatArray]]
 ) -> list[ConservedQuantity]:
-    """Return the combinations that are conserved in all boxes, each given by its points and rates there, (N, D)."""
+    """Return the combinations that are conserved in all `boxes`; a box is its points and their rates, both (N, D)."""
     programs = [from_infix(exact, states) for _, exact in functions]
     slopes = [derivative(program, place) for place in range(len(states)) for program in programs]
     compiled = CompiledPrograms(slopes, (len(slopes),), len(states))
@@ -184,7 +189,7 @@ def _laws(
     quantities = []
     for row in _echelon(_null_space(derivatives, 1.0 / sizes)):
         kept = np.abs(row) > _LEAST_SHARE * np.abs(row).max()
-        vector = _refined(derivatives, np.where(kept, row / sizes, 0.0))
+        vector = _refine(derivatives, np.where(kept, row / sizes, 0.0))
         if all(derivative.is_conserved(vector) for derivative in derivatives):
             shares = zip(vector / vector[int(np.argmax(np.abs(vector)))], functions, strict=True)
             terms = ((float(f"{share:.10g}"), text) for share, (text, _) in shares if share)
@@ -193,7 +198,7 @@ def _laws(
 
 
 def _null_space(derivatives: Sequence[_LieDerivatives], units: FloatArray) -> FloatArray:
-    """Return the combinations (n, F), of functions times `units` (F,), that change along the flow in no box."""
+    """Return the combinations (n, F) of functions times `units` (F,) that are constant along the flow in all boxes."""
     with np.errstate(all="ignore"):
         along = np.vstack([derivative.along for derivative in derivatives]) * units
         largest = (np.vstack([derivative.sizes for derivative in derivatives]) * units).max(axis=1, initial=0.0)
@@ -206,8 +211,8 @@ def _null_space(derivatives: Sequence[_LieDerivatives], units: FloatArray) -> Fl
     return np.asarray(vectors[values <= TOLERANCE * values[0]])
 
 
-def _refined(derivatives: Sequence[_LieDerivatives], vector: FloatArray) -> FloatArray:
-    """Return a combination with small coefficients as precise as large ones: they matter in other boxes."""
+def _refine(derivatives: Sequence[_LieDerivatives], vector: FloatArray) -> FloatArray:
+    """Return a combination whose small coefficients are as precise as its large ones: they matter in other boxes."""
     terms = np.flatnonzero(vector)
     parts = [replace(part, along=part.along[:, terms], sizes=part.sizes[:, terms]) for part in derivatives]
     null = _null_space(parts, np.abs(vector[terms]))
@@ -219,7 +224,7 @@ def _refined(derivatives: Sequence[_LieDerivatives], vector: FloatArray) -> Floa
 
 
 def _echelon(rows: FloatArray) -> FloatArray:
-    """Return the reduced echelon form of `rows`, eliminating from the last column back: the simplest functions stay."""
+    """Return the reduced echelon form of `rows`, eliminated from the last column on: the simplest functions stay."""
     rows = rows.copy()
     done = 0
     for column in range(rows.shape[1] - 1, -1, -1):

@@ -1,15 +1,19 @@
-"""Branches of fixed points as one parameter varies, and the path following that branches of limit cycles share.
+"""Branches of fixed points as one parameter varies, and the path following that branches of limit cycles also use.
 
-The parameter is a constant, named as in the equations (c1, c2, …), an unwritten coefficient, named by its term (in
-dy/dt = y*(2 - x - y) the coefficient of ``x*y`` is an unwritten 1), or an input.
+The parameter is a constant, an unwritten coefficient, or an input. A constant has its name in the equations (c1, c2,
+…). An unwritten coefficient has the name of its term: in dy/dt = y*(2 - x - y), the coefficient of ``x*y`` is an
+unwritten 1.
 
 A curve of solutions is followed by steps along its tangent and Newton steps across it (pseudo-arclength, Keller 1977).
-A curve is given by an object that corrects a guess, and that gives at each point the tangent and some tests: numbers
-that change their sign where the character of the solutions changes.
+A `Curve` object corrects a guess. It also gives the tangent and some tests at each point: numbers whose sign changes
+where the character of the solutions changes.
 
-For fixed points the coordinates are (x, p), both over their ranges. At a fold the tangent turns back in p, at a branch
-point the determinant of the bordered matrix changes its sign, at a Hopf point a complex pair of eigenvalues crosses the
-imaginary axis (Kuznetsov 2004, chapter 10). Letters: D states, P parameters, U inputs, n points or coordinates.
+For fixed points the coordinates are (x, p), divided by their ranges. At a fold, the component of the tangent along p
+changes its sign. At a branch point, the determinant of the bordered matrix changes its sign. At a Hopf point, a complex
+pair of eigenvalues crosses the imaginary axis (Kuznetsov 2004, chapter 10).
+
+Doubtful: a branch is found only if it has a fixed point at the value of the model or at one of three further values.
+Letters: D states, P parameters, U inputs, n points or coordinates.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,44 +36,45 @@ from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import make_coefficients_explicit
 
 _COMPARED_POINTS: Final = 32
-"""Points at which a term and the derivative by a constant are compared."""
+"""Number of points at which a term is compared with the derivative with respect to a constant."""
 
 _SAME: Final = 1e-9
-"""Relative difference up to which they are the same function: rounding."""
+"""Largest relative difference of both if they are the same function: rounding."""
 
 _SHORTEST: Final = 1e-6
 """Shortest step along a curve."""
 
 _STRAIGHT: Final = 0.95
-"""Cosine of the largest angle between tangents one step apart: a larger angle may hide a second curve nearby."""
+"""Cosine of the largest angle between the tangents of consecutive points. At a larger angle, the step may have jumped
+to another curve nearby."""
 
 _EVALUATIONS: Final = 60
-"""Evaluations to locate a special point: regula falsi takes about ten, bisection to `_LOCATED` would take 43."""
+"""Largest number of evaluations to locate a special point. Regula falsi takes about ten; bisection would take 43."""
 
 _LOCATED: Final = 1e-13
-"""Share of the last step within which a special point is located: rounding."""
+"""Accuracy of a special point as a share of the step: rounding."""
 
 _AVOIDED: Final = 0.01
-"""Share of the bracket by which a singular point is avoided."""
+"""Distance from a singular point at which the test is evaluated instead, as a share of the bracket."""
 
 FOLD: Final = "fold"
 BRANCH_POINT: Final = "branch point"
 HOPF: Final = "Hopf"
 
 MOST_POINTS: Final = 400
-"""Points of one branch in each direction."""
+"""Largest number of points of one branch in each direction."""
 
 MOST_BRANCHES: Final = 20
-"""Branches that are reported."""
+"""Largest number of reported branches."""
 
 LONGEST: Final = 0.02
 """Longest step along a branch, in ranges of parameter and box."""
 
 _SEEDED: Final = 3
-"""Values of the parameter, spread over its range, at which branches are sought, in addition to the model's value."""
+"""Number of values, spread over the range of the parameter, at which branches begin besides the value of the model."""
 
 OUTSIDE: Final = 1.0
-"""Widths of the box beyond which a branch is not followed."""
+"""A branch is followed up to this number of box widths outside of the box."""
 
 
 # ------------------------------------------------------------------------------------------------------ the parameter
@@ -77,9 +82,9 @@ OUTSIDE: Final = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ContinuationParameter:
-    """A number that varies: parameters (indices) are its multiples by `factors`, inputs (indices) are equal to it.
+    """A number that varies, with its `value` in the model, and the `name` that the user gave.
 
-    `value` is its value in the model, and `name` the name that users give.
+    The `parameters` (indices) are the number times `factors`. The `inputs` (indices) are equal to the number.
     """
 
     name: str
@@ -89,14 +94,14 @@ class ContinuationParameter:
     inputs: tuple[int, ...] = ()
 
     def at(self, flow: Flow, value: float) -> Flow:
-        """Return the flow at another value."""
+        """Return the flow at another `value` of the number."""
         parameters, inputs = flow.parameters.copy(), flow.inputs.copy()
         parameters[list(self.parameters)] = value * np.array(self.factors)
         inputs[list(self.inputs)] = value
         return replace(flow, parameters=parameters, inputs=inputs)
 
     def slope(self, flow: Flow, x: FloatArray) -> FloatArray:
-        """Return the derivative of the rates at points (N, D) by the value, (N, D)."""
+        """Return the derivative (N, D) of the rates at points (N, D) with respect to the value."""
         slope = np.zeros(x.shape)
         if self.parameters:
             derivatives = flow.field.parameter_derivatives(x, flow.inputs, flow.parameters)
@@ -109,9 +114,10 @@ class ContinuationParameter:
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """The numbers of a field that can vary: in `explicit` all constants and unwritten factors of 1 are parameters.
+    """The numbers of a field that can vary: all constants, and coefficients of 1 that the text does not show.
 
-    `origins` has the index of each among the parameters of `field`, None for an unwritten factor.
+    They are the parameters of `explicit`. `origins` has the index of each among the parameters of `field`; it is None
+    for an unwritten coefficient.
     """
 
     field: VectorField
@@ -134,7 +140,7 @@ class Coefficients:
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """The names of the unwritten factors of 1: ``y:x*y`` is the coefficient of x*y in dy/dt."""
+        """The names of the unwritten coefficients: ``y:x*y`` is the coefficient of x*y in dy/dt."""
         values = self._values(self.field.values_of_parameters)
         return tuple(
             f"{parameter.variable}:{self.explicit.term_of(index, values)}"
@@ -143,9 +149,10 @@ class Coefficients:
         )
 
     def find(self, flow: Flow, name: str) -> tuple[Flow, ContinuationParameter]:
-        """Return a flow and its parameter by name: constants (several with commas), a term, or an input.
+        """Return a flow and its parameter by name: constants (separated by commas), a term, or an input.
 
-        Several constants keep their ratios to the first. Raises UsageError for an unknown name.
+        Several constants keep their ratios to the first one. Raises UsageError for an unknown name, or if the first
+        constant is 0.
         """
         if name in flow.field.inputs:
             place = flow.field.inputs.index(name)
@@ -155,7 +162,9 @@ class Coefficients:
         values = self._values(flow.parameters)
         named = [float(values[index]) for index in indices]
         if named[0] == 0.0 and any(named):
-            raise UsageError(f"{parts[0]} is 0, so that the others have no ratio to it; name another one first")
+            raise UsageError(
+                f"{parts[0]} is 0, so the other constants have no ratio to it; name another constant first"
+            )
         factors = tuple(value / named[0] if named[0] else 1.0 for value in named)
         varied = replace(flow, field=self.explicit, parameters=values)
         return varied, ContinuationParameter(name, named[0], tuple(indices), factors)
@@ -164,22 +173,22 @@ class Coefficients:
         return np.array([1.0 if origin is None else float(parameters[origin]) for origin in self.origins])
 
     def _indices(self, name: str) -> list[int]:
-        """Return the parameters of `explicit` with a name: all uses of one constant, or the coefficient of one term."""
+        """Return the parameters of `explicit` by name: all uses of one constant, or the coefficient of one term."""
         constants = self.field.parameters
         origin = next((place for place, known in enumerate(constants) if name in (known.name, str(place + 1))), None)
         if origin is not None:
             return [index for index, own_origin in enumerate(self.origins) if own_origin == origin]
-        indices = self._of_term(name)
+        indices = self._term_indices(name)
         if len(indices) == 1:
             return indices
-        fault = f"'{name}' stands in several equations" if indices else f"there is no parameter '{name}'"
+        fault = f"'{name}' occurs in several equations" if indices else f"there is no parameter '{name}'"
         known = ", ".join(f"{constant.name} = {constant.value:g} of {constant.variable}" for constant in constants)
         others = [*self.units, *self.field.inputs]
-        more = f", and can vary {', '.join(others)}" if others else ""
+        more = f"; you can also vary {', '.join(others)}" if others else ""
         raise UsageError(f"{fault}; the model has {known or 'no constants'}{more}")
 
-    def _of_term(self, name: str) -> list[int]:
-        """Return the parameters whose derivative is a term, given as ``x*y`` or, with its equation, ``y:x*y``."""
+    def _term_indices(self, name: str) -> list[int]:
+        """Return the indices of the coefficients of a term: ``x*y``, or ``y:x*y`` with its equation."""
         names = (*self.field.states, *self.field.inputs)
         variable, separator, text = name.rpartition(":")
         try:
@@ -201,7 +210,7 @@ class Coefficients:
 
 
 def _separate_uses(program: Program, origins: Sequence[int | None]) -> tuple[Program, tuple[int | None, ...]]:
-    """Return a program in which each use of a constant is a separate constant, and their origins in node order."""
+    """Return a program in which each use of a constant is a separate constant, and the origins in node order."""
     nodes, builder = program.nodes(), ProgramBuilder()
     numbers = dict(zip(constant_places(program), origins, strict=True))
     used: dict[int, int | None] = {}
@@ -240,19 +249,19 @@ PointT = TypeVar("PointT", bound=CurvePoint)
 
 
 class Curve(Protocol[PointT]):
-    """A curve in coordinates of about the same scale, the parameter last.
+    """A curve in n coordinates of about the same scale; the last one is the parameter.
 
-    Its methods return None where a rate is undefined, or where no point is near.
+    `correct` and `curve_point` return None if a rate is undefined or no point of the curve is near.
     """
 
     longest: float
     """Longest step."""
 
     most: int
-    """Points on each side of the first one."""
+    """Largest number of points on each side of the first point."""
 
     limits: tuple[float, float]
-    """Range of the last coordinate; the last point of the curve is at one of its ends."""
+    """Range of the last coordinate; a curve that leaves the range ends at its limit."""
 
     def correct(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
         """Return the point of the curve in the plane through `z` across `tangent`."""
@@ -261,29 +270,29 @@ class Curve(Protocol[PointT]):
         """Return the point `z` with its tests; its tangent continues in the direction of `before`."""
 
     def end(self, last: PointT, after: PointT) -> str | None:
-        """Return why the curve is not followed to `after`; None where it is followed."""
+        """Return why the curve ends before `after`; None if it continues."""
 
     def adapt(self, point: PointT) -> PointT:
-        """Return a point in the coordinates in which the curve is followed from there."""
+        """Return the same point in the coordinates for the following steps."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class CurveSide(Generic[PointT]):
-    """One side of a curve: its `points` from the first one, the special points in order with their kinds, its end."""
+    """One side of a curve: its `points` in order, its `special` points with their kinds, and why it ends."""
 
     points: list[PointT]
     special: list[tuple[str, PointT]]
     end: str
 
 
-def joined(behind: CurveSide[PointT], ahead: CurveSide[PointT]) -> tuple[list[PointT], list[tuple[str, PointT]]]:
-    """Return the points of two sides from the same first one, and the special points, along the curve."""
+def join_sides(behind: CurveSide[PointT], ahead: CurveSide[PointT]) -> tuple[list[PointT], list[tuple[str, PointT]]]:
+    """Return the points and the special points of a curve, from two sides with the same first point."""
     return [*behind.points[:0:-1], *ahead.points], [*reversed(behind.special), *ahead.special]
 
 
 def continue_curve(curve: Curve[PointT], start: FloatArray, direction: FloatArray) -> CurveSide[PointT]:
-    """Return the points of `curve` from `start` (n,) in a direction (n,)."""
+    """Follow `curve` from `start` (n,) in a `direction` (n,)."""
     first = curve.curve_point(start, direction)
     if first is None:
         return CurveSide([], [], "no rates")
@@ -322,20 +331,20 @@ def _length(step: FloatArray) -> float:
 
 
 def _special_between(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
-    """Return the special points between two points, where a test changes its sign, each with its kind.
+    """Return the special points between two points, each with its kind: there a test changes its sign.
 
-    At a branch point the tangent may turn as well; that is not a fold.
+    At a branch point the test for a fold may also change its sign, but this is not a fold.
     """
     kinds = [kind for kind in first.tests if first.tests[kind] * second.tests[kind] < 0.0]
     if BRANCH_POINT in kinds and FOLD in kinds:
         kinds.remove(FOLD)
-    return [(kind, _located(curve, first, second, kind)) for kind in kinds]
+    return [(kind, _locate(curve, first, second, kind)) for kind in kinds]
 
 
-def _located(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> PointT:
-    """Return the point between two where a test vanishes, by regula falsi (the Illinois variant).
+def _locate(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> PointT:
+    """Return the point between two points where a test is 0, by regula falsi (Illinois variant).
 
-    scipy's root finders need a value everywhere, and at a branch point itself there is none.
+    SciPy's root finders cannot be used: they need a value everywhere, and a test has no value at a branch point.
     """
     best = min((first, second), key=lambda point: abs(point.tests[kind]))
     low, high = 0.0, 1.0
@@ -371,7 +380,10 @@ def _between(curve: Curve[PointT], first: PointT, second: PointT, share: float, 
 
 @dataclass(frozen=True, eq=False)
 class SpecialPoint:
-    """A point where the character of a branch changes: `kind` is fold, branch point or Hopf (with its `frequency`)."""
+    """A point (D,) where the character of a branch changes, with the `value` of the parameter.
+
+    `kind` is fold, branch point or Hopf. A Hopf point has the `frequency` of its eigenvalues in radians per time.
+    """
 
     kind: str
     value: float
@@ -381,7 +393,7 @@ class SpecialPoint:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Fixed points (n, D) at `values` (n,) of the parameter, and the number of `unstable` eigenvalues of each (n,)."""
+    """Fixed points (n, D) at `values` (n,) of the parameter; `unstable` (n,) counts their unstable eigenvalues."""
 
     values: FloatArray = field(repr=False)
     points: FloatArray = field(repr=False)
@@ -395,7 +407,7 @@ class _FixedPointOnCurve(CurvePoint):
 
 
 class _FixedPointCurve:
-    """Fixed points in scaled coordinates z = (x / widths, p / range), (D + 1,)."""
+    """Fixed points in scaled coordinates z = (x / widths, p / range) of shape (D + 1,)."""
 
     longest = LONGEST
     most = MOST_POINTS
@@ -410,7 +422,7 @@ class _FixedPointCurve:
         return self.parameter.at(self.flow, float(z[-1] * self.scale[-1]))
 
     def matrix(self, z: FloatArray) -> FloatArray:
-        """Return the derivative (D, D + 1) of the rates, over their typical sizes, by z."""
+        """Return the derivative (D, D + 1) of the rates, divided by their typical sizes, with respect to z."""
         flow, x = self.at(z), z[:-1] * self.box.widths
         by_x = np.hstack([flow.jacobian(x), self.parameter.slope(flow, x[None]).T])
         return np.asarray(by_x / self._rates[:, None] * self.scale)
@@ -456,8 +468,8 @@ def continuation(
 ) -> tuple[Branch, ...]:
     """Return the branches of fixed points in `box` as `parameter` varies over `bounds`.
 
-    Branches begin at the fixed points at the value of the model, if it lies in `bounds`, and at values spread over
-    them; a branch without any of these is missed.
+    Branches begin at the fixed points for the value of the model, if it lies in `bounds`, and for three values spread
+    over `bounds`. A branch without such a fixed point is missed.
     """
     curve = _FixedPointCurve(flow, box, parameter, bounds)
     own = parameter.value
@@ -473,7 +485,7 @@ def continuation(
 
 
 def _passes(branch: Branch, start: FloatArray, curve: _FixedPointCurve) -> bool:
-    """Tell whether a branch goes through the scaled point `start` (D + 1,), judged by the chords between its points."""
+    """Tell whether a branch passes through the scaled point `start` (D + 1,), from the chords between its points."""
     scaled = np.hstack([branch.points / curve.box.widths, branch.values[:, None] / curve.scale[-1]])
     sides, away = np.diff(scaled, axis=0), start - scaled[:-1]
     share = np.clip((away * sides).sum(axis=1) / np.maximum((sides**2).sum(axis=1), 1e-300), 0.0, 1.0)
@@ -481,13 +493,13 @@ def _passes(branch: Branch, start: FloatArray, curve: _FixedPointCurve) -> bool:
 
 
 def _branch(curve: _FixedPointCurve, start: FloatArray) -> list[Branch]:
-    """Return the branch through `start`, followed to both sides; empty where it cannot be followed at all."""
+    """Return the branch through `start` (D + 1,), followed to both sides; empty if it cannot be followed at all."""
     matrix = curve.matrix(start)
     if not np.isfinite(matrix).all():
         return []
     tangent = np.linalg.svd(matrix)[2][-1]
     ahead, behind = continue_curve(curve, start, tangent), continue_curve(curve, start, -tangent)
-    points, special = joined(behind, ahead)
+    points, special = join_sides(behind, ahead)
     if len(points) < 2:
         return []
     states = np.array([point.z[:-1] * curve.box.widths for point in points])
@@ -496,7 +508,7 @@ def _branch(curve: _FixedPointCurve, start: FloatArray) -> list[Branch]:
     described = []
     for kind, point in special:
         frequency = _pair(point.eigenvalues)[1] if kind == HOPF else None
-        # two real eigenvalues of opposite sign make no Hopf point
+        # two real eigenvalues of opposite sign are not a Hopf point
         if frequency is None or frequency > 1e-6 * np.abs(point.eigenvalues).max():
             value = float(point.z[-1] * curve.scale[-1])
             described.append(SpecialPoint(kind, value, point.z[:-1] * curve.box.widths, frequency))
@@ -504,12 +516,12 @@ def _branch(curve: _FixedPointCurve, start: FloatArray) -> list[Branch]:
 
 
 def _pair(eigenvalues: npt.NDArray[np.complex128]) -> tuple[float, float]:
-    """Return real part and frequency of the complex pair nearest the imaginary axis; NaN where there is none."""
+    """Return real part and frequency of the complex pair nearest to the imaginary axis; NaN without a pair."""
     pairs = [eigenvalue for eigenvalue in eigenvalues if eigenvalue.imag > 0.0]
     nearest = min(pairs, key=lambda eigenvalue: abs(eigenvalue.real), default=None)
     return (np.nan, np.nan) if nearest is None else (float(nearest.real), float(nearest.imag))
 
 
 def special_points(branches: Sequence[Branch]) -> list[SpecialPoint]:
-    """Return the special points of all branches by rising value of the parameter."""
+    """Return the special points of all branches, ordered by the value of the parameter."""
     return sorted((point for branch in branches for point in branch.special), key=lambda point: point.value)

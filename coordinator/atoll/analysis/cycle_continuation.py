@@ -1,16 +1,18 @@
 """Branches of limit cycles as one parameter varies, from Hopf points and from known cycles.
 
-An orbit is the solution of a boundary value problem, found by collocation: time runs from 0 to 1 along the orbit, and
-on each of N intervals of a mesh the orbit is a polynomial that satisfies the equations at M Gauss points. At the mesh
-its error falls with the power 2 M of the interval (Ascher, Mattheij and Russell 1995, section 5.4). The linear system
-of a Newton step is condensed to the states at the mesh, as in AUTO (Doedel, Keller and Kernévez 1991): the product of
-the condensed matrices along the orbit is the monodromy matrix. The integral condition fixes the phase (ibid.).
+An orbit is the solution of a boundary value problem, found by collocation. Time runs from 0 to 1 along the orbit. A
+mesh divides it into N intervals. On each interval the orbit is a polynomial that satisfies the equations at M Gauss
+points. The error at the mesh falls with the power 2 M of the interval length (Ascher, Mattheij and Russell 1995,
+section 5.4). The linear system of a Newton step is condensed to the states at the mesh, as in AUTO (Doedel, Keller and
+Kernévez 1991). The product of the condensed matrices along the orbit is the monodromy matrix. An integral condition
+fixes the phase (ibid.).
 
-Branches are followed by pseudo-arclength in (orbit, log period, parameter). At a fold the tangent turns back in the
-parameter; at a period doubling a Floquet multiplier passes -1, at a torus point a complex pair passes the unit circle,
-at a branch point another multiplier passes 1 (Kuznetsov 2004, sections 5.3 and 10.3). Near homoclinic orbits the
-nontrivial multipliers are beyond the digits of the monodromy matrix; no test is made there. Letters: D states, N
-intervals, M Gauss points, n cycles.
+Branches are followed by pseudo-arclength in (orbit, log period, parameter). At a fold, the component of the tangent
+along the parameter changes its sign. At a period doubling, a Floquet multiplier passes -1. At a torus point, a complex
+pair passes the unit circle. At a branch point, another multiplier passes 1 (Kuznetsov 2004, sections 5.3 and 10.3).
+
+Doubtful: near homoclinic orbits, rounding errors of the monodromy matrix exceed the nontrivial multipliers, so no test
+is made there. Letters: D states, N intervals, M Gauss points, n cycles.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,16 +33,16 @@ from atoll.analysis.continuation import (
     CurveSide,
     SpecialPoint,
     continue_curve,
-    joined,
+    join_sides,
 )
 from atoll.analysis.flow import Box, Flow, follow
 from atoll.analysis.limit_cycles import SAMPLES, SMALLEST, LimitCycle, multipliers_of
 from atoll_core.data.dataset import FloatArray
 
 INTERVALS: Final = 80
-"""Intervals of a mesh. On canards of the FitzHugh-Nagumo nerve, where multipliers change by powers of ten within 1e-8
-of the parameter, the multipliers at folds are then 1 to 2e-3 (with 40 intervals they are not); period and fold are
-known to 1e-9."""
+"""Number of intervals of a mesh. The hardest test are canards of the FitzHugh-Nagumo model, where multipliers change by
+powers of ten within 1e-8 of the parameter. With 80 intervals, the multipliers at folds are 1 with an error of 2e-3, and
+period and fold have an error of 1e-9. 40 intervals are not enough."""
 
 GAUSS_POINTS: Final = 4
 
@@ -50,41 +52,41 @@ _NODES, _WEIGHTS = 0.5 * (_ROOTS + 1.0), 0.5 * _ROOT_WEIGHTS
 
 _POWERS: Final = np.arange(1, GAUSS_POINTS + 1)
 _INTEGRALS: Final = _NODES[:, None] ** _POWERS / _POWERS @ np.linalg.inv(np.vander(_NODES, increasing=True))
-"""The integrals (M, M) of Lagrange's polynomials up to each Gauss point."""
+"""The integrals (M, M) of the Lagrange polynomials from 0 to each Gauss point."""
 
 _KNOTS: Final = np.append(0.0, _NODES)
-"""Places on an interval at which a polynomial of degree M is known."""
+"""Points (M + 1,) of an interval, from 0 to 1, at which a polynomial of degree M is known."""
 
 _DIFFERENCES: Final = np.array([1.0 / np.prod(knot - np.delete(_KNOTS, at)) for at, knot in enumerate(_KNOTS)])
-"""Weights of values at the knots: for the divided difference of order M, and for barycentric interpolation."""
+"""Weights (M + 1,) of the values at the knots for the divided difference of order M and barycentric interpolation."""
 
 MOST_BRANCHES: Final = 10
-"""Branches that are reported; each costs up to two seconds."""
+"""Largest number of reported branches; each takes up to two seconds."""
 
 MOST_DOUBLINGS: Final = 2
-"""How often a branch is followed from a period doubling: up to four times the first period."""
+"""Largest number of consecutive period doublings that are followed: up to four times the first period."""
 
 MOST_CYCLES: Final = 150
-"""Cycles of one branch in each direction."""
+"""Largest number of cycles of one branch in each direction."""
 
 LONGEST: Final = 0.05
-"""Longest step along a branch, in ranges of parameter and box and in shares of the period."""
+"""Longest step along a branch, in ranges of the parameter, widths of the box, and shares of the period."""
 
 _LONGEST_PERIOD: Final = 100.0
-"""Times the first period of a branch, up to which it is followed: near a homoclinic orbit periods have no bound."""
+"""Longest period of a branch, in first periods of this branch: near a homoclinic orbit, periods grow without bound."""
 
 PERIOD_DOUBLING: Final = "period doubling"
 TORUS: Final = "torus"
 HOPF_END: Final = "Hopf point"
 
 _NEWTON: Final = 8
-"""Newton steps double the correct digits: a guess good to 1 % needs four."""
+"""Largest number of Newton steps. A step doubles the number of correct digits: a guess with 1 % error needs four."""
 
 _KNOWN: Final = 1e-3
-"""Largest error of the trivial multiplier, which is 1, up to which the others are taken as known."""
+"""Largest error of the trivial multiplier, which is 1. If its error is larger, the other multipliers are not used."""
 
 _RENEWED: Final = 4
-"""Steps after which the mesh is adapted."""
+"""Number of steps after which the mesh is adapted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,7 @@ class SpecialCycle:
 
 @dataclass(frozen=True, eq=False)
 class CycleBranch:
-    """`cycles` at `values` (n,) of the parameter; `ends` say why it is not followed beyond the first and the last."""
+    """The n `cycles` at `values` (n,) of the parameter; `ends` are the reasons why the branch ends on both sides."""
 
     values: FloatArray = field(repr=False)
     cycles: tuple[LimitCycle, ...] = field(repr=False)
@@ -117,8 +119,8 @@ def cycle_continuation(
 ) -> tuple[CycleBranch, ...]:
     """Return the branches of limit cycles as `parameter` varies over `bounds`.
 
-    They begin at the Hopf points of `branches` of fixed points, and at `known` cycles, each given with its value of the
-    parameter. Cycles that leave the box by more than a width are not followed.
+    They begin at the Hopf points of `branches` of fixed points, and at `known` pairs of a parameter value and a cycle.
+    A branch ends if its cycles leave the box by more than a width.
     """
     search = _CycleSearch(flow, box, parameter, bounds)
     cycle_branches: list[CycleBranch] = []
@@ -143,7 +145,7 @@ def _ends_at(branches: Sequence[CycleBranch], special: SpecialPoint, box: Box, b
 
 
 def _passes(branch: CycleBranch, value: float, cycle: LimitCycle, box: Box) -> bool:
-    """Tell whether a branch contains a cycle, judged by its cycles at the nearest values."""
+    """Tell whether a branch contains a cycle, from its cycles at the nearest values."""
     for (left, first), (right, second) in pairwise(zip(branch.values.tolist(), branch.cycles, strict=True)):
         if min(left, right) <= value <= max(left, right):
             for neighbour in (first, second):
@@ -158,7 +160,10 @@ def _passes(branch: CycleBranch, value: float, cycle: LimitCycle, box: Box) -> b
 
 @dataclass(frozen=True, eq=False)
 class Orbit:
-    """States at the beginnings of the intervals of `mesh` (N + 1,), `mesh_states` (N, D), and at `nodes` (N, M, D)."""
+    """A closed orbit on the times `mesh` (N + 1,) from 0 to 1.
+
+    `mesh_states` (N, D) are the states at the beginning of each interval, `nodes` (N, M, D) at its Gauss points.
+    """
 
     mesh: FloatArray
     mesh_states: FloatArray
@@ -175,7 +180,7 @@ class Orbit:
         return np.concatenate([self.mesh_states[:, None], self.nodes], axis=1)
 
     def at(self, times: FloatArray) -> FloatArray:
-        """Return the states (n, D) at times from 0 to 1, by the polynomial of each interval."""
+        """Return the states (n, D) at times (n,) from 0 to 1, from the polynomial of each interval."""
         which = np.clip(np.searchsorted(self.mesh, times, side="right") - 1, 0, len(self.mesh) - 2)
         apart = ((times - self.mesh[which]) / self.lengths[which])[:, None] - _KNOTS
         apart = np.where(apart == 0.0, 1e-300, apart)
@@ -183,7 +188,7 @@ class Orbit:
         return np.asarray((shares[:, :, None] * self.knots[which]).sum(axis=1) / shares.sum(axis=1)[:, None])
 
 
-def _sampled(states: Callable[[FloatArray], FloatArray], mesh: FloatArray) -> Orbit:
+def _sample(states: Callable[[FloatArray], FloatArray], mesh: FloatArray) -> Orbit:
     """Return the orbit of a function of times (n,) from 0 to 1 that returns states (n, D)."""
     times = mesh[:-1, None] + np.diff(mesh)[:, None] * _KNOTS
     values = states(times.ravel()).reshape(*times.shape, -1)
@@ -191,7 +196,7 @@ def _sampled(states: Callable[[FloatArray], FloatArray], mesh: FloatArray) -> Or
 
 
 def _even_mesh(mesh: FloatArray, weight: FloatArray, intervals: int) -> FloatArray:
-    """Return a mesh of intervals with equal shares of `weight` (n,), given on the intervals of another mesh."""
+    """Return a mesh (`intervals` + 1,) of intervals with equal weight; `weight` (n,) belongs to `mesh` (n + 1,)."""
     total = np.append(0.0, np.cumsum(weight))
     even = np.interp(np.linspace(0.0, total[-1], intervals + 1), total, mesh)
     even[0], even[-1] = 0.0, 1.0
@@ -200,7 +205,10 @@ def _even_mesh(mesh: FloatArray, weight: FloatArray, intervals: int) -> FloatArr
 
 @dataclass(frozen=True, eq=False)
 class _OrbitChange:
-    """Changes of states at mesh (N, D) and nodes (N, M, D), of log period and parameter; as a row, their factors."""
+    """Changes of the states at the mesh (N, D) and nodes (N, M, D), of the log period and of the parameter.
+
+    The same class holds a row of the linear system: the factors of these changes.
+    """
 
     mesh_states: FloatArray
     nodes: FloatArray
@@ -224,7 +232,7 @@ class _Factors:
 
     @property
     def scaled_determinant(self) -> float:
-        """The sign of the determinant times the geometric mean of the pivots: both vanish together."""
+        """The sign of the determinant times the geometric mean of the pivots: it is 0 if the determinant is 0."""
         from sympy.combinatorics import Permutation
 
         pivots = self._lu.U.diagonal()
@@ -234,12 +242,12 @@ class _Factors:
 
 
 class Linearised:
-    """The equations of an orbit, linearised: the source of Newton steps, tangents and multipliers."""
+    """The linearised equations of an orbit. They give Newton steps, tangents and multipliers."""
 
     def __init__(
         self, orbit: Orbit, period: float, rates: FloatArray, by_states: FloatArray, by_parameter: FloatArray
     ) -> None:
-        """Take the rates at the nodes (NM, D), with derivatives by states (NM, D, D) and by the parameter (NM, D)."""
+        """Take the rates at the nodes (NM, D), their Jacobians (NM, D, D), and derivatives by the parameter (NM, D)."""
         count, number, size = orbit.nodes.shape
         spans = (period * orbit.lengths)[:, None, None]
         rates = rates.reshape(count, number, size)
@@ -268,7 +276,7 @@ class Linearised:
 
     @property
     def monodromy(self) -> FloatArray:
-        """The derivative (D, D) of the states after a period by the initial ones."""
+        """The derivative (D, D) of the state after a period with respect to the initial state."""
         size = self.ends.shape[1]
         product = np.eye(size)
         for transfer in self.ends[..., :size]:
@@ -276,15 +284,15 @@ class Linearised:
         return np.asarray(product)
 
     def along(self, begin: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the change (D,) carried along the linearised flow: at the mesh (N, D) and nodes (N, M, D)."""
+        """Return the change `begin` (D,) along the linearised flow: at the mesh (N, D) and nodes (N, M, D)."""
         size, mesh_states = len(begin), [begin]
         for transfer in self.ends[:-1, :, :size]:
             mesh_states.append(transfer @ mesh_states[-1])
         carried = np.array(mesh_states)
         return carried, np.einsum("njde,ne->njd", self.inner[..., :size], carried)
 
-    def factorised(self, rows: tuple[_OrbitChange, _OrbitChange]) -> _Factors:
-        """Return the condensed system (ND + 2, ND + 2), factorised: the equations and two further rows."""
+    def factorise(self, rows: tuple[_OrbitChange, _OrbitChange]) -> _Factors:
+        """Return the LU factors of the condensed system (ND + 2, ND + 2): the equations and two further rows."""
         count, size = self.ends.shape[:2]
         block = np.arange(count * size).reshape(count, size)
         places = [np.broadcast_to(block[:, :, None], (count, size, size)), block]
@@ -305,9 +313,10 @@ class Linearised:
     def solve(
         self, factors: _Factors, rows: tuple[_OrbitChange, _OrbitChange], right: tuple[float, float], *, is_step: bool
     ) -> _OrbitChange:
-        """Return the change that gives the two further `rows`, of the matrix `factors`, the values on the `right`.
+        """Solve the linear system `factors`; the right-hand sides of its two further `rows` are `right`.
 
-        For a Newton step (`is_step`) it removes the residuals of the equations; for a tangent it keeps them.
+        For a Newton step (`is_step`), the other right-hand sides are minus the residuals of the equations; for a
+        tangent they are 0.
         """
         count, size = self.ends.shape[:2]
         share = 1.0 if is_step else 0.0
@@ -326,7 +335,7 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class _CycleOnCurve(CurvePoint):
-    """A limit cycle as a point of a curve: its `orbit` over widths of the box, `period` and linearised equations."""
+    """A limit cycle as a point of a curve: its `orbit` in widths of the box, `period` and linearised equations."""
 
     orbit: Orbit
     period: float
@@ -334,16 +343,16 @@ class _CycleOnCurve(CurvePoint):
 
 
 class _CycleCurve:
-    """Cycles in coordinates z: states of the orbit over widths, logarithm of the period, parameter over its range.
+    """Cycles in coordinates z (N D + N M D + 2,): states in widths, logarithm of the period, parameter over its range.
 
-    States have weights: their part of the length of a step is the root of their mean square over the mesh.
+    States have weights, so that their contribution to the length of a step is their root mean square over the orbit.
     """
 
     longest = LONGEST
     most = MOST_CYCLES
 
     def __init__(self, problem: "_CycleSearch", orbit: Orbit, period: float, *, doublings: int = 0) -> None:
-        """`orbit` gives the mesh and the first phase, `period` is the period at the beginning of the branch."""
+        """Take the mesh and the first phase from `orbit`; `period` is the period at the beginning of the branch."""
         self.flow, self.box, self.parameter, bounds = problem.flow, problem.box, problem.parameter, problem.bounds
         self.doublings = doublings
         self._longest_period = float(np.log(_LONGEST_PERIOD * period))
@@ -358,7 +367,7 @@ class _CycleCurve:
         self._set_phase(orbit)
 
     def _set_phase(self, orbit: Orbit) -> None:
-        """Fix the phase of cycles by an orbit r on the same mesh: the mean of (x - r) times r' is 0."""
+        """Fix the phase of cycles x with an orbit r on the same mesh: the mean of (x - r) r' is 0."""
         times = orbit.mesh[:-1, None] + orbit.lengths[:, None] * _NODES
         step = 1e-5 * orbit.lengths[:, None]
         slopes = orbit.at((times + step).ravel()) - orbit.at((times - step).ravel())
@@ -383,7 +392,7 @@ class _CycleCurve:
         return Orbit(self._mesh, *self._split(z[:-2] / self._weights))
 
     def _row(self, z: FloatArray) -> _OrbitChange:
-        """Return the row of the linear system that is the scalar product with `z`."""
+        """Return the row of the linear system for the scalar product with `z`."""
         return _OrbitChange(*self._split(z[:-2] * self._weights), float(z[-2]), float(z[-1]))
 
     def _z_change(self, change: _OrbitChange) -> FloatArray:
@@ -409,7 +418,7 @@ class _CycleCurve:
             missed = float((self._phase.nodes * (self._orbit(guess).nodes - self._reference)).sum())
             rows, right = (self._phase, row), (-missed, -float(tangent @ (guess - z)))
             try:
-                change = linearised.solve(linearised.factorised(rows), rows, right, is_step=True)
+                change = linearised.solve(linearised.factorise(rows), rows, right, is_step=True)
             except np.linalg.LinAlgError:
                 return None
             step = self._z_change(change)
@@ -426,14 +435,14 @@ class _CycleCurve:
             return None
         rows = (self._phase, self._row(before))
         try:
-            factors = linearised.factorised(rows)
+            factors = linearised.factorise(rows)
             tangent = self._z_change(linearised.solve(factors, rows, (0.0, 1.0), is_step=False))
         except np.linalg.LinAlgError:
             return None
         tangent = tangent / np.sqrt(tangent @ tangent)
         if not np.isfinite(tangent).all():
             return None
-        # the tangent continues in the direction of `before`: with its row the determinant has the same sign
+        # the tangent continues in the direction of `before`: the determinant has the same sign with either as row
         tests = {FOLD: float(tangent[-1]), BRANCH_POINT: factors.scaled_determinant}
         tests |= _multiplier_tests(linearised.monodromy)
         return _CycleOnCurve(z, tangent, tests, self._orbit(z), float(np.exp(z[-2])), linearised)
@@ -446,12 +455,12 @@ class _CycleCurve:
             for point in (last, after)
         )
         if float((first * second).sum()) <= 0.0 or np.abs(second).max() < 0.5 * SMALLEST:
-            return HOPF_END  # the cycle shrinks to a point, beyond which the same cycles follow half a turn later
+            return HOPF_END  # the cycle has shrunk to a point; after it, the same cycles come again, half a turn later
         if self.doublings:
             times = np.linspace(0.0, 0.5, self._shape[0], endpoint=False)
             first, second = (point.orbit.at(times) - point.orbit.at(times + 0.5) for point in (last, after))
             if float((first * second).sum()) <= 0.0:
-                return PERIOD_DOUBLING  # beyond it the same cycles follow half a period later
+                return PERIOD_DOUBLING  # after it, the same cycles come again, half a period later
         return "period without bounds" if after.z[-2] > self._longest_period else None
 
     def adapt(self, point: _CycleOnCurve) -> _CycleOnCurve:
@@ -460,15 +469,15 @@ class _CycleCurve:
             self._set_phase(point.orbit)
             return point
         kept = self._mesh, self._reference, self._phase
-        # intervals get equal shares of the derivative of order M + 1, which the error is proportional to
+        # the error is proportional to the derivative of order M + 1: intervals get equal shares of this derivative
         lengths = point.orbit.lengths
         slopes = np.einsum("k,nkd->nd", _DIFFERENCES, point.orbit.knots) / lengths[:, None] ** GAUSS_POINTS
         jumps = np.abs(np.roll(slopes, -1, axis=0) - slopes) / (0.5 * (np.roll(lengths, -1) + lengths))[:, None]
         size = np.maximum(jumps, np.roll(jumps, 1, axis=0)).max(axis=1) ** (1.0 / (GAUSS_POINTS + 1))
         weight = (size + 0.1 * max(float((size * lengths).sum()), 1e-12)) * lengths  # every part keeps some intervals
         mesh = _even_mesh(point.orbit.mesh, weight, len(weight))
-        orbit = _sampled(point.orbit.at, mesh)
-        along = _sampled(Orbit(point.orbit.mesh, *self._split(point.tangent[:-2] / self._weights)).at, mesh)
+        orbit = _sample(point.orbit.at, mesh)
+        along = _sample(Orbit(point.orbit.mesh, *self._split(point.tangent[:-2] / self._weights)).at, mesh)
         tangent = self._z_change(_OrbitChange(along.mesh_states, along.nodes, *point.tangent[-2:].tolist()))
         self._mesh = mesh
         self._set_phase(orbit)
@@ -486,10 +495,10 @@ class _CycleCurve:
 
 
 def _multiplier_tests(monodromy: FloatArray) -> dict[str, float]:
-    """Return numbers that vanish where a multiplier passes -1, and where a pair of them has the product 1.
+    """Return a number that is 0 if a multiplier is -1, and a number that is 0 if two multipliers have the product 1.
 
-    NaN in the plane, where the nontrivial multiplier is positive, and where the trivial one is not 1: then the others
-    are not known either.
+    Both are NaN in the plane, where the nontrivial multiplier is always positive. Both are also NaN if the trivial
+    multiplier is not 1, because the other multipliers are then not known either.
     """
     if len(monodromy) == 2:
         return {PERIOD_DOUBLING: np.nan, TORUS: np.nan}
@@ -507,7 +516,7 @@ def _multiplier_tests(monodromy: FloatArray) -> dict[str, float]:
 class _CycleSearch:
     """Branches of cycles of a `flow` as `parameter` varies over `bounds`; the widths of `box` scale the states.
 
-    `most` bounds the branches that one start may give, including the branches from its period doublings.
+    In all methods, `most` limits the number of returned branches, including the branches from period doublings.
     """
 
     flow: Flow
@@ -516,19 +525,19 @@ class _CycleSearch:
     bounds: tuple[float, float]
 
     def from_hopf(self, special: SpecialPoint, most: int) -> list[CycleBranch]:
-        """Return the branch that begins at a Hopf point, with a small ellipse in the plane of the pair."""
+        """Return the branch from a Hopf point; it begins with a small ellipse in the plane of the complex pair."""
         assert special.frequency is not None
         widths = self.box.widths
         jacobian = self.parameter.at(self.flow, special.value).jacobian(special.point) * widths / widths[:, None]
         values, vectors = np.linalg.eig(jacobian)
         vector = vectors[:, int(np.argmin(np.abs(values - 1j * special.frequency)))]
         mesh = np.linspace(0.0, 1.0, INTERVALS + 1)
-        middle = _sampled(lambda times: np.tile(special.point / widths, (len(times), 1)), mesh)
-        ellipse = _sampled(lambda times: np.real(vector * np.exp(2j * np.pi * times)[:, None]), mesh)
+        middle = _sample(lambda times: np.tile(special.point / widths, (len(times), 1)), mesh)
+        ellipse = _sample(lambda times: np.real(vector * np.exp(2j * np.pi * times)[:, None]), mesh)
         period = 2.0 * np.pi / special.frequency
         curve = _CycleCurve(self, ellipse, period)
         z, direction = curve.z_of(middle, period, special.value), curve.z_of(ellipse, 1.0, 0.0)
-        return self._begun(curve, z, direction, HOPF_END, most)
+        return self._follow(curve, z, direction, HOPF_END, most)
 
     def from_cycle(self, value: float, cycle: LimitCycle, most: int) -> list[CycleBranch]:
         """Return the branch through a cycle, followed to both sides."""
@@ -536,7 +545,7 @@ class _CycleSearch:
         moved = np.sqrt((np.diff(np.vstack([cycle.points, cycle.points[:1]]) / widths, axis=0) ** 2).sum(axis=1))
         mesh = _even_mesh(np.linspace(0.0, 1.0, len(moved) + 1), moved / moved.sum() + 1.0 / len(moved), INTERVALS)
         flow = self.parameter.at(self.flow, value)
-        orbit = _sampled(lambda times: follow(flow.rates, cycle.point, cycle.period * times, widths) / widths, mesh)
+        orbit = _sample(lambda times: follow(flow.rates, cycle.point, cycle.period * times, widths) / widths, mesh)
         sides: list[CurveSide[_CycleOnCurve]] = []
         for sign in (-1.0, 1.0):
             curve = _CycleCurve(self, orbit, cycle.period)
@@ -546,10 +555,10 @@ class _CycleSearch:
             if start is None:
                 return []
             sides.append(continue_curve(curve, start, direction))
-        return self._joined(curve, sides[0], sides[1], most)
+        return self._join(curve, sides[0], sides[1], most)
 
     def from_doubling(self, curve: _CycleCurve, point: _CycleOnCurve, most: int) -> list[CycleBranch]:
-        """Return the branch of twice the period that begins at a period doubling of another one."""
+        """Return the branch with twice the period that begins at a period doubling of another branch."""
         values, vectors = np.linalg.eig(point.linearised.monodromy)
         mesh_states, nodes = point.linearised.along(np.real(vectors[:, int(np.argmin(np.abs(values + 1.0)))]))
         orbit, mesh = point.orbit, np.append(0.5 * point.orbit.mesh[:-1], 0.5 + 0.5 * point.orbit.mesh)
@@ -557,22 +566,22 @@ class _CycleSearch:
         turned = Orbit(mesh, np.vstack([mesh_states, -mesh_states]), np.vstack([nodes, -nodes]))
         doubled = _CycleCurve(self, twice, 2.0 * point.period, doublings=curve.doublings + 1)
         z = doubled.z_of(twice, 2.0 * point.period, curve.value(point.z))
-        return self._begun(doubled, z, doubled.z_of(turned, 1.0, 0.0), PERIOD_DOUBLING, most)
+        return self._follow(doubled, z, doubled.z_of(turned, 1.0, 0.0), PERIOD_DOUBLING, most)
 
-    def _begun(
+    def _follow(
         self, curve: _CycleCurve, z: FloatArray, direction: FloatArray, origin: str, most: int
     ) -> list[CycleBranch]:
-        """Return the branch that leaves `z` in a direction; the other side is the same branch half a turn later."""
+        """Return the branch from `z` in a `direction`; the other direction gives the same cycles half a turn later."""
         direction = direction / np.sqrt(direction @ direction)
         start = curve.correct(z + 0.25 * LONGEST * direction, direction) if most > 0 else None
         if start is None:
             return []
-        return self._joined(curve, CurveSide([], [], origin), continue_curve(curve, start, direction), most)
+        return self._join(curve, CurveSide([], [], origin), continue_curve(curve, start, direction), most)
 
-    def _joined(
+    def _join(
         self, curve: _CycleCurve, behind: CurveSide[_CycleOnCurve], ahead: CurveSide[_CycleOnCurve], most: int
     ) -> list[CycleBranch]:
-        points, special = joined(behind, ahead)
+        points, special = join_sides(behind, ahead)
         if len(points) < 2 or most < 1:
             return []
         special = [(kind, point) for kind, point in special if kind != TORUS or _has_complex_pair(point)]
@@ -591,7 +600,7 @@ class _CycleSearch:
 
 
 def _has_complex_pair(point: _CycleOnCurve) -> bool:
-    """Tell whether the pair of multipliers with the product 1 is complex: two real ones make no torus."""
+    """Tell whether the pair of multipliers with the product 1 is complex; two real multipliers are no torus point."""
     values = multipliers_of(point.linearised.monodromy, 0.0)[1:]
     first, _ = min(combinations(values, 2), key=lambda pair: abs(pair[0] * pair[1] - 1.0))
     return bool(abs(first.imag) > 1e-6)

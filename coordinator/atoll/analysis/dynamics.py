@@ -1,4 +1,4 @@
-"""Motion of the model and of the data compared: bounds, period, amplitudes, phases, and the attractor reached.
+"""Compare the motion of the model with the data: bounds, period, amplitudes, phases, and the attractor it reaches.
 
 The model is simulated from the initial state of each measured trajectory, over the same time. Letters: D states, n
 rows.
@@ -12,7 +12,7 @@ import numpy as np
 
 from atoll.analysis.basins import UNDECIDED, Attractor, destinations
 from atoll.analysis.flow import UNBOUNDED, Box, Flow, follow
-from atoll.model.arguments import Driving, input_curves
+from atoll.model.arguments import InputFunctions, input_curves
 from atoll.model.simulation import Inputs
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.data.differentiation.inputs import InputCurve
@@ -21,17 +21,17 @@ from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 
 ROWS: Final = 2000
-"""Rows of a simulation that is compared with a measured trajectory."""
+"""Number of rows of a simulation that is compared with a measured trajectory."""
 
 _FEWEST_GAPS: Final = 2
-"""Times between rises through the mean that make a period: two, so that their spread is known."""
+"""Smallest number of gaps between rises through the mean for a period: two, so that their spread is known."""
 
 _LONGER: Final = 8.0
-"""How many times as long as a trajectory the model is simulated to find the period of its closed orbit: a trajectory of
-half a turn then shows four."""
+"""Duration of the simulation that finds the period of a closed orbit, in durations of the measured trajectory. If the
+trajectory is half a turn, the simulation has four turns."""
 
 _REGULAR: Final = 0.2
-"""Spread of these times, as a share of their mean, up to which a trajectory has one period: twice `_SAME`."""
+"""Largest standard deviation of the gaps, as a share of their mean, of a regular oscillation: twice `_SAME`."""
 
 _SAME: Final = 0.1
 """Relative difference up to which periods and amplitudes count as equal."""
@@ -41,7 +41,7 @@ _SAME: Final = 0.1
 class MeasuredTrajectory:
     """A measured trajectory: `times` (n,) from 0 and `states` (n, D).
 
-    `inputs` are the recorded inputs, (U,) as a function of these times; None where they are not known.
+    `inputs` is a function of these times that returns the recorded inputs (U,); None if they are not known.
     """
 
     name: str
@@ -52,10 +52,10 @@ class MeasuredTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion along a trajectory: `amplitudes` (D,) are half the extents of its second half.
+    """The motion along a trajectory: `amplitudes` (D,) are half the ranges of the states in its second half.
 
-    `period` is the median time between rises through the mean, `phases` (D,) are the delays of the states behind the
-    first one as shares of a period; None where the trajectory does not oscillate regularly.
+    `period` is the median time between rises through the mean. `phases` (D,) are the delays of the states relative to
+    the first state, as shares of a period. Both are None if the trajectory does not oscillate regularly.
     """
 
     amplitudes: FloatArray
@@ -67,8 +67,8 @@ class Motion:
 class TrajectoryComparison:
     """The model compared with one measured trajectory; `reaches` is the index of an attractor or a code of `basins`.
 
-    `orbit_period` is the period of the closed orbit that the model follows, where such orbits are not isolated; `end`
-    (D,) is the last state of the simulation that looks for an attractor.
+    `orbit_period` is the period of the closed orbit that the model follows, if closed orbits are not isolated. `end`
+    (D,) is the last state of the simulation that searches an attractor.
     """
 
     name: str
@@ -81,7 +81,7 @@ class TrajectoryComparison:
 
     @property
     def has_same_period(self) -> bool | None:
-        """Whether the periods agree to 10 %; None where neither has one."""
+        """Whether the periods agree to 10 %; None if neither the data nor the model has a period."""
         first, second = self.measured.period, self.simulated.period
         if first is None and second is None:
             return None
@@ -89,14 +89,14 @@ class TrajectoryComparison:
 
     @property
     def has_same_amplitudes(self) -> bool:
-        """Whether the amplitudes of all states agree to 10 % of the larger one."""
+        """Whether the amplitudes of all states agree to 10 % of the larger amplitude."""
         first, second = self.measured.amplitudes, self.simulated.amplitudes
         with np.errstate(invalid="ignore"):
             return bool((np.abs(second - first) <= _SAME * np.maximum(first, second)).all())
 
     @property
     def has_same_phases(self) -> bool | None:
-        """Whether the phases of all states agree to a tenth of a period; None where there are none to compare."""
+        """Whether the phases of all states agree to a tenth of a period; None if one of both has no phases."""
         first, second = self.measured.phases, self.simulated.phases
         if first is None or second is None:
             return None
@@ -105,16 +105,16 @@ class TrajectoryComparison:
 
 
 def measured_trajectories(result: Result, field: VectorField) -> tuple[MeasuredTrajectory, ...]:
-    """Return the trajectories of a result: smoothed measurements, otherwise the simulations fitted to them.
+    """Return the trajectories of a result: smoothed measurements if there are any, otherwise fitted simulations.
 
-    Velocities of equations of second order are differences of the positions.
+    For equations of second order, velocities are finite differences of the positions.
     """
     known = (_measured(result, field, part) for part in result.simulated)
     return tuple(trajectory for trajectory in known if trajectory is not None)
 
 
 def _measured(result: Result, field: VectorField, part: Simulated) -> MeasuredTrajectory | None:
-    """Return one trajectory; None where a state is not known, or too few rows are."""
+    """Return one trajectory; None if a state is unknown or fewer than 4 rows are known."""
     columns, half = [result.columns_by_symbol[name] for name in field.states], len(field.states) // 2
     known, values = part.times, part.values or {}
     smoothed = next((other for other in result.smoothed if other.name == part.name), None)
@@ -144,7 +144,7 @@ def _measured(result: Result, field: VectorField, part: Simulated) -> MeasuredTr
 
 
 def _recorded_inputs(result: Result, field: VectorField, name: str, begin: float) -> Inputs | None:
-    """Return the inputs recorded along a trajectory, from `begin` on; None where one of them was not."""
+    """Return the inputs recorded along a trajectory, from `begin` on; None if an input was not recorded."""
     recorded = next((part for part in result.recorded if part.name == name), None)
     if recorded is None or not field.inputs:
         return None
@@ -155,10 +155,10 @@ def _recorded_inputs(result: Result, field: VectorField, name: str, begin: float
         curves |= {symbols[time]: InputCurve(times, times, np.ones(len(times)))}
     if not all(symbol in curves for symbol in field.inputs):
         return None
-    return Driving([replace(curves[symbol], times=curves[symbol].times - begin) for symbol in field.inputs])
+    return InputFunctions([replace(curves[symbol], times=curves[symbol].times - begin) for symbol in field.inputs])
 
 
-def compared(
+def compare(
     flow: Flow,
     box: Box,
     attractors: Sequence[Attractor],
@@ -167,11 +167,11 @@ def compared(
     *,
     has_family: bool,
 ) -> tuple[TrajectoryComparison, ...]:
-    """Return the model compared with each measured trajectory.
+    """Compare the model with each measured trajectory.
 
-    A model with inputs is driven by the recorded ones; trajectories without are left out. For the attractor that it
-    reaches the inputs are held, and `duration` is the length of the simulation. `has_family`: there are closed orbits
-    that are not isolated.
+    A model with inputs is simulated with the recorded inputs; a trajectory without recorded inputs is left out. The
+    attractor is found by a second simulation over `duration`, at the constant inputs of `flow`. `has_family`: there are
+    closed orbits that are not isolated.
     """
     trajectories = [trajectory for trajectory in trajectories if not flow.field.inputs or trajectory.inputs is not None]
     if not trajectories:
@@ -186,7 +186,7 @@ def compared(
             is_bounded = bool((box.excursions(states) < UNBOUNDED).all())
         known = np.isfinite(states).all(axis=1)
         at_rows = known & np.isin(times, trajectory.times)
-        # amplitudes at the measured times, which may be few or uneven
+        # amplitudes are compared at the measured times, which may be few or uneven
         amplitudes = motion(times[at_rows], states[at_rows]).amplitudes
         simulated = replace(motion(times[known], states[known]), amplitudes=amplitudes)
         orbit = None
@@ -200,7 +200,7 @@ def compared(
 
 
 def _simulated(flow: Flow, trajectory: MeasuredTrajectory, times: FloatArray, box: Box) -> FloatArray:
-    """Return the states (n, D) from the initial state of a trajectory, driven by its inputs where it has some."""
+    """Return the simulated states (n, D) from the initial state of a trajectory, with its recorded inputs if any."""
     recorded = trajectory.inputs
     if recorded is None:
         return follow(flow.rates, trajectory.states[0], times, box.widths)
@@ -213,9 +213,9 @@ def _simulated(flow: Flow, trajectory: MeasuredTrajectory, times: FloatArray, bo
 
 
 def motion(times: FloatArray, states: FloatArray) -> Motion:
-    """Return amplitudes, period and phases of a trajectory of n rows (n, D) at ascending times (n,).
+    """Return amplitudes, period and phases of the states (n, D) at ascending times (n,).
 
-    Phases come from the Fourier component of the period.
+    Phases are the phases of the Fourier component with this period.
     """
     if len(times) < 4:
         return Motion(np.full(states.shape[1], np.nan), None, None)
@@ -234,7 +234,10 @@ def motion(times: FloatArray, states: FloatArray) -> Motion:
 
 
 def _period(times: FloatArray, values: FloatArray) -> float | None:
-    """Return the median time between rises through the mean, each after a fall well below; None: irregular or few."""
+    """Return the median time between rises of `values` (n,) through the mean; None if they are irregular or too few.
+
+    A rise counts only if the values were well below the mean before it.
+    """
     mean, spread = float(values.mean()), 0.3 * float(values.std())
     rises, is_low = [], False
     for row in range(1, len(values)):

@@ -1,17 +1,18 @@
-"""Fixed points in a box: isolated ones, and the curves and surfaces that they may form; their kinds and stability.
+"""Isolated fixed points in a box, curves and surfaces of fixed points, and their kinds and stability.
 
-Steps of Levenberg and Marquardt begin at hundreds of points of the box; they also converge to points with a singular
-Jacobian. The search is not a proof: a fixed point is missed if no start lies in its catchment, so the result has the
-number of starts.
+Levenberg-Marquardt steps begin at hundreds of points of the box. They also converge to points with a singular Jacobian.
 
-Where the Jacobian is singular, the point may belong to a curve or a surface of fixed points. To find out, Newton steps
-begin a little away from it, in each direction in which rates hardly change. From an isolated point they return to it;
-on a curve they end about as far away as they began, and the curve is then followed to its ends.
+If the Jacobian is singular, the point may belong to a curve or a surface of fixed points. To test this, Newton steps
+begin near the point, in each direction in which the rates hardly change. If the point is isolated, they return to it.
+On a curve, they end at about the same distance at which they began, and the curve is then followed to its ends.
 
-The kind is read from the eigenvalues. An eigenvalue counts as 0 only within its own numerical uncertainty: the rounding
-errors of the Jacobian and of the point, carried to first order by the left and right eigenvectors (Golub and Van Loan
-2013, section 7.2). If this is not enough, simulations from nearby states decide; they see only the dynamics within
-their duration. Letters: D states, N starts, n points.
+The eigenvalues determine the kind. An eigenvalue counts as 0 only within its own numerical uncertainty. This comes from
+the rounding errors of the Jacobian and of the point, propagated to first order with the left and right eigenvectors
+(Golub and Van Loan 2013, section 7.2). If eigenvalues do not decide whether a point attracts, simulations from nearby
+states decide.
+
+Doubtful: the search is not a proof. A fixed point is missed if no start converges to it; therefore the result reports
+the number of starts. Simulations show only the dynamics within their duration. Letters: D states, N starts, n points.
 """
 
 from collections.abc import Iterator
@@ -28,31 +29,33 @@ Complexes = npt.NDArray[np.complex128]
 
 STARTS_PER_STATE: Final = 200
 MOST_STARTS: Final = 2000
+"""Largest number of starts of the search."""
+
 TOLERANCE: Final = 1e-9
 """Length of the last Newton step, in widths of the box."""
 
 _ITERATIONS: Final = 80
-"""Steps from each start: a simple root takes a handful; at a singular one each step halves the distance, so 30 steps
-reach `TOLERANCE`, and the others lead there."""
+"""Number of steps from each start. A simple root takes a few steps. At a singular root each step halves the distance,
+so that 30 steps reach `TOLERANCE`; the other 50 steps bring the point near the root."""
 
 _EXACT: Final = 1e-13
-"""Rates below this share of the typical ones are 0 up to rounding."""
+"""Rates below this share of the typical rates count as 0 up to rounding."""
 
 _LONGEST_ROOT_STEP: Final = 1e-6
-"""Longest Newton step to a root, in widths. At a root of order 5 it is 1e-8 after `_ITERATIONS`; of exp(-x) in a box of
-a thousand decay lengths it is 1e-3."""
+"""Longest last Newton step at a root, in widths. At a root of order 5 the step is 1e-8 after `_ITERATIONS`. It is 1e-3
+for exp(-x), which has no root, in a box of a thousand decay lengths."""
 
 _SINGULAR: Final = 1e-4
 """Smallest singular value of a Jacobian, as a share of the largest, below which it counts as singular."""
 
 MOST_POINTS: Final = 100
-"""Distinct points that are examined: more points form a curve or a surface, for which this number is enough."""
+"""Largest number of distinct points. More points belong to a curve or a surface, and this number is enough for it."""
 
 _APART: Final = 1e-5
-"""Points nearer than this, in widths of the box, are one."""
+"""Smallest distance of distinct points, in widths of the box."""
 
 _APART_DEGENERATE: Final = 1e-3
-"""The same for a singular Jacobian, where Newton steps converge slowly."""
+"""The same distance if the Jacobian is singular, because Newton steps then converge slowly."""
 
 NON_HYPERBOLIC: Final = "non-hyperbolic"
 
@@ -60,50 +63,51 @@ _AMPLITUDES: Final = (0.02, 0.1, 0.3)
 """Amplitudes of the orbits around a centre that are simulated, in widths of the box."""
 
 _CLOSED: Final = 1e-6
-"""Share of its amplitude by which an orbit around a centre may fail to close: a hundred times the integration error."""
+"""Largest closing error of an orbit around a centre, as a share of its amplitude: a hundred integration errors."""
 
 _ROUNDING: Final = 10.0 * float(np.finfo(np.float64).eps)
-"""Relative error of an entry of a Jacobian: sums and products of a few terms."""
+"""Relative error of an entry of a Jacobian, which consists of sums and products of a few terms."""
 
 _SHIFTS: Final = 10.0 ** np.arange(-12.0, -1.0)
-"""Widths by which a point is moved to estimate its rounding error."""
+"""Distances, in widths, by which a point is moved to estimate its rounding error."""
 
 _START_WIDTH: Final = 0.05
-"""Widths from a point within which the simulations begin that tell whether it attracts."""
+"""Largest distance, in widths, between a point and the initial states of the simulations that test if it attracts."""
 
 _STARTS: Final = 16
 _MOST_STEPS: Final = 3000
 
 _DURATIONS: Final = (20.0, 200.0, 2e3, 2e4, 1e6, 1e9)
-"""Lengths of these simulations, in times that a state takes through the box: in the direction of an eigenvalue of 0 a
-point is approached by a power of time. Steps grow on the way, except where states oscillate."""
+"""Durations of these simulations, in times that a state needs to cross the box. Along the direction of an eigenvalue 0,
+the distance from the point decays only as a power of time. Time steps grow, unless the states oscillate."""
 
 MOST_SETS: Final = 10
-"""Curves and surfaces that are reported."""
+"""Largest number of reported curves and surfaces."""
 
 _NEIGHBOUR: Final = 0.01
-"""Widths from a point at which neighbours are sought, and half of that: a curve continues at both distances."""
+"""Distance, in widths, at which neighbours of a point are searched. Half the distance is searched too: a curve has
+neighbours at both."""
 
 _STEP: Final = 0.02
-"""Widths from one point of a curve to the next."""
+"""Distance of consecutive points of a curve, in widths."""
 
 _MOST_CURVE_STEPS: Final = 400
-"""Steps along a curve, in each direction."""
+"""Largest number of steps along a curve in each direction."""
 
 _ON: Final = 2e-3
-"""Widths within which a point belongs to a curve that has been followed: its chords are more accurate."""
+"""Largest distance, in widths, of a point that belongs to a followed curve: the chords of a curve are more accurate."""
 
 _EXAMPLES: Final = 9
-"""Points of a curve or a surface that are classified."""
+"""Number of points of a curve or a surface that are classified."""
 
 
 @dataclass(frozen=True, eq=False)
 class FixedPoint:
-    """A point (D,) with dx/dt = 0, the `eigenvalues` (D,) of the Jacobian by falling real part, and its `kind`.
+    """A point (D,) with dx/dt = 0, the `eigenvalues` (D,) of the Jacobian in order of descending real part, its `kind`.
 
-    It `is_stable` if it attracts from all sides: by its eigenvalues, or, where one of these is 0, by simulations from
-    nearby states. It `attracts_in_box` if it attracts from the part of the box around it, which is enough for states
-    that are never below 0.
+    `is_stable`: it attracts from all sides. The eigenvalues show this or, if an eigenvalue is 0, simulations from
+    nearby states. `attracts_in_box`: it attracts from the part of the box around it. This is enough for states that are
+    never negative.
     """
 
     point: FloatArray
@@ -118,16 +122,16 @@ class FixedPoint:
         return self.point[None]
 
     def distances(self, states: FloatArray, box: Box) -> FloatArray:
-        """Return the distances (N,) of `states` (N, D), in widths."""
+        """Return the distances (N,) of `states` (N, D) from the point, in widths of the box."""
         return np.asarray(np.sqrt((((states - self.point) / box.widths) ** 2).sum(axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
 class FixedSet:
-    """Fixed points that are not isolated: a curve of `dimension` 1, a surface of 2 or more.
+    """Fixed points that are not isolated: a curve (`dimension` 1) or a surface (2 or more).
 
-    `course` (n, D) are points in the box, in order if it is a curve; `points` are some of these, with their kinds by
-    the directions across the set. `whole` (m, D) is a curve including its continuation outside of the box, by at most D
+    `course` (n, D) are points in the box; the points of a curve are in order. `points` are some of them, classified by
+    the directions across the set. `whole` (m, D) is a curve with its continuation outside of the box, by at most D
     widths.
     """
 
@@ -148,18 +152,18 @@ class FixedSet:
 
     @property
     def outline(self) -> FloatArray:
-        """Points (n, D) of it."""
+        """Points (n, D) of the set."""
         return self.course
 
     @property
     def attracts_in_box(self) -> bool:
-        """Whether a part of it attracts."""
+        """Whether a part of the set attracts."""
         return any(point.attracts_in_box for point in self.points)
 
     def attracts_at(self, flow: Flow, states: FloatArray, box: Box) -> np.ndarray:
-        """Tell for `states` (N, D) near it whether it attracts there, by the eigenvalues across it.
+        """Tell for `states` (N, D) near the set whether it attracts there, from the eigenvalues across the set.
 
-        Where the largest of these is about 0, the nearest of `points` decides.
+        If the largest of these eigenvalues is about 0, the nearest of `points` decides.
         """
         known = np.array([point.point for point in self.points])
         nearest = (((states[:, None] - known) / box.widths) ** 2).sum(axis=2).argmin(axis=1)
@@ -171,7 +175,7 @@ class FixedSet:
         return np.asarray((slowest < 0.0) | (attracts & (slowest <= _ON * sizes[:, -1])))
 
     def distances(self, flow: Flow, states: FloatArray, box: Box) -> FloatArray:
-        """Return the distances (N,) of `states` (N, D), in widths; from a surface the length of a Newton step."""
+        """Return the distances (N,) of `states` (N, D) from the set, in widths; for a surface, the Newton step."""
         if self.dimension == 1:
             return box.distances(states, self.whole)
         scale = rate_scale(flow, box)
@@ -184,7 +188,7 @@ class FixedSet:
 class FixedPoints:
     """The result of a search from a number of `starts`, of which `converged` ended in a fixed point.
 
-    `points` are isolated; `sets` are curves and surfaces of other fixed points.
+    `points` are the isolated fixed points; `sets` are curves and surfaces of fixed points.
     """
 
     points: tuple[FixedPoint, ...]
@@ -194,18 +198,18 @@ class FixedPoints:
 
     @property
     def are_isolated(self) -> bool:
-        """Whether no fixed points form a curve or a surface."""
+        """Whether all fixed points are isolated."""
         return not self.sets
 
 
 def fixed_points(flow: Flow, box: Box) -> FixedPoints:
-    """Return the fixed points in `box`, by rising first coordinate, then second, and so on."""
+    """Return the fixed points in `box`, ordered by their first coordinate, then by the second, and so on."""
     spread = box.points(min(MOST_STARTS, STARTS_PER_STATE * flow.size))
     starts = np.vstack([box.lower, box.upper, box.middle, spread])
     ends, is_root = newton_steps(flow, box, starts)
     inside = ends[is_root & box.contains(ends, 1e-6)]
     sets, isolated = _fixed_sets(flow, box, distinct_points(flow, inside, box))
-    points = tuple(classified(flow, point, box) for point in isolated)
+    points = tuple(classify(flow, point, box) for point in isolated)
     return FixedPoints(points, len(starts), len(inside), tuple(sets))
 
 
@@ -227,7 +231,7 @@ def distinct_points(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
 
 
 def newton_steps(flow: Flow, box: Box, starts: FloatArray) -> tuple[FloatArray, np.ndarray]:
-    """Return where Newton steps from `starts` (N, D) end, (N, D), and which of the ends are fixed points (N,)."""
+    """Return the points (N, D) at which Newton steps from `starts` (N, D) end, and which are fixed points (N,)."""
     scale = rate_scale(flow, box)
     points, damping = starts.copy(), np.full(len(starts), 1e-3)
     values, last = flow.rates(points) / scale, np.full(len(starts), np.inf)
@@ -247,22 +251,22 @@ def newton_steps(flow: Flow, box: Box, starts: FloatArray) -> tuple[FloatArray, 
         size = np.abs(values).max(axis=1)
         is_root = (size < 1e-10) & ((last < TOLERANCE) | (size < _EXACT) | (damping < 1e8))
     rows = np.flatnonzero(is_root)
-    # Rates that only become small, as exp(-x), give a long Newton step. Rates that come near 0 and grow again
-    # give a singular Jacobian and values above rounding.
+    # Rates that only become small, such as exp(-x), give a long Newton step. Rates that come near 0 and grow again
+    # give a singular Jacobian and values above rounding errors.
     matrix = _scaled_jacobian(flow, points[rows], box, scale)
     singular = np.linalg.svd(matrix, compute_uv=False)
     newton = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, rcond=1e-10), values[rows])
     is_regular = singular[:, -1] > _SINGULAR * singular[:, 0]
     is_short = np.abs(newton).max(axis=1) < _LONGEST_ROOT_STEP
     rows = rows[is_short & (is_regular | (size[rows] < _EXACT))]
-    points[rows] = _polished(flow, points[rows], box, scale)
+    points[rows] = _polish(flow, points[rows], box, scale)
     is_root[:] = False
     is_root[rows] = True
     return points, is_root
 
 
-def _polished(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
-    """Return `points` after two plain Newton steps where these reduce the rates: integers become exact."""
+def _polish(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
+    """Return `points` (n, D) after two Newton steps, if these reduce the rates: integer coordinates become exact."""
     for _ in range(2):
         values = flow.rates(points) / scale
         inverses = np.linalg.pinv(_scaled_jacobian(flow, points, box, scale), rcond=1e-10)
@@ -274,7 +278,7 @@ def _polished(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> Fl
 
 
 def _damped_step(matrix: FloatArray, values: FloatArray, damping: FloatArray) -> FloatArray:
-    """Return Levenberg-Marquardt steps (N, D); zero where a value is undefined."""
+    """Return Levenberg-Marquardt steps (N, D); undefined values count as 0."""
     transposed = matrix.transpose(0, 2, 1)
     right = transposed @ np.where(np.isfinite(values), values, 0.0)[:, :, None]
     normal = transposed @ matrix
@@ -290,8 +294,8 @@ def _damped_step(matrix: FloatArray, values: FloatArray, damping: FloatArray) ->
 def rate_scale(flow: Flow, box: Box) -> FloatArray:
     """Return the typical size (D,) of each rate in the box.
 
-    A state that does not move there counts as being as slow as the slowest of the others. If none moves, the time
-    through the box is 1; no result depends on it then.
+    A state that does not move in the box has the time scale of the slowest other state. If no state moves, the time
+    needed to cross the box is set to 1; no result depends on this value.
     """
     rates = np.abs(flow.rates(box.points(256)))
     finite_rates = [finite[np.isfinite(finite)] for finite in rates.T]
@@ -302,17 +306,20 @@ def rate_scale(flow: Flow, box: Box) -> FloatArray:
 
 
 def time_scale(flow: Flow, box: Box) -> float:
-    """Return the time that the slowest state takes through the box at its typical rate."""
+    """Return the time that the slowest state needs to cross the box at its typical rate."""
     return float((box.widths / rate_scale(flow, box)).max())
 
 
 def jacobian_in_widths(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
-    """Return the Jacobian at (D,) or (N, D) with states in widths of the box: similar, with the unit 1/time."""
+    """Return the Jacobian at (D,) or (N, D) for states in widths of the box.
+
+    It has the same eigenvalues as the Jacobian of the model, and the unit of every entry is 1/time.
+    """
     return np.asarray(flow.jacobian(points) / box.widths[:, None] * box.widths)
 
 
 def _scaled_jacobian(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
-    """Return the Jacobian (N, D, D) of rates over their `scale` (D,) by states in widths; 0 where it is undefined."""
+    """Return the Jacobian (N, D, D) of rates over `scale` (D,) by states in widths; undefined entries are 0."""
     matrix = flow.jacobian(points) / scale[:, None] * box.widths
     return np.where(np.isfinite(matrix), matrix, 0.0)
 
@@ -330,11 +337,11 @@ def _singular_directions(flow: Flow, points: FloatArray, box: Box) -> list[Float
 
 
 @np.errstate(all="ignore")
-def classified(flow: Flow, point: FloatArray, box: Box, along: FloatArray | None = None) -> FixedPoint:
+def classify(flow: Flow, point: FloatArray, box: Box, along: FloatArray | None = None) -> FixedPoint:
     """Return a fixed point with its eigenvalues and kind.
 
-    For a point of a curve or surface of fixed points, `along` has the directions of that set, (k, D) in widths; then k
-    eigenvalues are 0, and the others give its kind and whether it attracts.
+    For a point of a curve or surface of fixed points, `along` (k, D) are the directions of this set, in widths. Then k
+    eigenvalues are 0; the other eigenvalues determine the kind and whether the point attracts.
     """
     matrix, along = jacobian_in_widths(flow, point, box), np.zeros((0, flow.size)) if along is None else along
     if not np.isfinite(matrix).all():
@@ -351,10 +358,10 @@ def classified(flow: Flow, point: FloatArray, box: Box, along: FloatArray | None
 
 
 def kind_of(eigenvalues: Complexes, uncertainties: FloatArray | float = 0.0) -> str:
-    """Return the kind of a fixed point by the eigenvalues (D,) of its Jacobian and the uncertainty of each.
+    """Return the kind of a fixed point from the eigenvalues (D,) of its Jacobian and the uncertainty of each (D,).
 
-    "stable" or "unstable" with "node" or "focus"; "saddle"; "saddle-focus", a saddle with a complex pair; "centre", an
-    imaginary pair in two dimensions, by the linear part; "non-hyperbolic" otherwise.
+    The kinds are "stable" or "unstable" with "node" or "focus"; "saddle"; "saddle-focus", a saddle with a complex pair;
+    "centre", an imaginary pair of the linear part in two dimensions; and "non-hyperbolic" otherwise.
     """
     real, has_pair = eigenvalues.real, bool((np.abs(eigenvalues.imag) > uncertainties).any())
     if not len(real) or (np.abs(real) <= uncertainties).any():
@@ -367,11 +374,12 @@ def kind_of(eigenvalues: Complexes, uncertainties: FloatArray | float = 0.0) -> 
 def _eigenvalues(
     flow: Flow, point: FloatArray, box: Box, matrix: FloatArray, along: FloatArray
 ) -> tuple[Complexes, FloatArray]:
-    """Return the eigenvalues (D,) of the Jacobian `matrix` by falling real part, and the uncertainty of each (D,).
+    """Return the eigenvalues (D,) of the Jacobian `matrix` by descending real part, and the uncertainty of each (D,).
 
-    To first order an error E of the matrix changes an eigenvalue by y^H E x / y^H x, with its eigenvectors x and y.
-    This has no bound where eigenvectors coincide, but an eigenvalue changes by about |A| (|E|/|A|)^(1/D) at most.
-    Eigenvalues within their uncertainty become 0, and so do as many as there are directions `along` a set.
+    To first order, an error E of the matrix A changes an eigenvalue by y^H E x / y^H x, with its right eigenvector x
+    and left eigenvector y. This has no bound if eigenvectors coincide, but the change is at most about
+    |A| (|E|/|A|)^(1/D). Eigenvalues within their uncertainty become 0. For k directions `along` a set, the k smallest
+    eigenvalues become 0 too.
     """
     from scipy.linalg import eig
 
@@ -397,10 +405,10 @@ def _eigenvalues(
 
 
 def _changes(flow: Flow, point: FloatArray, box: Box, matrix: FloatArray, along: FloatArray) -> Iterator[FloatArray]:
-    """Yield the changes of the Jacobian (D, D) between the places that rounding does not distinguish from the point.
+    """Yield changes of the Jacobian (D, D): from the point to states that rounding does not distinguish from it.
 
-    In each direction these are the places where rates are below `_EXACT` or no larger than at the point; directions
-    `along` a curve of fixed points do not count.
+    In each direction, these are the states whose rates are below `_EXACT` or at most twice as large as at the point.
+    Directions `along` a curve of fixed points do not count.
     """
     scale = rate_scale(flow, box)
     directions = np.linalg.svd(_scaled_jacobian(flow, point[None], box, scale)[0])[2]
@@ -415,10 +423,11 @@ def _changes(flow: Flow, point: FloatArray, box: Box, matrix: FloatArray, along:
 
 
 def _attracts(flow: Flow, point: FloatArray, box: Box, along: FloatArray) -> tuple[bool, bool]:
-    """Tell whether simulations from near `point` within the `box` approach it and stay, and whether all do.
+    """Tell whether `point` (D,) attracts all simulations from nearby states in the `box`, and whether from all sides.
 
-    They begin all around it, and on both sides of it in the directions in which rates hardly change, since it may
-    attract from one side only. With directions `along` a curve or surface, distances are measured from that set.
+    Simulations begin all around the point. More simulations begin on both sides of it in the directions in which rates
+    hardly change, because it may attract from one side only. With directions `along` a curve or surface, distances are
+    measured from this set.
     """
     around = Box(point - _START_WIDTH * box.widths, point + _START_WIDTH * box.widths)
     slow = _START_WIDTH * _singular_directions(flow, point[None], box)[0] * box.widths
@@ -442,9 +451,9 @@ def _attracts(flow: Flow, point: FloatArray, box: Box, along: FloatArray) -> tup
 
 
 def _is_centre(flow: Flow, point: FloatArray, eigenvalues: Complexes, box: Box) -> bool:
-    """Tell whether orbits around `point` close: the smallest does, and each larger one that returns ends at its start.
+    """Tell whether orbits around `point` are closed: the smallest orbit, and each larger orbit that returns.
 
-    Several amplitudes are simulated, since damping that grows with the amplitude is not seen near the point.
+    Several amplitudes are simulated, because damping that grows with the amplitude is not visible near the point.
     """
     period = 2.0 * np.pi / float(np.abs(eigenvalues.imag).max())
 
@@ -466,7 +475,7 @@ def _is_centre(flow: Flow, point: FloatArray, eigenvalues: Complexes, box: Box) 
 
 
 def tangents(flow: Flow, points: FloatArray, box: Box) -> list[FloatArray]:
-    """Return for each of the fixed `points` (n, D) the directions (k, D), in widths, of other fixed points near it."""
+    """Return for each of the fixed `points` (n, D) the directions (k, D), in widths, to other fixed points near it."""
     starts, owners = [np.zeros((0, flow.size))], list[int]()
     for index, (point, directions) in enumerate(zip(points, _singular_directions(flow, points, box), strict=True)):
         for direction in directions:
@@ -494,13 +503,13 @@ def tangents(flow: Flow, points: FloatArray, box: Box) -> list[FloatArray]:
 
 
 def _fixed_sets(flow: Flow, box: Box, points: FloatArray) -> tuple[list[FixedSet], FloatArray]:
-    """Return the curves and surfaces that some of the fixed `points` (n, D) lie on, and the isolated points, (m, D)."""
+    """Return the curves and surfaces that contain some of the fixed `points` (n, D), and the isolated points (m, D)."""
     directions = tangents(flow, points, box)
     counts = np.array([len(along) for along in directions], dtype=np.int64)
     is_left, sets = counts > 0, list[FixedSet]()
     while (is_left & (counts == 1)).any() and len(sets) < MOST_SETS:
         seed = int(np.flatnonzero(is_left & (counts == 1))[0])
-        course, whole = _followed(flow, box, points[seed], directions[seed][0])
+        course, whole = _follow_both_ways(flow, box, points[seed], directions[seed][0])
         is_left[seed] = False
         if len(course) > 2:
             is_left &= box.distances(points, course) > _ON
@@ -508,7 +517,7 @@ def _fixed_sets(flow: Flow, box: Box, points: FloatArray) -> tuple[list[FixedSet
             for row in _spread(len(course)):
                 chord = (course[min(row + 1, len(course) - 1)] - course[max(row - 1, 0)]) / box.widths
                 unit = chord[None] / max(float(np.sqrt(chord @ chord)), 1e-300)
-                kinds.append(classified(flow, course[row], box, unit))
+                kinds.append(classify(flow, course[row], box, unit))
             sets.append(FixedSet(1, course, whole, tuple(kinds)))
         else:
             counts[seed] = 0
@@ -516,7 +525,7 @@ def _fixed_sets(flow: Flow, box: Box, points: FloatArray) -> tuple[list[FixedSet
     if len(rest) > 2 and len(sets) < MOST_SETS:
         dimension = int(np.median(counts[rest]))
         rows = rest[counts[rest] == dimension]
-        examples = tuple(classified(flow, points[row], box, directions[row]) for row in rows[_spread(len(rows))])
+        examples = tuple(classify(flow, points[row], box, directions[row]) for row in rows[_spread(len(rows))])
         sets.append(FixedSet(dimension, points[rows], points[rows], examples))
         is_left[rest] = False
     alone = (counts == 0) | (is_left & (counts > 1))
@@ -532,30 +541,30 @@ def _spread(count: int) -> list[int]:
     return rows
 
 
-def _followed(flow: Flow, box: Box, seed: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the points (n, D) of the curve through `seed` in the box, and the same with its continuation outside."""
-    ahead, is_closed = _followed_to_its_end(flow, box, box, seed, direction)
+def _follow_both_ways(flow: Flow, box: Box, seed: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the points (n, D) of the curve through `seed` (D,) in the box, and the same curve continued outside."""
+    ahead, is_closed = _follow_curve(flow, box, box, seed, direction)
     if is_closed:
         course = np.array([seed, *ahead, seed])
         return course, course
-    behind, _ = _followed_to_its_end(flow, box, box, seed, -direction)
+    behind, _ = _follow_curve(flow, box, box, seed, -direction)
     course = np.array([*reversed(behind), seed, *ahead])
     if len(course) < 3:
         return course, course
-    margin = flow.size * box.widths  # a conserved sum of the states can lead so far
+    margin = flow.size * box.widths  # if the sum of the states is conserved, a curve can be so long
     wide = Box(box.lower - margin, box.upper + margin)
     beyond = []
     for last, before in ((course[0], course[1]), (course[-1], course[-2])):
         away = (last - before) / box.widths
         away /= max(float(np.sqrt(away @ away)), 1e-300)
-        beyond.append(_followed_to_its_end(flow, box, wide, last, away)[0])
+        beyond.append(_follow_curve(flow, box, wide, last, away)[0])
     return course, np.array([*reversed(beyond[0]), *course, *beyond[1]])
 
 
-def _followed_to_its_end(
+def _follow_curve(
     flow: Flow, box: Box, limits: Box, seed: FloatArray, direction: FloatArray
 ) -> tuple[list[FloatArray], bool]:
-    """Return the points within `limits` after `seed` in a direction (D,), and whether they lead back to it."""
+    """Return the points within `limits` after `seed` (D,) in a direction (D,), and whether the curve closes."""
     course, here = list[FloatArray](), seed
     for _ in range(_MOST_CURVE_STEPS):
         with np.errstate(all="ignore"):  # the last step ends at the limits

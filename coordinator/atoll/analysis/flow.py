@@ -1,13 +1,14 @@
-"""A vector field with its inputs and parameters held, the box of states to look at, and integration in time.
+"""A vector field at constant inputs and parameters, the box of states to analyse, and integration in time.
 
 One initial state is integrated by LSODA, which handles stiffness (Petzold 1983). Many initial states are integrated
-together by the pair of Dormand and Prince (1980) of order 5, each with its own step. Where stability and not accuracy
-limits the step of one of them, it continues with a Rosenbrock method (RODAS3 of Sandu et al. 1997, Atmospheric
-Environment 31:3459: order 3, four stages, L-stable). scipy has no integrator for many initial states with separate
+together by the pair of Dormand and Prince (1980) of order 5; each state has its own step. If stability and not accuracy
+limits the step of a state, this state continues with a Rosenbrock method (RODAS3 of Sandu et al. 1997, Atmospheric
+Environment 31:3459: order 3, four stages, L-stable). SciPy has no integrator for many initial states with separate
 steps; LSODA for each of 1,600 grid points would take a hundred times as long.
 
-All integrations are bounded in steps. A trajectory that leaves every bound or reaches a point where a rate is undefined
-ends there: this is a result and not an error. Letters: D states, N initial states.
+All integrations have a limited number of steps. A trajectory ends early if it diverges or if a rate is undefined. This
+is a result and not an error. Doubtful: stiffness is detected by a heuristic (Hairer and Wanner 1996, section IV.2), and
+a slow transient can be longer than the integration. Letters: D states, N initial states.
 """
 
 import warnings
@@ -23,21 +24,21 @@ from atoll_core.data.dataset import FloatArray
 Rates = Callable[[FloatArray], FloatArray]
 
 MOST_STEPS: Final = 20_000
-"""Steps of one LSODA integration."""
+"""Largest number of steps of one LSODA integration."""
 
 SETTLING: Final = 60.0
-"""Length of simulations, in times that a state takes through the box. A transient ten times as slow as that has then
-decayed to exp(-6), a quarter of a percent."""
+"""Length of simulations, in units of the time in which a state crosses the box. A transient with ten times this time
+constant has then decayed to exp(-6), a quarter of a percent."""
 
 LONGER: Final = (1e2, 1e4, 1e6)
-"""Factors by which the duration is extended for initial states nearly at rest, which move in a slow direction."""
+"""Factors that extend the duration for states that are nearly at rest, because they move in a slow direction."""
 
 _RESTING: Final = 0.02
 """A state is nearly at rest when it moves less than this number of box widths within the time needed to cross
 the box."""
 
 UNBOUNDED: Final = 1e3
-"""Widths of the box from its middle beyond which a state counts as diverged."""
+"""Distance from the middle of the box, in widths, beyond which a state counts as diverged."""
 
 _NODES: Final = (
     (1 / 5,),
@@ -53,9 +54,10 @@ _UNSTABLE: Final = 3.25
 """Step times largest eigenvalue at the stability boundary of the pair (Hairer and Wanner 1996, section IV.2)."""
 
 _STIFF_STEPS: Final = 15
-"""Steps at that boundary after which an initial state counts as stiff, unless six others come first (ibid.)."""
+"""Number of steps at the stability boundary after which an initial state counts as stiff (ibid.)."""
 
 _CALM_STEPS: Final = 6
+"""Number of consecutive other steps that reset the count of `_STIFF_STEPS` (ibid.)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +80,7 @@ class Box:
     def points(self, count: int, seed: int = 0) -> FloatArray:
         """Return `count` points (count, D) spread evenly over the box: an additive recurrence (Roberts 2018).
 
-        Its ratios are powers of the root of g**(D + 1) = g + 1; each `seed` gives points of its own.
+        Its ratios are powers of the root of g**(D + 1) = g + 1; each `seed` gives different points.
         """
         size, root = len(self.lower), 1.5
         for _ in range(64):
@@ -88,16 +90,16 @@ class Box:
         return np.asarray(self.lower + self.widths * ((0.5 + numbers[:, None] * ratios) % 1.0))
 
     def excursions(self, states: FloatArray) -> FloatArray:
-        """Return the largest distance (N,) of states (N, D) from the middle in any direction, in widths."""
+        """Return for states (N, D) the largest coordinate distance (N,) from the middle, in widths of the box."""
         return np.asarray((np.abs(states - self.middle) / self.widths).max(axis=1))
 
     def contains(self, points: FloatArray, margin: float = 0.0) -> np.ndarray:
-        """Tell which points (N, D) lie in the box widened by `margin` widths."""
+        """Tell which points (N, D) lie in the box, widened on each side by `margin` widths."""
         beyond = margin * self.widths
         return np.asarray(((points >= self.lower - beyond) & (points <= self.upper + beyond)).all(axis=-1))
 
     def distances(self, points: FloatArray, polyline: FloatArray) -> FloatArray:
-        """Return the distances (N,) of points (N, D) from the sides of a polyline (n, D), in widths."""
+        """Return the distances (N,) of points (N, D) from the sides of a polyline (n, D), in widths of the box."""
         corners = polyline / self.widths
         sides, away = np.diff(corners, axis=0), points[:, None] / self.widths - corners[:-1]
         lengths = np.maximum((sides**2).sum(axis=1), 1e-300)
@@ -107,7 +109,10 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """dx/dt = f(x) of D states: a `field` at `inputs` (U,) and `parameters` (P,); `direction` -1 is backward time."""
+    """dx/dt = f(x) of D states: a `field` at constant `inputs` (U,) and `parameters` (P,).
+
+    `direction` is 1, or -1 for backward time.
+    """
 
     field: VectorField
     inputs: FloatArray
@@ -139,7 +144,7 @@ class Flow:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One step from time `before` to `after`; `at(time)` is the state in between, (D,)."""
+    """One step from time `before` to `after`; `start` and `end` are its states (D,), `at(time)` interpolates them."""
 
     before: float
     after: float
@@ -151,9 +156,9 @@ class Step:
 def steps(
     rates: Rates, start: FloatArray, duration: float, sizes: FloatArray, *, rtol: float = 1e-9, most: int = MOST_STEPS
 ) -> Iterator[Step]:
-    """Yield the steps from `start` over `duration`; fewer where a rate is undefined or after `most` steps.
+    """Yield the steps from `start` (D,) over `duration`; they end early if a rate is undefined or after `most` steps.
 
-    The relative tolerance is `rtol`; the absolute one is a hundredth of it times the `sizes` (D,) of the states.
+    The relative tolerance is `rtol`; the absolute tolerance is 0.01 `rtol` times the `sizes` (D,) of the states.
     """
     from scipy.integrate import LSODA
 
@@ -176,7 +181,7 @@ def crossing(step: Step, side: Callable[[FloatArray], float]) -> float:
     """Return the time within a step at which `side`, a function of the state (D,), changes its sign."""
     from scipy.optimize import brentq
 
-    def at(share: float) -> float:  # a share of the step, since the tolerance of brentq has no unit of time
+    def at(share: float) -> float:  # time as a share of the step, because the tolerance of brentq is absolute
         return side(step.at(step.before + share * (step.after - step.before)))
 
     low, high = at(0.0), at(1.0)
@@ -186,7 +191,7 @@ def crossing(step: Step, side: Callable[[FloatArray], float]) -> float:
 
 
 def follow(rates: Rates, start: FloatArray, times: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Return the states (n, D) at ascending `times` from 0; NaN after the point where the integration ends.
+    """Return the states (n, D) at ascending `times` (n,) from 0; NaN after the integration has ended.
 
     `sizes` (D,) are the sizes of the states, as in `steps`.
     """
@@ -204,16 +209,19 @@ def follow(rates: Rates, start: FloatArray, times: FloatArray, sizes: FloatArray
 
 
 def is_nearly_at_rest(states: FloatArray, before: FloatArray, box: Box, span: float) -> np.ndarray:
-    """Tell which `states` (N, D) have hardly moved since `before` (N, D), a `span` of times through the box ago."""
+    """Tell which `states` (N, D) have hardly moved since `before` (N, D).
+
+    `span` is the elapsed time, in units of the time in which a state crosses the box.
+    """
     return np.asarray(np.abs((states - before) / box.widths).max(axis=1) < _RESTING * span)
 
 
 @dataclass(eq=False)
 class IntegrationBatch:
-    """N initial states that are integrated together: `states` (N, D), each at its time (N,) with its next step (N,).
+    """N `states` (N, D) that are integrated together; `times` (N,) are their times, `sizes` (N,) their next steps.
 
-    `is_lost` (N,): a rate became undefined. `bounded` (N,) counts steps at the stability boundary, `calm` (N,) other
-    steps since the last of these; initial states that count as stiff continue with implicit steps.
+    `is_lost` (N,): a rate became undefined. `bounded` (N,) counts the steps at the stability boundary, `calm` (N,) the
+    other steps since the last step at the boundary. Stiff states continue with implicit steps.
     """
 
     states: FloatArray
@@ -225,18 +233,18 @@ class IntegrationBatch:
 
     @classmethod
     def of(cls, states: FloatArray, step: float) -> "IntegrationBatch":
-        """Return initial states at time 0, with the first step to try."""
+        """Return a batch of `states` (N, D) at time 0 that tries `step` as first step."""
         count = len(states)
         counters = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
         return cls(np.array(states), np.zeros(count), np.full(count, step), np.zeros(count, dtype=bool), *counters)
 
     def of_rows(self, rows: np.ndarray) -> "IntegrationBatch":
-        """Return some of the initial states."""
+        """Return a batch of some of the states: an index array or a mask (N,)."""
         parts = (self.states, self.times, self.sizes, self.is_lost, self.bounded, self.calm)
         return IntegrationBatch(*(part[rows] for part in parts))
 
     def settle(self, flow: Flow, box: Box, until: float, *, rtol: float, most_steps: int) -> None:
-        """Integrate a flow until that time, with absolute errors of `rtol` times a thousandth of the box."""
+        """Integrate a flow until the time `until`; absolute tolerances are `rtol` times a thousandth of the box."""
         self.advance(flow.rates, until, 1e-3 * box.widths, rtol=rtol, most_steps=most_steps, jacobian=flow.jacobian)
 
     def advance(
@@ -249,10 +257,10 @@ class IntegrationBatch:
         most_steps: int = 1000,
         jacobian: Rates | None = None,
     ) -> None:
-        """Integrate every initial state that is not lost until that time.
+        """Integrate every state that is not lost until the time `until`.
 
-        Errors are `rtol` times `scale` (D,) and the states. Initial states that take more than `most_steps` stay
-        behind. Without a `jacobian` all steps are explicit.
+        The tolerance is `rtol` times the sum of `scale` (D,) and the absolute state. A state that needs more than
+        `most_steps` steps stays at an earlier time. Without a `jacobian` all steps are explicit.
         """
         tiny = 1e-12 * until
         for _ in range(most_steps):
@@ -277,7 +285,7 @@ class IntegrationBatch:
                 slopes.append(rates(after))
             wrong = size[:, None] * sum(weight * slope for weight, slope in zip(_ERROR, slopes, strict=True) if weight)
             allowed = rtol * (scale + np.maximum(np.abs(state), np.abs(after)))
-            # the last two stages differ along the fastest direction: their ratio estimates the largest eigenvalue
+            # the difference of the last two stages is along the fastest direction: it estimates the largest eigenvalue
             turned, moved = (((both[0] - both[1]) / allowed) ** 2 for both in (slopes[-1:-3:-1], (after, before)))
             eigenvalue = np.sqrt(turned.sum(axis=1) / np.maximum(moved.sum(axis=1), 1e-300))
             is_bounded = size * eigenvalue > _UNSTABLE
@@ -312,7 +320,7 @@ class IntegrationBatch:
     def _accept(
         self, rows: np.ndarray, size: FloatArray, until: float, after: FloatArray, wrong: FloatArray, power: float
     ) -> np.ndarray:
-        """Take the steps (N,) whose errors, over the allowed ones (N, D), are small enough; tell which these are."""
+        """Accept the steps with small errors, and tell which these are (N,); `wrong` (N, D) is error over tolerance."""
         with np.errstate(all="ignore"):
             error = np.sqrt(np.mean(wrong**2, axis=1))
             error = np.where(np.isfinite(error), error, 1e10)

@@ -1,10 +1,13 @@
-"""Limit cycles: long simulations, the first near return to a Poincaré section, and Newton steps on the period map.
+"""Limit cycles from long simulations, their first near return to a Poincaré section, and Newton's method.
 
-Newton steps solve phi_T(x) = x together with a phase condition for x and T. The derivative of phi_T is the monodromy
-matrix, a solution of the variational equations (Guckenheimer and Holmes 1983, section 1.5); its eigenvalues are the
-Floquet multipliers. In the plane the nontrivial multiplier is exp of the divergence integrated over a period
-(Liouville), which keeps its digits where the multiplier is tiny. Unstable cycles in the plane are found in backward
-time; in more dimensions only the cycles that simulations come near are found. Letters: D states, N points.
+Newton's method solves phi_T(x) = x and a phase condition for the state x and the period T; phi_T is the flow over the
+time T. The derivative of phi_T is the monodromy matrix, which solves the variational equations (Guckenheimer and Holmes
+1983, section 1.5). Its eigenvalues are the Floquet multipliers. In the plane, the nontrivial multiplier is exp of the
+divergence integrated over a period (Liouville). This formula keeps all digits if the multiplier is tiny. In the plane,
+unstable cycles are found in backward time.
+
+Doubtful: in more dimensions, only the cycles that simulations approach are found. A cycle with more than 40 turns is
+not distinguished from chaos. Letters: D states, N points.
 """
 
 from collections.abc import Sequence
@@ -18,7 +21,7 @@ from atoll.analysis.fixed_points import (
     Complexes,
     FixedPoint,
     FixedSet,
-    classified,
+    classify,
     distinct_points,
     jacobian_in_widths,
     newton_steps,
@@ -40,53 +43,57 @@ from atoll.analysis.flow import (
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 24
+"""Number of simulations from all over the box."""
+
 _MOST_STEPS: Final = 1500
-"""Steps of one simulation."""
+"""Largest number of steps of one simulation."""
 
 MOST_CYCLES: Final = 10
-"""Cycles that are reported; each costs up to a second."""
+"""Largest number of reported cycles; each takes up to a second."""
 
 _MOST_FAILURES: Final = 2
-"""Number of simulations that may end without a stable cycle; then the other ones count as unsettled."""
+"""Number of simulations that may end without a stable cycle. After that, all further simulations count as unsettled."""
 
 SAMPLES: Final = 400
-"""Points of a cycle that are kept: the extent of a harmonic one is known to (pi/400)**2/2, 3e-5 of itself."""
+"""Number of points of a cycle. The extent of a harmonic cycle then has a relative error of (pi/400)**2/2 = 3e-5."""
 
 _NEAR: Final = 0.1
-"""Extents of the trajectory within which a return is near; Newton steps decide whether there is a cycle."""
+"""Largest distance of a near return, as a share of the extent of the trajectory. Newton's method then decides whether
+there is a cycle."""
 
 SMALLEST: Final = 1e-3
 """Smallest extent of a cycle, in widths of the box."""
 
 _SLOWLY: Final = 0.05
-"""Widths within which a state counts as at rest that approaches fixed points in the direction of an eigenvalue of 0."""
+"""Distance from a fixed point, in widths, within which a state counts as at rest if it approaches the point slowly, in
+the direction of an eigenvalue 0."""
 
 _CLOSED: Final = 1e-8
-"""Widths of the box by which a cycle may fail to close: ten times the error of the integration."""
+"""Largest distance between the ends of a closed cycle, in widths of the box: ten times the integration error."""
 
 _NEUTRAL: Final = 1e-4
-"""A multiplier nearer to 1, or to the unit circle, decides nothing: double multipliers are wrong by the root of
-`_CLOSED`."""
+"""A multiplier nearer to 1, or to the unit circle, counts as 1, or as on the circle. The error of a double multiplier
+is the square root of `_CLOSED`."""
 
 _NEUTRAL_IN_PLANE: Final = 1e-7
-"""The same for two states, where it is an integral: a hundred times the tolerance of the integration."""
+"""The same limit for two states, where the multiplier is an integral: a hundred times the integration tolerance."""
 
 _KNOWN: Final = 0.01
-"""Largest error of a cycle as a share of its extent: the closing error over the contraction in a period."""
+"""Largest error of a cycle, as a share of its extent: the closing error over the contraction in a period."""
 
 _SMALL: Final = 0.01
-"""Widths of the box below which an orbit has integration errors relative to the box and not to its own extent."""
+"""Extent of an orbit, in widths of the box. Errors of smaller orbits are relative to the box, not to their extent."""
 
 _MOST_RETURNS: Final = 40
-"""Returns among which the nearest is chosen: cycles with more turns are not distinguished from chaos."""
+"""Number of returns among which the nearest is chosen. A cycle with more turns is not distinguished from chaos."""
 
 
 @dataclass(frozen=True, eq=False)
 class LimitCycle:
     """A closed orbit through `point` (D,) with its `period` and Floquet `multipliers` (D,), the trivial one (1) first.
 
-    `points` (n, D) lie on it at even times. `log_multiplier_product` is the logarithm of the product of the
-    multipliers. An orbit that is not `is_isolated` belongs to a family, as around a centre.
+    `points` (n, D) lie on the cycle at equal time steps. `log_multiplier_product` is the logarithm of the product of
+    the multipliers. An orbit that is not `is_isolated` belongs to a family of orbits, for example around a centre.
     """
 
     point: FloatArray
@@ -102,7 +109,7 @@ class LimitCycle:
 
     @property
     def is_stable(self) -> bool:
-        """Whether it attracts: all nontrivial multipliers lie within the unit circle."""
+        """Whether the cycle attracts: all nontrivial multipliers lie within the unit circle."""
         return bool((np.abs(self.multipliers[1:]) < 1.0 - self._neutral).all())
 
     @property
@@ -111,11 +118,11 @@ class LimitCycle:
 
     @property
     def outline(self) -> FloatArray:
-        """Points (n, D) of it."""
+        """Points (n, D) of the cycle."""
         return self.points
 
     def distances(self, states: FloatArray, box: Box) -> FloatArray:
-        """Return the distances (N,) of `states` (N, D) from the polygon of its samples, in widths."""
+        """Return the distances (N,) of `states` (N, D) from the polygon through its points, in widths of the box."""
         return box.distances(states, np.vstack([self.points, self.points[:1]]))
 
 
@@ -123,8 +130,8 @@ class LimitCycle:
 class LimitCycles:
     """The result of `starts` simulations over at most `duration`.
 
-    `resting` are stable fixed points outside of the box that they reached; `unsettled` (n, D) are ends that no
-    attractor explains; `has_family`: there are closed orbits that are not isolated.
+    `resting` are the stable fixed points outside of the box that simulations reached. `unsettled` (n, D) are the last
+    states of simulations that reached no known attractor. `has_family`: there are closed orbits that are not isolated.
     """
 
     cycles: tuple[LimitCycle, ...]
@@ -136,14 +143,15 @@ class LimitCycles:
 
 
 def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[FixedSet] = ()) -> LimitCycles:
-    """Return the limit cycles that simulations from `box` lead to, by rising period; for two states also backward.
+    """Return the limit cycles that simulations from `box` reach, in order of their periods.
 
-    Simulations that come to rest at one of the `fixed` points, or on one of their `sets`, lead to none.
+    For two states, time also runs backward. Simulations that end at one of the `fixed` points, or in one of the `sets`
+    of fixed points, reach no cycle.
     """
-    forward = _reached(flow, box, fixed, sets)
+    forward = _reached_cycles(flow, box, fixed, sets)
     cycles = list(forward.cycles)
     if flow.size == 2:
-        for cycle in _reached(replace(flow, direction=-flow.direction), box, fixed, sets).cycles:
+        for cycle in _reached_cycles(replace(flow, direction=-flow.direction), box, fixed, sets).cycles:
             if all(other.distances(cycle.point[None], box)[0] > 1e-3 for other in cycles):
                 turned = _closed_orbit(flow, cycle.point, cycle.period, box)
                 cycles += [turned] if turned is not None else []
@@ -151,7 +159,7 @@ def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequen
     return replace(forward, cycles=tuple(isolated), has_family=len(isolated) < len(cycles))
 
 
-def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[FixedSet]) -> LimitCycles:
+def _reached_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[FixedSet]) -> LimitCycles:
     ends, count, duration = _ends(flow, box, fixed)
     for fixed_set in sets:
         ends = ends[fixed_set.distances(flow, ends, box) > _SLOWLY]
@@ -168,7 +176,7 @@ def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[F
         period = _first_return(flow, end, box, duration)
         cycle = None if period is None else _closed_orbit(flow, end, period, box)
         if cycle is not None and any(known.distances(cycle.point[None], box)[0] < 1e-3 for known in cycles):
-            failures += 1  # simulations that approach a known cycle slowly add nothing
+            failures += 1  # the simulation approaches a known cycle slowly
             continue
         cycles += [cycle] if cycle is not None else []
         if cycle is None or not cycle.is_stable:
@@ -179,7 +187,10 @@ def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[F
 
 
 def _ends(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray, int, float]:
-    """Return the bounded ends, after the transient, of simulations from the box and from near its fixed points."""
+    """Return the last states (n, D) of bounded simulations, the number of simulations, and their duration.
+
+    Simulations begin in the box and near its fixed points.
+    """
     duration = SETTLING * time_scale(flow, box)
     nearby = [point.point[None] + 0.02 * box.widths for point in fixed[:STARTS]]
     starts = np.vstack([box.points(STARTS), *nearby])
@@ -199,28 +210,31 @@ def _ends(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray
 
 
 def _rests(flow: Flow, ends: FloatArray, box: Box) -> list[FixedPoint]:
-    """Return the attracting fixed points outside of the box that Newton steps find near `ends`.
+    """Return the attracting fixed points outside of the box that Newton's method finds near `ends` (n, D).
 
-    This includes points on curves of fixed points that attract across the curve.
+    This includes points on curves of fixed points if the curve attracts.
     """
     roots, is_root = newton_steps(flow, box, ends)
     points = distinct_points(flow, np.asarray(roots[is_root]), box)
     is_near = [bool((np.abs((ends - point) / box.widths).max(axis=1) < 0.01).any()) for point in points]
     points = points[np.array(is_near, dtype=bool) & ~box.contains(points, 1e-6)]
     along = tangents(flow, points, box)
-    rests = [classified(flow, point, box, directions) for point, directions in zip(points, along, strict=True)]
+    rests = [classify(flow, point, box, directions) for point, directions in zip(points, along, strict=True)]
     return [rest for rest in rests if rest.attracts_in_box]
 
 
 def _is_at_rest(end: FloatArray, point: FixedPoint, box: Box) -> bool:
     near = SMALLEST
-    if point.attracts_in_box:  # in the direction of an eigenvalue of 0 it is approached slowly
+    if point.attracts_in_box:  # the approach along the direction of an eigenvalue 0 is slow
         near = 10.0 * (_SLOWLY if point.kind == NON_HYPERBOLIC else SMALLEST)
     return bool(np.abs((end - point.point) / box.widths).max() < near)
 
 
 def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> float | None:
-    """Return the time of the nearest early return to the section through `start` across the flow; None: no near one."""
+    """Return the time of the first near return to the section through `start` (D,); None without a near return.
+
+    The section is orthogonal to the flow. A return is near if its distance is about as small as the smallest one.
+    """
     normal = flow.rates(start) / box.widths
     if not np.isfinite(normal).all() or not np.abs(normal).max() > 0.0:
         return None
@@ -247,11 +261,11 @@ def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> fl
 
 
 def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> LimitCycle | None:
-    """Return the closed orbit that Newton steps reach from a guess of point and period; None where they diverge."""
+    """Return the closed orbit that Newton's method reaches from a first point and period; None if it diverges."""
     point, size = start.copy(), flow.size
     phase = period * flow.rates(start) / box.widths
     for iteration in range(12):
-        end, monodromy, log_multiplier_product = _transported(flow, point, period, box)
+        end, monodromy, log_multiplier_product = _transport(flow, point, period, box)
         missed = (end - point) / box.widths
         if not np.isfinite(monodromy).all() or not np.isfinite(end).all():
             return None
@@ -274,16 +288,16 @@ def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> Lim
         return None
     cycle = LimitCycle(point, period, multipliers_of(monodromy, log_multiplier_product), log_multiplier_product, points)
     miss = float(np.abs(missed).max())
-    if not cycle.is_isolated:  # each orbit of a family closes; a small spiral that shrinks slowly almost closes
+    if not cycle.is_isolated:  # an orbit of a family closes exactly; a small spiral that shrinks slowly does not
         return cycle if miss <= _CLOSED * max(extent, _SMALL) else None
     return cycle if miss / np.abs(cycle.multipliers[1:] - 1.0).min() <= _KNOWN * extent else None
 
 
-def _transported(flow: Flow, start: FloatArray, duration: float, box: Box) -> tuple[FloatArray, FloatArray, float]:
-    """Return the state `duration` after `start` (D,), its derivative by `start` (D, D), and the integrated divergence.
+def _transport(flow: Flow, start: FloatArray, duration: float, box: Box) -> tuple[FloatArray, FloatArray, float]:
+    """Return the state (D,) at `duration` after `start` (D,), its derivative (D, D), and the integrated divergence.
 
-    The derivative is in widths of the box; the divergence integrated over `duration` is the logarithm of its
-    determinant. NaN where the integration ends early.
+    The derivative is with respect to `start`, in widths of the box. The integrated divergence is the logarithm of the
+    determinant of the derivative. All are NaN if the integration ends early.
     """
     size = flow.size
 
@@ -301,7 +315,7 @@ def _transported(flow: Flow, start: FloatArray, duration: float, box: Box) -> tu
 
 
 def multipliers_of(monodromy: FloatArray, log_multiplier_product: float) -> Complexes:
-    """Return the eigenvalues of a monodromy matrix, the trivial one first, then by falling size."""
+    """Return the eigenvalues (D,) of a monodromy matrix (D, D): the trivial one first, then by descending size."""
     if len(monodromy) == 2:
         return np.array([1.0, np.exp(min(log_multiplier_product, 700.0))], dtype=np.complex128)
     values = np.linalg.eigvals(monodromy).astype(np.complex128)

@@ -1,6 +1,6 @@
 """The spectrum of Lyapunov exponents: variational equations with repeated orthogonalisation (Benettin et al. 1980).
 
-Many trajectories are followed together; the spread of their exponents gives the standard error. Letters: D states.
+Many trajectories are integrated together; the spread of their exponents gives the standard error. Letters: D states.
 """
 
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ from atoll.analysis.flow import SETTLING, UNBOUNDED, Box, Flow, IntegrationBatch
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 128
-"""Trajectories: their spread gives a standard error that is itself known to 6 %, 1/sqrt(2 * 127)."""
+"""Number of trajectories. Their spread gives the standard error with an accuracy of 6 %, 1/sqrt(2 * 127)."""
 
 INTERVALS: Final = 400
-"""Orthogonalisations that count; the vectors settle during a quarter as many before them."""
+"""Number of orthogonalisations that count. A quarter as many come before, in which the vectors settle."""
 
 _SETTLING_SHARE: Final = 4
-"""Orthogonalisations that count over those before them."""
+"""Number of orthogonalisations that count, divided by the number before them."""
 
 
 @dataclass(frozen=True, eq=False)
 class LyapunovSpectrum:
-    """Exponents (D,) by falling size with their standard errors (D,), from `starts` trajectories of `duration`."""
+    """Exponents (D,) in descending order with their standard errors (D,), from `starts` trajectories of `duration`."""
 
     exponents: FloatArray
     standard_errors: FloatArray
@@ -33,10 +33,10 @@ class LyapunovSpectrum:
 
     @property
     def is_chaotic(self) -> bool:
-        """Whether the largest exponent is positive by more than three standard errors and 1 % of the spectrum.
+        """Whether the largest exponent exceeds three standard errors, 1 % of the spectrum, and growth by a power.
 
-        Without chaos errors can grow as a power of time, up to the number of states less one (on tori like time
-        itself); chaotic growth has to be faster.
+        Without chaos, errors can grow as a power of time. The largest power is the number of states minus one; on tori
+        the power is 1. Chaotic growth must be faster than the largest power.
         """
         largest = float(np.abs(self.exponents).max())
         by_power = (len(self.exponents) - 1) * np.log(1.0 + _SETTLING_SHARE) / self.duration
@@ -46,10 +46,10 @@ class LyapunovSpectrum:
 def lyapunov_spectrum(
     flow: Flow, box: Box, seeds: FloatArray | None = None, *, starts: int = STARTS, intervals: int = INTERVALS
 ) -> LyapunovSpectrum | None:
-    """Return the exponents on the attractors of `seeds` (n, D), or of the box; None where no trajectory is bounded.
+    """Return the exponents on the attractors that trajectories reach; None if no trajectory is bounded.
 
-    Each of `starts` trajectories begins near a seed. One of the `intervals` between orthogonalisations lasts about as
-    long as a vector takes to double.
+    The `starts` trajectories begin near the `seeds` (n, D), or all over the box. Each of the `intervals` between
+    orthogonalisations is about as long as the doubling time of a vector.
     """
     scale, size = time_scale(flow, box), flow.size
     first = box.points(starts)

@@ -1,7 +1,7 @@
 """Nullclines of a system of two states: polylines on which one of the rates is 0.
 
-They are followed from cell to cell of a grid (marching squares). Crossings of grid lines are refined by bisection;
-where the rate grows there instead of vanishing it has a pole, which is not a crossing.
+They are followed from cell to cell of a grid (marching squares). Crossings of grid lines are refined by bisection. If
+the rate grows during the bisection, it has a pole at this point; a pole is not a crossing.
 """
 
 from typing import Final
@@ -12,20 +12,20 @@ from atoll.analysis.flow import Box, Flow
 from atoll_core.data.dataset import FloatArray
 
 GRID: Final = 80
-"""Cells in each direction."""
+"""Number of cells in each direction."""
 
 _BISECTIONS: Final = 30
-"""A crossing is then known to 1e-9 of a cell."""
+"""Number of bisections: they locate a crossing to 1e-9 of a cell."""
 
 _MARGIN: Final = 1e-6
-"""Widths of the box by which the grid is larger, for nullclines that are its sides."""
+"""The grid is larger than the box by this share of its widths, to include nullclines along the sides of the box."""
 
 _Edge = tuple[int, int, int]
-"""A side of a cell: 0 along the first state, 1 along the second, and the indices of its lower corner."""
+"""A side of a cell: its direction (0 for the first state, 1 for the second), and the indices of its lower corner."""
 
 
 def nullclines(flow: Flow, box: Box, cells: int = GRID) -> tuple[tuple[FloatArray, ...], ...]:
-    """Return for each of the two states the polylines (n, 2) in `box` on which its rate is 0; `flow` has two states."""
+    """Return for each of the two states of `flow` the polylines (n, 2) in `box` on which its rate is 0."""
     beyond = _MARGIN * box.widths
     lower, upper = box.lower - beyond, box.upper + beyond
     axes = [np.linspace(lower[axis], upper[axis], cells + 1) for axis in range(2)]
@@ -35,7 +35,7 @@ def nullclines(flow: Flow, box: Box, cells: int = GRID) -> tuple[tuple[FloatArra
 
 
 def _polylines(flow: Flow, grid: FloatArray, rates: FloatArray, state: int) -> tuple[FloatArray, ...]:
-    """Return the crossings of the sides of cells, joined from cell to cell; open polylines from an end."""
+    """Return polylines (n, 2) that join the crossings of the sides of cells; an open polyline begins at one end."""
     crossings = _crossings(flow, grid, rates, state)
     neighbours: dict[_Edge, list[_Edge]] = {edge: [] for edge in crossings}
     for row, column in np.ndindex(len(grid) - 1, len(grid) - 1):

@@ -1,4 +1,4 @@
-"""A model as people see it: ``notation`` writes it as text, LaTeX, MathML and HTML, ``plots`` draws it with matplotlib.
+"""Display a model: ``notation`` writes it as text, LaTeX, MathML and HTML, ``plots`` draws it with Matplotlib.
 
-``curves`` has the numbers of the pictures, for reports, pages and notebooks alike.
+``curves`` computes the numbers of the pictures for reports, pages and notebooks.
 """

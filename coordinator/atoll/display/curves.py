@@ -1,9 +1,9 @@
-"""The numbers and labels of pictures of a result: the same for matplotlib, a report and a page.
+"""The numbers and labels of the pictures of a result, for Matplotlib, a report and a page.
 
-A result lists a simulation at measured rows only. Between two rows the model is integrated again, and as many points
-are kept as the curve bends, so that no picture shows a polygon. The integration starts from the fitted initial state;
-where it differs from the listed rows (trajectories that were fitted in pieces), it starts again at each listed row.
-Letters: D states, N rows, M points of a curve.
+A result lists a simulation only at measured rows. Between the rows, the model is integrated again. Enough points are
+kept that a curve looks smooth: its straight lines differ from it by less than a pixel. The integration starts at the
+fitted initial state. If the trajectory was fitted in pieces, this simulation differs from the listed rows; then the
+integration starts again at each listed row. Letters: D states, N rows, M points of a curve.
 """
 
 import math
@@ -36,13 +36,13 @@ def label(result: Result, column: str) -> str:
 
 
 def residuals(measured: Curve, simulated: Curve) -> list[float | None]:
-    """Return measured minus simulated values, None where one of them is not known."""
+    """Return measured minus simulated values (N,), None if one of both is not known."""
     pairs = zip(measured, simulated, strict=True)
     return [None if value is None or known is None else value - known for value, known in pairs]
 
 
 def front(members: Sequence[Member], *, is_selected: bool = False) -> tuple[list[int], list[float | None]]:
-    """Return complexity and error of the members of a front that have an error, or only of the selected ones."""
+    """Return complexities and errors of the members of a front that have an error, or only of selected members."""
     shown = [member for member in members if member.normalized_error and (member.selected or not is_selected)]
     return [member.complexity or 0 for member in shown], [member.normalized_error for member in shown]
 
@@ -54,12 +54,12 @@ MOST_POINTS: Final = 4_000
 SHOWN: Final = 6
 """Largest number of trajectories in a picture, each in a different colour."""
 _GRIDS: Final = (2_000, 8_000, 32_000)
-"""Points of a simulation; more if the curve bends between them."""
+"""Numbers of points of a simulation. The next number is used if the curve bends between the points."""
 _AGREEMENT: Final = TOLERANCE
-"""Largest difference between two simulations that count as equal: invisible in a picture.
+"""Largest difference between two equal simulations, as a share of the range of a state: invisible in a picture.
 
-Measured on eight results, a small sample: seven of them are unchanged from 1e-4 to 1e-1; the eighth was fitted in two
-pieces that differ by 1e-3 to 5e-3 at one row, and has two pieces with any smaller value.
+Doubtful: it was measured on only eight results. Seven of them look the same for all values from 1e-4 to 1e-1. The
+eighth was fitted in two pieces, which differ by 1e-3 to 5e-3 at one row; smaller values detect both pieces.
 """
 _TINY: Final = float(np.finfo(np.float64).tiny)
 _SUBSTEPS: Final = 24
@@ -70,9 +70,9 @@ _SUBSTEPS: Final = 24
 class ModelCurves:
     """A simulated trajectory for a picture.
 
-    `times` (M,) belong to the points; `values`, and with known standard errors `lower` and `upper`, are curves (M,) by
-    state, None where there is no value and between two pieces. `pieces` is the number of initial states of the
-    simulation, None where it is not known.
+    `times` (M,) are the times of the points. `values` are the curves (M,) by state; `lower` and `upper` are the bounds
+    of the 95 % band, if standard errors are known. Entries are None at unknown values and between two pieces. `pieces`
+    is the number of initial states of the simulation, None if it is not known.
     """
 
     times: Curve
@@ -84,7 +84,7 @@ class ModelCurves:
 
 @dataclass(frozen=True)
 class _ListedRows:
-    """The listed rows of a trajectory: times (N,) that ascend, and values (D, N) of the listed states."""
+    """The listed rows of a trajectory: ascending times (N,), and values (D, N) of the listed states."""
 
     states: tuple[str, ...]
     times: FloatArray
@@ -99,9 +99,9 @@ class _ListedRows:
 
 
 def curves_of(model: "ModelCore | None", part: Simulated) -> ModelCurves:
-    """Return the curves of a simulated trajectory of a result, with its `model`.
+    """Return the curves of a simulated trajectory of a result with this `model`.
 
-    Without a model, or where it cannot be simulated, these are the listed rows. Raises nothing.
+    Without a model, or if the model cannot be simulated, these are the listed rows. It raises no errors.
     """
     listed = ModelCurves(part.times, part.values or {}, part.lower, part.upper)
     known = _rows(part)
@@ -119,8 +119,8 @@ def curves_of(model: "ModelCore | None", part: Simulated) -> ModelCurves:
     return listed if found is None else _with_bands(known, part, *found)
 
 
-def chosen(parts: Sequence[Simulated]) -> list[Simulated]:
-    """Return the simulated trajectories; if more than `SHOWN`, some from the worst to the best fit."""
+def choose_trajectories(parts: Sequence[Simulated]) -> list[Simulated]:
+    """Return the simulated trajectories; if there are more than `SHOWN`, a selection from the worst to the best fit."""
     known = [part for part in parts if part.values]
     if len(known) <= SHOWN:
         return known
@@ -129,9 +129,10 @@ def chosen(parts: Sequence[Simulated]) -> list[Simulated]:
 
 
 def bends(values: FloatArray, times: FloatArray, tolerance: float = TOLERANCE) -> npt.NDArray[np.int64]:
-    """Return the points (M,) of curves (D, M) over ascending times that keep straight lines within a tolerance.
+    """Return the indices (M,) of points whose straight lines approximate curves (D, n) within a tolerance.
 
-    The tolerance is a share of the range of each curve; it grows until `MOST_POINTS` suffice. All values are finite.
+    The tolerance is a share of the range of each curve. It grows until at most `MOST_POINTS` points are needed. Times
+    (n,) ascend, and all values must be finite.
     """
     sizes = np.ptp(values, axis=1, keepdims=True)
     scaled = values / np.where(sizes > 0.0, sizes, 1.0)
@@ -143,7 +144,7 @@ def bends(values: FloatArray, times: FloatArray, tolerance: float = TOLERANCE) -
 
 
 def _corners(scaled: FloatArray, times: FloatArray, tolerance: float) -> npt.NDArray[np.int64]:
-    """Return the points (M,) by the method of Douglas and Peucker, with vertical distances."""
+    """Return the indices (M,) of points by the method of Douglas and Peucker, with vertical distances."""
     last = len(times) - 1
     kept, waiting = {0, last}, [(0, last)]
     while waiting:
@@ -174,11 +175,11 @@ def _rows(part: Simulated) -> _ListedRows | None:
 
 
 _Found = tuple[FloatArray, FloatArray, int]
-"""Times (M,), values (D, M) of the listed states, NaN between pieces, and the number of pieces."""
+"""Times (M,), values (D, M) of the listed states (NaN between pieces), and the number of pieces."""
 
 
 def _from_start(model: "ModelCore", part: Simulated, known: _ListedRows, inputs: Inputs | None) -> _Found | None:
-    """Return the simulation from the fitted initial state; None where it differs from the listed rows."""
+    """Return the simulation from the fitted initial state; None if it differs from the listed rows."""
     columns = [model.result.columns_by_symbol[state] for state in model.states]
     start = np.array([(part.start or {}).get(column) for column in columns], dtype=np.float64)
     places = [columns.index(state) for state in known.states if state in columns]
@@ -205,19 +206,19 @@ def _from_start(model: "ModelCore", part: Simulated, known: _ListedRows, inputs:
 
 
 def _is_fine(scaled: FloatArray, grid: FloatArray) -> bool:
-    """Tell whether straight lines between points are within the tolerance, by omitting every second point."""
+    """Tell whether straight lines between points are accurate enough: every second point is compared with a line."""
     before, middle, after = grid[:-2:2], grid[1:-1:2], grid[2::2]
     share = (middle - before) / (after - before)
     lines = scaled[:, :-2:2] + share * (scaled[:, 2::2] - scaled[:, :-2:2])
     return bool(
         (np.abs(scaled[:, 1:-1:2] - lines) <= 4.0 * TOLERANCE).all()
-    )  # half the distance: a quarter of the error
+    )  # the error of lines of half the length is a quarter
 
 
 def _between_rows(model: "ModelCore", known: _ListedRows, inputs: Inputs | None) -> _Found | None:
-    """Return the model integrated from each listed row to the next; a piece ends where it misses the next row.
+    """Integrate the model from each listed row to the next; a piece ends if the integration misses the next row.
 
-    None where the rows do not list all states, as for equations of second order.
+    Return None if the rows do not list all states, for example for equations of second order.
     """
     columns = [model.result.columns_by_symbol[state] for state in model.states]
     if set(columns) != set(known.states):
@@ -252,7 +253,7 @@ def _between_rows(model: "ModelCore", known: _ListedRows, inputs: Inputs | None)
 def _runge_kutta(
     model: "ModelCore", states: FloatArray, times: FloatArray, steps: FloatArray, inputs: Inputs | None
 ) -> FloatArray:
-    """Return the states (S + 1, N, D) along S equal substeps from `states` (N, D) at `times` (N,), all together."""
+    """Return the states (S + 1, N, D) after S equal substeps of `steps` (N,) from `states` (N, D) at `times` (N,)."""
 
     def rates(at: FloatArray, x: FloatArray) -> FloatArray:
         given = None if inputs is None else np.array([inputs(time) for time in at.tolist()])
@@ -262,7 +263,7 @@ def _runge_kutta(
     with np.errstate(all="ignore"):
         for number in range(_SUBSTEPS):
             at, h = times + number * step, step[:, None]
-            end = np.nextafter(at + step, at)  # a held input changes at the ends of intervals only
+            end = np.nextafter(at + step, at)  # a held input changes only at the ends of intervals
             k1 = rates(at, x)
             k2 = rates(at + 0.5 * step, x + 0.5 * h * k1)
             k3 = rates(at + 0.5 * step, x + 0.5 * h * k2)
@@ -273,7 +274,7 @@ def _runge_kutta(
 
 
 def _with_bands(known: _ListedRows, part: Simulated, times: FloatArray, values: FloatArray, pieces: int) -> ModelCurves:
-    """Return curves with the band of the listed rows, with interpolated half width."""
+    """Return curves with a 95 % band, whose half width is interpolated between the listed rows."""
     from scipy.interpolate import PchipInterpolator
 
     by_state = {state: _curve(row) for state, row in zip(known.states, values, strict=True)}

@@ -1,4 +1,4 @@
-"""A model as people read it: text, LaTeX, sympy, MathML, HTML."""
+"""Write a model as text, LaTeX, SymPy, MathML and HTML."""
 
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -100,8 +100,8 @@ def _cells(constant: "Parameter") -> tuple[str, ...]:
 
 
 def _between(value: float, low: float, high: float) -> str:
-    """Return ``± half`` for an interval around `value`, otherwise, as for a constant at its bound, ``low to high``."""
+    """Return ``± half`` if `value` is the middle of the interval, otherwise ``low to high``, as at a bound."""
     half = 0.5 * (high - low)
-    if abs(0.5 * (low + high) - value) > 0.05 * half:  # more than the two digits of the half show
+    if abs(0.5 * (low + high) - value) > 0.05 * half:  # a larger difference than two digits show
         return f"{low:.4g} to {high:.4g}"
     return f"± {half:.2g}"

@@ -1,6 +1,6 @@
-"""Pictures of a model by matplotlib, an extra: ``pip install 'atoll[plots]'``.
+"""Plot a model with Matplotlib, which is an extra: ``pip install 'atoll[plots]'``.
 
-Each function draws into `axes`, or into a new figure, and returns the axes as an array.
+Each function draws into `axes` or, by default, into a new figure, and returns the axes as an array.
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from atoll.model.core import ModelCore
 
 Axes = npt.NDArray[np.object_]
-"""Axes of matplotlib."""
+"""An array of Matplotlib axes."""
 
 _GRID = 24
-"""Arrows along each side of a phase plane."""
+"""Number of arrows along each side of a phase plane."""
 
 
 def plot_fit(model: "ModelCore", axes: object = None) -> Axes:
-    """Plot each state over time: measured, and simulated with its 95 % band; a row of axes for each state."""
+    """Plot each state over time in its own axes: measured values, and the simulation with its 95 % band."""
     parts = _trajectories(model)
     states = list(parts[0].values or {})
     each = _axes_over_time(model, states, axes)
@@ -52,10 +52,10 @@ def plot_fit(model: "ModelCore", axes: object = None) -> Axes:
 
 
 def plot_residuals(model: "ModelCore", axes: object = None) -> Axes:
-    """Plot measured minus simulated values over time, for each state, along each trajectory."""
+    """Plot the residuals (measured minus simulated values) of each state and trajectory over time."""
     parts = [part for part in _trajectories(model) if part.values and part.measured]
     if not parts:
-        raise UsageError("the result has no rows that are measured and simulated, so there are no residuals to plot")
+        raise UsageError("the result has no rows with measured and simulated values, so there are no residuals to plot")
     states = list(parts[0].values or {})
     each = _axes_over_time(model, states, axes)
     for at, state in zip(each, states, strict=True):
@@ -67,15 +67,16 @@ def plot_residuals(model: "ModelCore", axes: object = None) -> Axes:
 
 
 def plot_phase(model: "ModelCore", axes: object = None) -> Axes:
-    """Plot the plane of the first two states around the measured range, with the other states at their middle.
+    """Plot the plane of the first two states around the measured range.
 
-    It has the directions of the flow, measured points, simulated trajectories and fixed points, full if stable.
+    The other states have the middle of their measured range. The plot shows the directions of the flow, the measured
+    points, the simulated trajectories, and the fixed points, which are filled if they are stable.
     """
     if len(model.states) < 2:
-        raise UsageError("a phase plane takes two states; this model has one")
+        raise UsageError("a phase plane needs two states, but this model has one")
     if model.inputs:
         raise UsageError(
-            f"the model has the inputs {', '.join(model.inputs)}, so its directions depend on more than the plane"
+            f"the model has the inputs {', '.join(model.inputs)}, so its directions depend on more than two states"
         )
     model.require_one_group()
     columns, known = model.result.columns_by_symbol, model.result.ranges
@@ -108,7 +109,7 @@ def plot_phase(model: "ModelCore", axes: object = None) -> Axes:
 
 
 def _add_fixed_points(at: Any, model: "ModelCore", box: Box) -> None:
-    """Mark the fixed points in `box`, of models that can be analysed."""
+    """Mark the fixed points in `box` if the model can be analysed."""
     if len(model.states) > MOST_STATES:
         return
     found = fixed_points(Flow.of(model.field), box).points
@@ -121,7 +122,7 @@ def _add_fixed_points(at: Any, model: "ModelCore", box: Box) -> None:
 
 
 def plot_front(model: "ModelCore", axes: object = None) -> Axes:
-    """Plot for each equation the error of its front over complexity; the selected member is marked."""
+    """Plot for each equation the errors of its front over complexity, and mark the selected member."""
     equations = model.result.equations
     each = _axes(axes, [f"error of {equation.lhs}" for equation in equations], "complexity")
     for at, equation in zip(each, equations, strict=True):
@@ -135,12 +136,15 @@ def _axes_over_time(model: "ModelCore", states: Sequence[str], axes: object) -> 
 
 
 def _axes(axes: object, heights: Sequence[str], width: str) -> Axes:
-    """Return axes below one another with these labels; raises UsageError without matplotlib or with other axes."""
+    """Return axes (one below another) with these labels.
+
+    Raises UsageError if Matplotlib is not installed or the number of given axes is wrong.
+    """
     if axes is None:
         try:
             from matplotlib import pyplot
         except ImportError:
-            hint = "pictures need matplotlib, which is not installed; run: pip install 'atoll[plots]'"
+            hint = "plots need Matplotlib, which is not installed; run: pip install 'atoll[plots]'"
             raise UsageError(hint) from None
         rows = len(heights)
         figure, axes = pyplot.subplots(rows, 1, squeeze=False, sharex=True, figsize=(7.0, 2.0 + 2.0 * rows))
@@ -157,5 +161,5 @@ def _axes(axes: object, heights: Sequence[str], width: str) -> Axes:
 def _trajectories(model: "ModelCore") -> Sequence[Simulated]:
     parts = model.result.simulated
     if not parts:
-        raise UsageError("the result has no simulated trajectory; only a model of trajectories can be plotted so")
+        raise UsageError("the result has no simulated trajectory; this plot needs a model of trajectories")
     return parts

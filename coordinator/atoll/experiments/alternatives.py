@@ -1,8 +1,12 @@
 """Alternative systems of equations for the same data, fitted and weighted.
 
-Weights are Akaike's (Burnham & Anderson 2002, section 2.9), exp(-(misfit + k + k (k + 1)/(n - k - 1))) for k numbers
-fitted to n (Hurvich & Tsai 1989). They count only the fit: an experiment should decide between models that differ so
-far only in description length.
+The alternatives come from the candidates of the result and from changed denominators. Each is fitted again with all
+constants free. The weights are Akaike weights (Burnham & Anderson 2002, section 2.9). With the correction for few rows
+(Hurvich & Tsai 1989), the weight is proportional to exp(-(misfit + k + k (k + 1)/(n - k - 1))) for k values fitted to n
+independent rows. Weights use only the fit and ignore the lengths of the equations: an experiment should decide between
+models that fit equally well and differ only in description length.
+
+Doubtful: the list of alternatives is not complete. A law that the search did not propose has no weight.
 """
 
 import math
@@ -14,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from atoll.experiments.fits import EquationSet, FitData, FittedEquations, fit_equations
-from atoll_coordinator.model.criteria import constant_nats_of, system_length
+from atoll_coordinator.model.description_length import constant_nats_of, system_length
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.evaluation import values_of
@@ -23,26 +27,27 @@ from atoll_core.expression.program import Node, Program, ProgramBuilder, constan
 from atoll_core.expression.text.parsing import from_infix
 
 MOST_SYSTEMS: Final = 8
-"""Systems that are kept: each pair is compared in every experiment."""
+"""Largest number of systems: each pair of systems is compared in every experiment."""
 _MOST_FITTED: Final = 24
 _PER_EQUATION: Final = 4
 _LEAST_WEIGHT: Final = 0.01
-"""Smallest weight over the best one: a system that is improbable to a hundredth needs no experiment."""
+"""Smallest weight, relative to the largest weight. A system with less than a hundredth of it needs no experiment."""
 _LONGEST: Final = 10.0
 """Largest Δ description length of a candidate that is fitted again."""
 _FIRST_SHARE: Final = 0.1
-"""Initial value of a constant in a denominator, over the mean of the rest of it."""
+"""Initial value of a constant in a denominator, divided by the mean of the other part of the denominator."""
 _SAME: Final = 1e-3
-"""Largest difference of misfits, in nats, of one function in two forms, or with a superfluous constant."""
+"""Largest difference of misfits, in nats, between two forms of the same function."""
 _WANTED: Final = ("shown", "given")
-"""Origins of systems that are candidates however badly they fit."""
+"""Origins of systems that are always kept, even with a bad fit."""
 
 
 @dataclass(frozen=True, eq=False)
 class WeightedSystem:
-    """A system fitted to the data: `nats` is ln of the best weight over its weight; weights sum to 1.
+    """A system fitted to the data, with its Akaike `weight`; all weights sum to 1.
 
-    `length` is the description length in nats, by which results choose equations.
+    `nats` is the logarithm of the largest weight divided by this weight. `length` is the description length in nats;
+    jobs choose equations by their description length.
     """
 
     fitted: FittedEquations
@@ -55,10 +60,10 @@ class WeightedSystem:
 def alternatives_of(
     result: Result, shown: FittedEquations, given: Sequence[Mapping[str, str]]
 ) -> tuple[WeightedSystem, ...]:
-    """Return the displayed system and the systems that fit about as well, the best first.
+    """Return the displayed system `shown` and the systems that fit about as well, the best first.
 
-    Candidates of the result replace equations of `shown` one at a time and in pairs; systems `given` are right-hand
-    sides by state. Raises UsageError for a state without an equation, and for a system that cannot be read or
+    Candidates of the result replace one or two equations of `shown`. The systems `given` by the user are right-hand
+    sides by state. Raises UsageError for a state without an equation, and for a system that cannot be parsed or
     simulated.
     """
     measured = shown.measured
@@ -67,16 +72,17 @@ def alternatives_of(
         equations = _given(shown.equations, texts)
         fitted = fit_equations(measured, equations)
         if fitted is None:
-            raise UsageError(f"the rival {', '.join(texts.values())} cannot be simulated along the data; give another")
+            named = ", ".join(texts.values())
+            raise UsageError(f"the alternative model {named} cannot be simulated along the data; give another one")
         fits.append((fitted, "given"))
     for equations, origin in _systems(result, measured, shown.equations):
         fitted = fit_equations(measured, equations, shown.fit.starts)
         if fitted is not None and not ("denominator" in origin and _has_pole(fitted)):
             fits.append((fitted, origin))
-    return _weighed(fits)
+    return _weigh(fits)
 
 
-def _weighed(fits: Sequence[tuple[FittedEquations, str]]) -> tuple[WeightedSystem, ...]:
+def _weigh(fits: Sequence[tuple[FittedEquations, str]]) -> tuple[WeightedSystem, ...]:
     lengths = [_half_akaike(fitted) for fitted, _ in fits]
     least = min(lengths)
     kept: list[tuple[float, FittedEquations, str]] = []
@@ -97,18 +103,18 @@ def _weighed(fits: Sequence[tuple[FittedEquations, str]]) -> tuple[WeightedSyste
     return tuple(rivals)
 
 
-def weighed_pair(first: FittedEquations, second: FittedEquations) -> tuple[float, float]:
-    """Return the log odds for the first of two systems fitted to the same data, and the Δ description length.
+def weigh_pair(first: FittedEquations, second: FittedEquations) -> tuple[float, float]:
+    """Return the log odds for the first of two systems, and the Δ description length (second minus first), in nats.
 
-    Both in nats: the odds count the fit alone, the description length of the second less the first also the equations.
+    Both systems are fitted to the same data. The odds use only the fit; description lengths also count the equations.
     """
-    rivals = {id(rival.fitted): rival for rival in _weighed([(first, "shown"), (second, "given")])}
+    rivals = {id(rival.fitted): rival for rival in _weigh([(first, "shown"), (second, "given")])}
     one, other = rivals[id(first)], rivals[id(second)]
     return other.nats - one.nats, other.length - one.length
 
 
 def half_akaike(misfit: float, count: int, numbers: float) -> float:
-    """Return half of Akaike's criterion, corrected for few rows, for `count` numbers fitted to `numbers`, in nats."""
+    """Return half of Akaike's criterion in nats, corrected for few rows: `count` values fitted to `numbers` rows."""
     return misfit + count + count * (count + 1.0) / max(numbers - count - 1.0, 1.0)
 
 
@@ -120,7 +126,8 @@ def _half_akaike(fitted: FittedEquations) -> float:
 def _given(shown: EquationSet, texts: Mapping[str, str]) -> EquationSet:
     for name, text in texts.items():
         if name not in shown.variables:
-            raise UsageError(f"a rival names '{name}'; there are equations of {', '.join(shown.variables)}")
+            known = f"the model has equations of {', '.join(shown.variables)}"
+            raise UsageError(f"an alternative model has an equation of '{name}', but {known}")
         place = shown.variables.index(name)
         shown = replace(shown, fixed=shown.fixed - {place}).exchanged(place, from_infix(text, shown.names))
     return shown
@@ -150,9 +157,10 @@ def _systems(result: Result, measured: FitData, shown: EquationSet) -> Iterator[
 
 
 def without_poles(program: Program, equations: EquationSet, measured: FitData) -> Iterator[Program]:
-    """Yield the program with another denominator: for n/d n/(d + c) and n d/(d**2 + c), for n/(d + c) only the latter.
+    """Yield programs with another denominator that has no pole.
 
-    Where d is never near 0 in the data, these fit as well as n/d, and they have no pole.
+    For n/d these are n/(d + c) and n d/(d**2 + c); for n/(d + c) only n d/(d**2 + c). If d is never near 0 in the data,
+    they fit as well as n/d.
     """
     nodes = program.nodes()
     for index, (code, left, right, _) in enumerate(nodes):
@@ -168,20 +176,20 @@ def without_poles(program: Program, equations: EquationSet, measured: FitData) -
         size = float(values.mean()) if is_one_sided and np.isfinite(values).all() and np.ptp(values) > 0.0 else None
         if size is not None:
             if below == whole:
-                yield _rebuilt(program, index, below, _FIRST_SHARE * size, is_square=False)
-            yield _rebuilt(program, index, below, _FIRST_SHARE * size * abs(size), is_square=True)
+                yield _with_denominator(program, index, below, _FIRST_SHARE * size, is_square=False)
+            yield _with_denominator(program, index, below, _FIRST_SHARE * size * abs(size), is_square=True)
 
 
 def _without_constant(nodes: Sequence[Node], node: int) -> int:
-    """Return the other operand of a sum with a constant; the node itself otherwise."""
+    """Return the other operand if `node` is a sum with a constant, otherwise `node`."""
     code, left, right, _ = nodes[node]
     if code == ADD and nodes[left][0] == CONSTANT:
         return right
     return left if code == ADD and nodes[right][0] == CONSTANT else node
 
 
-def _rebuilt(program: Program, index: int, divisor: int, constant: float, *, is_square: bool) -> Program:
-    """Return the program with the sum of a part, or its square, and a constant as denominator at a node."""
+def _with_denominator(program: Program, index: int, divisor: int, constant: float, *, is_square: bool) -> Program:
+    """Return the program with a new denominator at node `index`: `divisor`, or its square, plus a constant."""
     nodes, builder = program.nodes(), ProgramBuilder()
     new: list[int] = []
     for place, (code, left, right, value) in enumerate(nodes):
@@ -200,7 +208,7 @@ def _rebuilt(program: Program, index: int, divisor: int, constant: float, *, is_
 
 
 def _has_pole(fitted: FittedEquations) -> bool:
-    """Tell whether the constant added to a denominator got the sign with which it vanishes somewhere."""
+    """Tell whether the fit gave a constant in a denominator the other sign, so that the denominator can be 0."""
     programs = fitted.fit.system.programs[-len(fitted.equations.programs) :]
     for before, after in zip(fitted.equations.explicit, programs, strict=True):
         nodes = after.nodes()

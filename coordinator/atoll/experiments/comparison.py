@@ -1,8 +1,8 @@
-"""Two models compared: which equations fit the same data better, and with what odds.
+"""Compare two models: which equations fit the same data better, and with what odds.
 
-Models of trajectories are fitted again, all constants free, to the same measurements, and weighted by Akaike's weights
-like the candidates of a suggestion. Equations y = f(X) are compared as they are, over the rows that a result lists.
-Letters: N rows.
+Models of trajectories are fitted again to the same measurements, with all constants free. Their odds are the ratio of
+their Akaike weights, as for the candidates of a suggestion. Equations y = f(X) are not fitted again; they are compared
+on the rows that a result lists. Letters: N rows.
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.experiments.alternatives import half_akaike, weighed_pair
+from atoll.experiments.alternatives import half_akaike, weigh_pair
 from atoll.experiments.fits import FittedEquations, equations_of, fit_equations, fit_shown, measured_of
 from atoll.experiments.suggestion import equations_text, which_of_two
 from atoll.model.core import ModelCore
@@ -29,14 +29,14 @@ from atoll_core.quoting import first_lines
 SCHEMA: Final = 1
 _NAMES: Final = ("A", "B")
 _LEVEL: Final = 0.95
-"""Probability with which all constants of two fits of one law agree: the level of intervals in results."""
+"""Probability that all constants of two fits of the same law agree: the level of the intervals in results."""
 
 
 @dataclass(frozen=True)
 class ComparedModel:
-    """One of two models on some data: its `equations` by left-hand side, and its number of `constants`.
+    """The fit of a model to some data: its `equations` by left-hand side, and its number of `constants`.
 
-    `residuals` are root mean squares over the standard deviation of each state.
+    `residuals` are root mean squared residuals by state, divided by the standard deviation of the state.
     """
 
     equations: Mapping[str, str]
@@ -46,10 +46,10 @@ class ComparedModel:
 
 @dataclass(frozen=True)
 class OnData:
-    """Both models on the same data, named by `source`.
+    """The fits of both models to the same data; `source` names the data.
 
-    `nats` is the logarithm of the odds for A, by the fit alone; `longer` is the description length of B minus the
-    description length of A in nats, equations included (None for equations without time).
+    `nats` is the logarithm of the odds for A, from the fits alone. `longer` is the description length of B minus the
+    description length of A in nats, which includes the lengths of the equations; it is None for equations without time.
     """
 
     source: str
@@ -59,12 +59,12 @@ class OnData:
 
     @property
     def sentence(self) -> str:
-        """Which of the two the data favour, and with what odds."""
+        """A sentence that says which model the data favour, and with what odds."""
         return which_of_two(*_NAMES, self.nats)
 
     @property
     def length_sentence(self) -> str:
-        """Whose description is shorter; "" where it is not known."""
+        """A sentence that says which description is shorter; "" if they are equal or not known."""
         if self.longer is None or abs(self.longer) < 0.05:
             return ""
         shorter = _NAMES[0] if self.longer > 0.0 else _NAMES[1]
@@ -75,8 +75,8 @@ class OnData:
 class Comparison:
     """Two models, called A and B: the forms of their equations, and their fits to the same data.
 
-    `names` are the names given by the user, `forms` compares each equation; `data` has an entry for the data of A and,
-    where these are different, of B.
+    `names` are the names that the user gave. `forms` compares the form of each equation. `data` has an entry for the
+    data of A and, if B has different data, one for the data of B.
     """
 
     names: tuple[str, str]
@@ -118,17 +118,17 @@ class Comparison:
 def compare(
     first: Result, second: Result, names: tuple[str, str] = ("the first", "the second"), table: Table | None = None
 ) -> Comparison:
-    """Return the comparison of two models.
+    """Compare two models.
 
     Args:
-        first: A; both are compared on its data.
-        second: B; if its data are different, both are compared on these as well.
+        first: model A; both models are compared on its data.
+        second: model B; if its data are different, both models are compared on its data too.
         names: the names of the models.
-        table: measurements in place of the measurements in the results.
+        table: measurements that replace the measurements in the results.
 
     Raises:
-        UsageError: they have different states or targets, or there are no measurements.
-        AtollError: one cannot be simulated along the data.
+        UsageError: the models have different states or targets, or there are no measurements.
+        AtollError: a model cannot be simulated along the data.
     """
     models = ModelCore(first), ModelCore(second)
     for model in models:
@@ -141,9 +141,9 @@ def compare(
     data = [on(first, second, "A", table)]
     digests = [None if result.data is None else result.data.digest for result in (first, second)]
     if table is None and digests[0] != digests[1]:
-        turned = on(second, first, "B", table)
-        turned_length = None if turned.longer is None else -turned.longer
-        data.append(OnData(turned.source, (turned.sides[1], turned.sides[0]), -turned.nats, turned_length))
+        swapped = on(second, first, "B", table)
+        swapped_length = None if swapped.longer is None else -swapped.longer
+        data.append(OnData(swapped.source, (swapped.sides[1], swapped.sides[0]), -swapped.nats, swapped_length))
     shown = tuple({equation.lhs: equation.expression for equation in model.equations} for model in models)
     return Comparison(names, (shown[0], shown[1]), _forms(*models), tuple(data))
 
@@ -170,12 +170,12 @@ def _forms(first: ModelCore, second: ModelCore) -> dict[str, str]:
 
 
 def _difference(first: Sequence[Parameter], second: Sequence[Parameter]) -> str:
-    """Return the largest difference of the constants of two equations of one form, in standard errors."""
+    """Return the largest difference between the constants of two equations with the same form, in standard errors."""
     largest, name = 0.0, ""
     for one, other in zip(first, second, strict=True):
         error = math.hypot(one.stderr or 0.0, other.stderr or 0.0)
         if one.value != other.value and not error > 0.0:
-            return f"other constants, whose errors are not known ({one.name}: {one.value:.6g} and {other.value:.6g})"
+            return f"different constants with unknown errors ({one.name}: {one.value:.6g} and {other.value:.6g})"
         errors = abs(one.value - other.value) / error if error > 0.0 else 0.0
         if errors >= largest:
             largest, name = errors, one.name
@@ -184,7 +184,7 @@ def _difference(first: Sequence[Parameter], second: Sequence[Parameter]) -> str:
 
 
 def most_errors(count: int) -> float:
-    """Return the standard errors that the largest of several normal differences stays within at `_LEVEL` (Šidák)."""
+    """Return the bound, in standard errors, on the largest of `count` normal differences at `_LEVEL` (Šidák)."""
     from scipy.special import ndtri
 
     return float(ndtri(0.5 + 0.5 * _LEVEL ** (1.0 / max(count, 1))))
@@ -202,22 +202,22 @@ def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -
     fitted = fit_equations(shown.measured, equations, shown.fit.starts)
     if fitted is None:
         raise UsageError(
-            "one of the models cannot be simulated along the data of the other; compare them on other data"
+            "one model cannot be simulated along the data of the other model; compare them on different data"
         )
-    nats, longer = weighed_pair(shown, fitted)
+    nats, longer = weigh_pair(shown, fitted)
     source = shown.measured.source.replace("the result", letter)
     return OnData(source, (_side(holder, shown), _side(holder, fitted)), nats, longer)
 
 
 def _require_columns(holder: Result, other: Result) -> None:
-    """Raise UsageError where the data of one result lack variables in the equations of the other."""
+    """Raise UsageError if the data of `holder` lack variables in the equations of the other result."""
     for equation in other.equations:
         program = from_infix(equation.expression or "", other.names)
         used = {other.names[place] for place in variables_of(program)}
         lacking = sorted(used - set(holder.names))
         if lacking:
             raise UsageError(
-                f"the equation of {equation.lhs} has {', '.join(lacking)}, which the data of the other model lack; "
+                f"the equation of {equation.lhs} has {', '.join(lacking)}, but the data of the other model do not; "
                 "compare models of the same columns"
             )
 
@@ -234,9 +234,9 @@ def _regressions(holder: Result, other: Result, letter: str, table: Table | None
     """Compare two equations y = f(X) over the rows listed in a result, without fitting constants again."""
     rows = holder.regression
     if table is not None:
-        raise UsageError("equations without time are compared on the rows of their results; leave the data out")
+        raise UsageError("equations without time are compared on the rows of their results; do not give data")
     if rows is None or not rows.measured:
-        raise UsageError(f"{letter} has no measured rows; compare results that have them")
+        raise UsageError(f"{letter} has no measured rows; compare results with measured rows")
     _require_columns(holder, other)
     target = np.array(rows.measured, dtype=np.float64)
     count = float(rows.rows or len(target))

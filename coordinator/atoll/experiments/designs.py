@@ -1,24 +1,26 @@
-"""Possible experiments, the predictions of each candidate for them, and the expected gain of their outcome.
+"""Possible experiments, the predictions of each candidate for them, and the expected gain from their outcomes.
 
-An experiment is one trajectory from an initial state, measured at given times with errors like those of the data. The
-prediction of a candidate is Gaussian to first order: its simulation, with the errors of its constants. Initial states
-are fitted, so a difference has no value if a shift of them within their bounds explains it.
+An experiment is one trajectory from an initial state, measured at given times with the measurement errors of the data.
+The prediction of a candidate is its simulation. To first order it has a Gaussian distribution, which comes from the
+errors of the constants. The initial state is fitted too. Therefore a difference between two predictions has no value if
+a shift of the initial state within its bounds explains it.
 
-With the differences d of two candidates i and j in standard errors of the measurements, and the covariances S of both
-predictions, the discrepancy is d' (S_i + S_j)^-1 d (Buzzi-Ferraris & Forzatti 1983, Chem. Eng. Sci. 38:225); a quarter
-of it is the Bhattacharyya distance B_ij. The expected information about the right candidate is at least
--sum_i w_i ln sum_j w_j exp(-B_ij) (Kolchinsky & Tracey 2017, Entropy 19:361), in nats, and at most the entropy of the
-weights w. The expected evidence for the right candidate, sum_i w_i sum_j w_j/(1 - w_i) 4 B_ij nats, agrees with Box and
-Hill (1967) where spreads are equal; the formula of Hunter & Reiner (1965) has no errors of constants. Experiments are
-ranked by this evidence, limited for each pair of candidates to the amount that decides.
+Let d be the difference between the predictions of two candidates i and j, in standard errors of the measurements, and S
+their covariances. The discrepancy is d' (S_i + S_j)^-1 d (Buzzi-Ferraris & Forzatti 1983, Chem. Eng. Sci. 38:225). A
+quarter of it is the Bhattacharyya distance B_ij. The expected information about the right candidate, in nats, is at
+least -sum_i w_i ln sum_j w_j exp(-B_ij) (Kolchinsky & Tracey 2017, Entropy 19:361), and at most the entropy of the
+weights w. The expected evidence for the right candidate is sum_i w_i sum_j w_j/(1 - w_i) 4 B_ij nats. For equal
+covariances this is the formula of Box and Hill (1967); the formula of Hunter & Reiner (1965) ignores the errors of the
+constants. Experiments are ranked by this evidence, limited for each pair of candidates to the amount that decides.
 
-The best experiments are examined without the first-order approximation: the prediction of candidate i is added to the
-data, and candidate j is fitted to all of it. The increase in deviance of j then replaces the discrepancy, with 8 B_ij
-in place of 4 B_ij.
+The best experiments are examined without the first-order approximation. The prediction of candidate i is added to the
+data, and candidate j is fitted to all data. The increase in deviance of j is 8 B_ij.
 
 The expected information about the constants of one candidate is 1/2 ln det(1 + C F), with their covariance C and the
-Fisher information F of the experiment (Lindley 1956; D-optimality). Letters: D states, U inputs, P constants, O
-measured states, n rows.
+Fisher information F of the experiment (Lindley 1956; D-optimality).
+
+Doubtful: far from the data, first-order errors are unreliable, and so are the candidates. Letters: D states, U inputs,
+P constants, O measured states, n rows.
 """
 
 import math
@@ -41,15 +43,15 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
 Cost = Literal["trajectory", "duration", "samples"]
-"""The cost of an experiment: the same for all, its duration, or its samples."""
+"""The cost of an experiment: 1, its duration, or its number of samples."""
 COSTS: Final[tuple[str, ...]] = get_args(Cost)
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """An experiment: `initial` (D,) and constant `inputs` (U,), measured at `times` (n,), the first one at `initial`.
+    """An experiment: constant `inputs` (U,), measured at `times` (n,); `initial` (D,) is the state at the first time.
 
-    `clock` are the inputs (by index) that are the time itself.
+    `clock` are the indices of inputs that are the time itself.
     """
 
     initial: FloatArray
@@ -58,7 +60,7 @@ class Design:
     clock: tuple[int, ...] = ()
 
     def courses(self) -> tuple[FloatArray, FloatArray]:
-        """Return the inputs at the times (U, n), and their slopes."""
+        """Return the inputs at all times (U, n), and their slopes (U, n)."""
         inputs = np.repeat(self.inputs[:, None], len(self.times), axis=1)
         slopes = np.zeros_like(inputs)
         for index in self.clock:
@@ -70,9 +72,9 @@ class Design:
 class DesignPrediction:
     """The prediction of a candidate for an experiment, in standard errors of the measurements.
 
-    `values` (n, O) are the measured states; `spread` (n, O, P + D) are their derivatives by the constants times the
-    root of the constants' covariance, then by the initial state times the widths of its bounds. The simulation has
-    `reached` rows before it diverges.
+    `values` (n, O) are the predicted states. `spread` (n, O, P + D) are their derivatives: first with respect to the
+    constants, times a root of the covariance of the constants, then with respect to the initial state, times the widths
+    of its bounds. `reached` is the number of rows before the simulation diverges.
     """
 
     values: FloatArray
@@ -84,8 +86,8 @@ class DesignPrediction:
 class DesignPredictor:
     """Simulates a candidate for experiments.
 
-    `widths` (D,) are the widths of the bounds of initial states; beyond `limits` (D, 2) a state counts as diverged;
-    `sigmas` (O,) are the errors of a measurement.
+    `widths` (D,) are the widths of the bounds of initial states. A state outside of `limits` (D, 2) counts as diverged.
+    `sigmas` (O,) are the standard errors of a measurement.
     """
 
     fitted: FittedEquations
@@ -95,7 +97,7 @@ class DesignPredictor:
 
     @cached_property
     def root(self) -> FloatArray:
-        """A root (P, P) of the covariance of the constants, with a prior standard error of 100 %."""
+        """A square root (P, P) of the covariance of the constants, which have a prior standard error of 100 %."""
         sizes = np.abs(self.fitted.values)
         sizes = np.maximum(sizes, 1e-12 * max(float(sizes.max(initial=0.0)), 1e-280))
         unit = np.nan_to_num(self.fitted.fit.reduced) * np.outer(sizes, sizes) + np.eye(len(sizes))
@@ -121,16 +123,16 @@ class DesignPredictor:
 
 
 def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
-    """Return eigenvalues, at least `least`, and eigenvectors of a symmetric matrix.
+    """Return eigenvalues (n,), at least `least`, and eigenvectors (n, n) of a symmetric matrix (n, n).
 
-    Information about constants can span more orders of magnitude than an inverse allows.
+    An inverse would not do: information about constants can span too many orders of magnitude.
     """
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return np.maximum(values, least), np.asarray(vectors)
 
 
 def discrepancy(first: DesignPrediction, second: DesignPrediction) -> float:
-    """Return d' (S_i + S_j)^-1 d of two candidates, over the rows that both reach."""
+    """Return d' (S_i + S_j)^-1 d of two candidates, over the rows that both simulations reach."""
     rows = min(first.reached, second.reached)
     difference = (first.values[:rows] - second.values[:rows]).ravel()
     spread = np.concatenate([first.spread[:rows], second.spread[:rows]], axis=2).reshape(len(difference), -1)
@@ -146,8 +148,8 @@ def discrepancy(first: DesignPrediction, second: DesignPrediction) -> float:
 class Gain:
     """The expected gain of an experiment, in nats.
 
-    `information` is about the right candidate, or about the constants of one; `evidence` is the Δ log-likelihood for
-    the right candidate, at most four times `FARTHEST`. `worth` ranks experiments.
+    `information` is the information about the right candidate, or about the constants of one candidate. `evidence` is
+    the Δ log-likelihood for the right candidate, at most four times `FARTHEST`. `worth` ranks experiments.
     """
 
     information: float
@@ -157,24 +159,24 @@ class Gain:
 
 NONE: Final = Gain(0.0, 0.0, 0.0)
 FARTHEST: Final = 500.0
-"""Largest Bhattacharyya distance, also of a candidate that cannot be simulated along an experiment: exp(-500) is
-negligible, and larger ones mean a model far outside of its data."""
+"""Largest Bhattacharyya distance. A candidate that cannot be simulated along an experiment has this distance. exp(-500)
+is negligible, and larger distances occur only far outside of the data."""
 
 
 def needed(lengths: Sequence[float]) -> FloatArray:
-    """Return the useful nats of evidence for candidate i against j, by the description lengths so far.
+    """Return the useful evidence (C, C), in nats, for candidate i against j, from the C description lengths so far.
 
-    They make the description of i distinctly shorter, plus two standard deviations: evidence with the mean k has the
-    variance 2 k. More evidence is worth nothing.
+    This evidence makes the description of i distinctly shorter than the description of j. Two standard deviations are
+    added, because evidence with the mean k has the variance 2 k. More evidence has no further worth.
     """
     behind = np.maximum(np.subtract.outer(lengths, lengths), 0.0) + SETTINGS.inference.distinct_nats
     return np.asarray(behind + 2.0 * np.sqrt(2.0 * behind))
 
 
 def expected_gain(distances: FloatArray, weights: Sequence[float], useful: FloatArray) -> Gain:
-    """Return the expected gain of an experiment from the Bhattacharyya distances of all pairs of candidates.
+    """Return the expected gain of an experiment from the Bhattacharyya distances (C, C) between C candidates.
 
-    Its worth is the evidence, for each pair as much as is `useful`.
+    The worth is the evidence, limited for each pair of candidates to the `useful` (C, C) amount.
     """
     shares = np.asarray(weights)
     kept = np.flatnonzero(shares > 0.0)  # candidates that the data have excluded contribute 0 ln 0 = 0
@@ -188,9 +190,9 @@ def expected_gain(distances: FloatArray, weights: Sequence[float], useful: Float
 
 
 def distances_of(predictions: Sequence[DesignPrediction], weights: Sequence[float]) -> FloatArray:
-    """Return the Bhattacharyya distances of all pairs of candidates for an experiment, to first order.
+    """Return the first-order Bhattacharyya distances (C, C) between the predictions of C candidates.
 
-    They are 0 where the candidate of largest weight cannot be simulated along the experiment.
+    All are 0 if the candidate with the largest weight cannot be simulated along the experiment.
     """
     count = len(predictions)
     distances = np.zeros((count, count))
@@ -203,11 +205,11 @@ def distances_of(predictions: Sequence[DesignPrediction], weights: Sequence[floa
 
 
 def certainties(distances: FloatArray, weights: Sequence[float]) -> tuple[float, ...]:
-    """Return lower bounds of the probability that an experiment tells the first candidate from each other correctly.
+    """Return lower bounds of the probability that an experiment distinguishes candidate 1 correctly from each other.
 
-    This holds if one of the two is right. The choice of the more likely one is wrong with a probability of at most
-    sqrt(v_i v_j) exp(-B_ij) (Bhattacharyya 1943), where v are the weights of the two alone; without an experiment it is
-    the smaller of these.
+    The bounds assume that one of the two candidates is right. The probability that the more likely candidate is wrong
+    is at most sqrt(v_i v_j) exp(-B_ij) (Bhattacharyya 1943); v are the weights of the two candidates, with the sum 1.
+    Without an experiment, this probability is the smaller weight.
     """
     sure = []
     for other in range(1, len(weights)):
@@ -222,9 +224,10 @@ def certainties(distances: FloatArray, weights: Sequence[float]) -> tuple[float,
 def distance_after(
     ahead: FittedEquations, fitted: FittedEquations, design: Design, prediction: DesignPrediction, sigmas: FloatArray
 ) -> float:
-    """Return the Bhattacharyya distance of two candidates for an experiment, one of them `fitted` to its outcome.
+    """Return the Bhattacharyya distance of two candidates after an experiment with the outcome `prediction`.
 
-    The candidate `ahead` is right and has predicted the outcome `prediction`; `sigmas` (O,) are the measurement errors.
+    The candidate `ahead` is assumed to be right and has predicted the outcome. The candidate `fitted` is fitted to the
+    data and this outcome. `sigmas` (O,) are the measurement errors.
     """
     measurements = ahead.measured.measurements
     longer = with_trajectory(measurements, design, prediction.values.T * sigmas[:, None])
@@ -245,7 +248,7 @@ def distance_after(
 
 
 def with_trajectory(measurements: Measurements, design: Design, values: FloatArray) -> Measurements:
-    """Return measurements with one more trajectory, with measured `values` (O, n)."""
+    """Return the measurements with one more trajectory, whose measured values are `values` (O, n)."""
     rows, count = len(design.times), measurements.rows
     states = np.repeat(design.initial[:, None], rows, axis=1)
     states[measurements.observed] = values
@@ -273,9 +276,9 @@ def with_trajectory(measurements: Measurements, design: Design, values: FloatArr
 
 
 def precision(prediction: DesignPrediction, constants: int) -> tuple[Gain, FloatArray]:
-    """Return the expected gain for the constants, and the share (P, P) of their errors that remains.
+    """Return the expected gain for the constants, and the share (P, P) of their covariance that remains.
 
-    With the root L of the covariance before, the covariance after is L (shares) L'.
+    If L is a root of the covariance before the experiment, the covariance after it is L (shares) L'.
     """
     if prediction.reached < len(prediction.values):
         return NONE, np.eye(constants)
@@ -284,33 +287,33 @@ def precision(prediction: DesignPrediction, constants: int) -> tuple[Gain, Float
     known, directions = _axes(free.T @ free, 0.0)
     along = directions.T @ (free.T @ of)
     information = of.T @ of - along.T @ (along / (1.0 + known)[:, None])
-    told_of, directions = _axes(np.eye(constants) + information, 1.0)
-    gain = 0.5 * float(np.log(told_of).sum())
-    return Gain(gain, 0.0, gain), directions / told_of @ directions.T
+    factors, directions = _axes(np.eye(constants) + information, 1.0)
+    gain = 0.5 * float(np.log(factors).sum())
+    return Gain(gain, 0.0, gain), directions / factors @ directions.T
 
 
 MOST_SAMPLES: Final = 2_000
 MOST_SUGGESTIONS: Final = 20
 _POINTS: Final = 192
-"""Points all over the bounds, for experiments of all lengths together."""
+"""Number of points all over the bounds, for experiments of all lengths together."""
 _FEWEST_POINTS: Final = 32
 _MOST_CORNERS: Final = 32
 _CORNER: Final = 0.02
-"""Distance of points from the corners, over the widths: at the very corner a rate may be undefined."""
+"""Distance of points from the corners, in widths of the bounds: exactly at a corner, a rate may be undefined."""
 _SHORTER: Final = (1.0, 0.5, 0.25, 0.125)
-"""Shares of the duration, or of the samples, that are tried where these have a cost."""
+"""Tried shares of the largest duration or number of samples, if the duration or the samples have a cost."""
 _FEWEST_SAMPLES: Final = 8
 _APART: Final = 0.25
-"""Share of the widths by which suggestions differ in at least one number."""
+"""Smallest difference between two suggestions, in widths of the bounds, in at least one number."""
 
 
 @dataclass(frozen=True)
 class DesignRequest:
     """A request for suggestions.
 
-    `bounds` of initial states and inputs by name (by default the ranges of the data); `duration` and `samples` of an
-    experiment (None: as the median measured trajectory); its `cost`; the `count` of suggestions; `rivals`: alternative
-    models, as right-hand sides by state.
+    `bounds` are the bounds of initial states and inputs by name; the default is the range of the data. `duration` and
+    `samples` describe an experiment; None stands for the median of the measured trajectories. `cost` is the kind of its
+    cost, and `count` the number of suggestions. `rivals` are alternative models: right-hand sides by state.
     """
 
     bounds: Mapping[str, tuple[float, float]]
@@ -322,23 +325,24 @@ class DesignRequest:
     rivals: Sequence[Mapping[str, str]] = ()
 
     def check(self) -> None:
-        """Raise UsageError where a number is out of range."""
+        """Raise UsageError if a number is out of range."""
         if self.cost not in COSTS:
-            raise UsageError(f"the cost is {', '.join(COSTS[:-1])} or {COSTS[-1]}, but {self.cost!r} was given")
+            raise UsageError(f"the cost must be {', '.join(COSTS[:-1])} or {COSTS[-1]}, but {self.cost!r} was given")
         if self.duration is not None and not (math.isfinite(self.duration) and self.duration > 0.0):
             raise UsageError(f"the duration of an experiment must be above 0, but {self.duration!r} was given")
         if self.samples is not None and not 2 <= self.samples <= MOST_SAMPLES:
-            raise UsageError(f"an experiment has 2 to {MOST_SAMPLES} samples, but {self.samples!r} were given")
+            raise UsageError(f"an experiment must have 2 to {MOST_SAMPLES} samples, but {self.samples!r} were given")
         if not 1 <= self.count <= MOST_SUGGESTIONS:
-            raise UsageError(f"1 to {MOST_SUGGESTIONS} experiments are suggested, but {self.count!r} were asked for")
+            raise UsageError(f"the count of suggestions must be 1 to {MOST_SUGGESTIONS}, but {self.count!r} was given")
 
 
 @dataclass(frozen=True, eq=False)
 class DesignSpace:
-    """The possible experiments: initial states of `states` and constant `inputs`, both within `box`.
+    """The possible experiments: initial values of `states` and constant `inputs`, both within `box`.
 
-    `clock` are the inputs (by index) that are the time itself; `begin` is the first time; `duration` and `samples`
-    belong to the longest experiment. `measured` is the box of the smoothed data.
+    `clock` are the indices of inputs that are the time itself. `begin` is the first time. `duration` and `samples`
+    belong to the longest experiment. `measured` is the box of the smoothed data. A point of the space is an array (n,)
+    of initial values, then of the inputs that can be chosen.
     """
 
     states: tuple[str, ...]
@@ -353,7 +357,7 @@ class DesignSpace:
 
     @property
     def free(self) -> tuple[int, ...]:
-        """The inputs (by index) that can be chosen."""
+        """The indices of the inputs that can be chosen."""
         return tuple(index for index in range(len(self.inputs)) if index not in self.clock)
 
     @property
@@ -367,7 +371,7 @@ class DesignSpace:
         return np.asarray(self.box.widths[: len(self.states)])
 
     def limits(self, measured: FloatArray) -> FloatArray:
-        """Return the range (D, 2) outside of which a state has diverged, by measured states (D, N) and bounds."""
+        """Return the range (D, 2) outside of which a state has diverged, from measured states (D, N) and the bounds."""
         low = np.minimum(self.box.lower[: len(self.states)], measured.min(axis=1))
         high = np.maximum(self.box.upper[: len(self.states)], measured.max(axis=1))
         reach = SETTINGS.shooting.blow_up_widths * np.maximum(high - low, 1e-300)
@@ -379,7 +383,7 @@ class DesignSpace:
         return (1.0,) if self.cost == "trajectory" else _SHORTER
 
     def points(self, seed: int) -> FloatArray:
-        """Return points (n, D + inputs) all over the bounds, and near their corners where these are few."""
+        """Return points (m, n) all over the bounds and, if there are few corners, near the corners."""
         size, inner = len(self.box.lower), self.box.points(max(_POINTS // len(self.shares), _FEWEST_POINTS), seed)
         if 2**size > _MOST_CORNERS:
             return inner
@@ -411,7 +415,7 @@ class DesignSpace:
         return {"trajectory": 1.0, "duration": lasts, "samples": samples}[self.cost]
 
     def around(self, point: FloatArray, step: float) -> Iterator[FloatArray]:
-        """Yield the points that differ in one number by a step over the widths, within the bounds."""
+        """Yield the points within the bounds that differ in one number by `step` widths."""
         for index, width in enumerate(self.box.widths.tolist()):
             for moved_by in (-step * width, step * width):
                 moved = point.copy()
@@ -419,13 +423,13 @@ class DesignSpace:
                 yield moved
 
     def are_apart(self, first: Design, second: Design) -> bool:
-        """Tell whether two experiments differ in a number by a quarter of its bounds."""
+        """Tell whether two experiments differ in at least one number by a quarter of the width of its bounds."""
         apart = np.abs(self.point(first) - self.point(second)) / np.maximum(self.box.widths, 1e-300)
         return bool(apart.max() >= _APART)
 
 
 def space_of(result: Result, measured: FitData, request: DesignRequest) -> DesignSpace:
-    """Return the experiments that a request allows; raises UsageError where its bounds do not fit the result."""
+    """Return the experiments that a request allows; raises UsageError if its bounds are invalid for the result."""
     measurements, symbols = measured.measurements, result.symbols
     count = len(measurements.scales)
     states, inputs = measurements.variables[:count], measurements.variables[count:]
@@ -436,7 +440,7 @@ def space_of(result: Result, measured: FitData, request: DesignRequest) -> Desig
     given = {symbols.get(name, name): ends for name, ends in request.bounds.items()}
     for name, (low, high) in given.items():
         if name not in names:
-            raise UsageError(f"there is no '{name}' to bound; an experiment has {', '.join(names)}")
+            raise UsageError(f"the bounds have '{name}', but an experiment has {', '.join(names)}")
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise UsageError(f"the bounds {low:g}:{high:g} of '{name}' are not an interval; give LOWER:UPPER")
     values = np.concatenate([measurements.smoothed, measurements.inputs[free]])

@@ -1,4 +1,12 @@
-"""The trajectories of a result, or of data files, and its equations fitted to them again with all constants free.
+"""Fit the equations of a result again, with all constants free, to its trajectories or to data files.
+
+A result lists at most some of its measured rows, so fits use the listed rows and count all rows. The measurement errors
+are estimated from the residuals of the first fit and are constant in all later fits; deviances of later fits are
+therefore comparable. Equations are fitted to whole trajectories; if the residuals exceed the noise, they are fitted to
+shorter pieces. A coefficient of 1 that the text does not show is a free constant too.
+
+Doubtful: pieces hide errors that grow over long times. Correlated errors enter only as a smaller number of independent
+rows.
 
 Letters: O measured states, P fitted constants, G segments, D states.
 """
@@ -11,7 +19,7 @@ from typing import Final, get_args
 
 import numpy as np
 
-from atoll.model.equations import differing_groups, matched, program_of
+from atoll.model.equations import differing_groups, match_constants, program_of
 from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.error_model import ErrorModel
@@ -40,10 +48,10 @@ _OTHER_KINDS: Final = {"regression": "a regression without time", "process": "a 
 
 @dataclass(frozen=True, eq=False)
 class FitData:
-    """Measured trajectories: `measurements` for fits of the equations of a result, which are for the `modelled` states.
+    """Measured trajectories for fits of a result: `measurements` of the states with an equation (`modelled`, indices).
 
-    `rows` counts all measured rows, of which `measurements` has some, spread evenly; `independent` (O,) is the
-    effective number of rows of each state, as errors may be correlated; `source` names the data in words.
+    `rows` counts all measured rows; `measurements` may have only some of them, spread evenly. `independent` (O,) is the
+    effective number of rows of each state, because errors may be correlated. `source` names the data in words.
     """
 
     recording: Recording
@@ -55,33 +63,33 @@ class FitData:
 
     @property
     def share(self) -> FloatArray:
-        """Independent rows (O,) over the rows in a fit."""
+        """The number of independent rows divided by the number of rows in a fit, (O,)."""
         return np.asarray(self.independent / np.maximum(self.measurements.weights.sum(axis=1), 1.0))
 
     @property
     def longest(self) -> int:
-        """The most rows that are simulated from one initial state."""
+        """The largest number of rows that are simulated from one initial state."""
         return int(np.diff(self.measurements.bounds, axis=1).max())
 
     def shortened(self, piece: int) -> "FitData":
-        """Return the same trajectories with a limit on the rows simulated from one initial state."""
+        """Return the same trajectories, with at most `piece` rows simulated from one initial state."""
         return replace(self, measurements=measurements_of(self.recording, self.modelled, piece=piece))
 
 
 def measured_of(result: Result, table: Table | None = None) -> FitData:
-    """Return the measurements of the model of a result, or of a table, read as in the job.
+    """Return the measurements of a result, or those in a table, which is read with the settings of the job.
 
     Raises:
-        UsageError: the states of the result were not measured in time, or it has no measurements.
-        DataError: the data cannot be used as they are.
+        UsageError: the states were not measured over time, or the result has no measurements.
+        DataError: the data have an error.
     """
     kind = result.columns.kind
     if kind != "dynamics":
-        what = _OTHER_KINDS.get(str(kind), "an unknown kind")
-        raise UsageError(f"the result is of {what}; only models of measured trajectories can be profiled")
-    recording = _stored(result) if table is None else _prepared(result, table)
+        name = _OTHER_KINDS.get(str(kind), "a model of an unknown kind")
+        raise UsageError(f"the result is {name}; only models of measured trajectories can be fitted again")
+    recording = _listed_recording(result) if table is None else _prepare_recording(result, table)
     rows = kept = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
-    source = "the data that were given"
+    source = "the given data"
     if table is None:
         searched = [part for part in result.recorded if not part.held_out]
         rows = sum(part.rows or len(part.times) for part in searched)
@@ -90,7 +98,7 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
     groups = {trajectory.group for trajectory in recording.trajectories}
     if differing_groups(result) and (table is None or len(groups) > 1):
         raise UsageError(
-            "constants of the model differ between groups of trajectories, which cannot be fitted together",
+            "the constants of the model differ between groups of trajectories, so they cannot be fitted together",
             python="give the data of one group as data",
             command="give the data of one group with --data",
         )
@@ -102,7 +110,7 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
     piece = max(_FEWEST_ROWS, int(min(pieces) * share)) if pieces else SETTINGS.shooting.piece
     measurements = measurements_of(recording, modelled, piece=piece)
     independent = measurements.weights.sum(axis=1)
-    if table is None:  # measured rows that are not stored count as well
+    if table is None:  # measured rows that the result does not list count as well
         independent = independent / max(share, 1e-300)
     fitted = sum(part.rows or 0 for part in result.recorded if not part.held_out)
     ratios = [min(1.0, (known.independent_rows or fitted) / fitted) if fitted else 1.0 for known in errors]
@@ -110,7 +118,7 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
     return FitData(recording, measurements, modelled, rows, independent, source)
 
 
-def _stored(result: Result) -> Recording:
+def _listed_recording(result: Result) -> Recording:
     if not result.recorded:
         raise UsageError(
             "the result has no measurements", python="give them as data", command="give the data file with --data"
@@ -141,9 +149,9 @@ def _trajectory(
     recorded: Recorded, smoothed: Smoothed | None, states: Sequence[str], inputs: Sequence[str]
 ) -> Trajectory:
     times = np.array(recorded.times, dtype=np.float64)
-    measured = _stacked([recorded.measured[name] for name in states], len(times))
+    measured = _stack([recorded.measured[name] for name in states], len(times))
     curves = [_curve(times, row, name, smoothed) for name, row in zip(states, measured, strict=True)]
-    positions = _stacked(curves, len(times))
+    positions = _stack(curves, len(times))
     robust, weights = recorded.robustness_weights, recorded.weights
     return Trajectory(
         recorded.name,
@@ -151,16 +159,16 @@ def _trajectory(
         measured,
         positions,
         np.gradient(positions, times, axis=1) if len(times) > 1 else np.zeros_like(positions),
-        _stacked([recorded.inputs[name] for name in inputs], len(times)),
-        _stacked([(recorded.input_slopes or {})[name] for name in inputs], len(times)),
+        _stack([recorded.inputs[name] for name in inputs], len(times)),
+        _stack([(recorded.input_slopes or {})[name] for name in inputs], len(times)),
         recorded.held_out,
-        None if robust is None else _stacked([robust[name] for name in states], len(times)),
+        None if robust is None else _stack([robust[name] for name in states], len(times)),
         None if weights is None else np.array(weights, dtype=np.float64),
     )
 
 
 def _curve(times: FloatArray, measured: FloatArray, name: str, smoothed: Smoothed | None) -> FloatArray:
-    """Return the smoothed state at these times; the measured values if the state was interpolated."""
+    """Return the smoothed state at `times` (n,); without smoothing, the interpolated measured values."""
     if smoothed is not None and name in smoothed.smoothed:
         known, values = np.array(smoothed.times), np.array(smoothed.smoothed[name], dtype=np.float64)
     else:
@@ -169,12 +177,12 @@ def _curve(times: FloatArray, measured: FloatArray, name: str, smoothed: Smoothe
     return np.interp(times, known[is_known], values[is_known]) if is_known.any() else np.zeros(len(times))
 
 
-def _stacked(rows: Sequence[FloatArray | Curve], count: int) -> FloatArray:
+def _stack(rows: Sequence[FloatArray | Curve], count: int) -> FloatArray:
     return np.ascontiguousarray(np.array(rows, dtype=np.float64).reshape(len(rows), count))
 
 
 def starts_of(result: Result, measured: FitData) -> FloatArray | None:
-    """Return the initial states (G, D) fitted in a result; None where segments are not its whole trajectories."""
+    """Return the initial states (G, D) that the result has; None if segments are not whole trajectories."""
     known = {part.name: part.start for part in result.simulated}
     measurements, columns = measured.measurements, result.columns_by_symbol
     rows = [known.get(measurements.names[owner]) for owner in measurements.owners.tolist()]
@@ -191,8 +199,11 @@ def config_of(result: Result) -> JobConfig:
     return JobConfig.model_validate({"preset": result.preset or "default", **result.config})
 
 
-def _prepared(result: Result, table: Table) -> Recording:
-    """Return the recording of another table, read and smoothed as in the job; of one group if the result is."""
+def _prepare_recording(result: Result, table: Table) -> Recording:
+    """Return the recording of a table, read and smoothed with the settings of the job.
+
+    If the result belongs to one group, the recording has only the trajectories of this group.
+    """
     from atoll_coordinator.data.prepare import prepare
 
     config, group = config_of(result), result.group
@@ -208,14 +219,16 @@ def _prepared(result: Result, table: Table) -> Recording:
 
 
 def _rows_of_group(table: Table, column: str, group: str, trajectory: str | None) -> Table:
-    """Return the rows of one group, without the `column` of groups unless it also separates trajectories."""
+    """Return the rows of one group, without the `column` of groups, unless the column also separates trajectories."""
     if column not in table.names:
-        raise UsageError(f"the data have no column {column!r}, which marks the rows of group {group!r}; add it")
+        raise UsageError(
+            f"the data have no column {column!r}, which marks the rows of group {group!r}; add this column"
+        )
     values = table.column(column)
     names = {value: table.label(column, value) or format_number(value) for value in dict.fromkeys(values.tolist())}
     rows = np.flatnonzero([names[value] == group for value in values.tolist()])
     if not len(rows):
-        raise _lacking(group, list(names.values()))
+        raise _missing_group(group, list(names.values()))
     begins = np.diff(rows, prepend=-2) > 1
     begins |= np.isin(rows, table.starts)
     kept = [place for place, name in enumerate(table.names) if name != column or name == trajectory]
@@ -236,27 +249,28 @@ def _trajectory_of_group(recording: Recording, group: str) -> Recording:
     if len(names) == 1:
         return recording
     if group not in names:
-        raise _lacking(group, names)
+        raise _missing_group(group, names)
     return replace(recording, trajectories=(recording.trajectories[names.index(group)],))
 
 
-def _lacking(group: str, names: Sequence[str]) -> UsageError:
-    return UsageError(f"the data have no rows of group {group!r}, only of {', '.join(names)}; give data of that group")
+def _missing_group(group: str, names: Sequence[str]) -> UsageError:
+    found = f"the data have no rows of group {group!r}, only of {', '.join(names)}"
+    return UsageError(f"{found}; give the data of group {group!r}")
 
 
 _FINEST: Final = 1e-9
 _COARSEST: Final = 1e-5
 _TOLERANCE_OF_NOISE: Final = 1e-3
-"""Integration errors of a step over measurement errors: too small to change a deviance."""
+"""Ratio of the integration error of a step to the measurement error: too small to change a deviance."""
 
 
 @dataclass(frozen=True)
 class FreeConstant:
     """A constant that is fitted.
 
-    `name` is its name in `atoll.Model.params` (c1, c2, …), or `1 of` its term for an unwritten factor of 1; `variable`
-    is the state of its equation, `sign` is -1 where the text has a minus before it, and `is_written`: it is in the
-    text.
+    `name` is its name in `atoll.Model.params` (c1, c2, …). The name of an unwritten coefficient is `1 of` and its term.
+    `variable` is the state of its equation. `sign` is -1 if the text has a minus before it. `is_written`: the text
+    shows it.
     """
 
     name: str
@@ -269,8 +283,9 @@ class FreeConstant:
 class EquationSet:
     """Right-hand sides of the states with an equation: `programs` over `names`, the symbols of the result.
 
-    `explicit` are the same with unwritten factors of 1 as constants, unless `are_as_written`; the constants of `fixed`
-    equations (by index) are given, `bounds` are the user's bounds on all constants of an equation (by index).
+    `explicit` are the same programs with unwritten coefficients of 1 as constants, unless `are_as_written`. The
+    constants of `fixed` equations (by index) are not fitted. `bounds` has, by index of an equation, the user's bounds
+    (lower, upper) on all its constants.
     """
 
     names: tuple[str, ...]
@@ -282,7 +297,7 @@ class EquationSet:
 
     @cached_property
     def explicit(self) -> tuple[ExplicitCoefficients, ...]:
-        """The programs with unwritten factors of 1 as constants, except given and bounded ones."""
+        """The programs with unwritten coefficients of 1 as constants; fixed and bounded programs are unchanged."""
         kept = range(len(self.programs)) if self.are_as_written else {*self.fixed, *self.bounds}
         return tuple(
             as_written(program) if place in kept else make_coefficients_explicit(program)
@@ -290,13 +305,13 @@ class EquationSet:
         )
 
     def exchanged(self, place: int, program: Program) -> "EquationSet":
-        """Return the same with another equation, without bounds."""
+        """Return the same set with another equation at index `place`, which has no bounds."""
         bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
         programs = (*self.programs[:place], program, *self.programs[place + 1 :])
         return replace(self, programs=programs, bounds=bounds, are_as_written=False)
 
     def system(self, measurements: Measurements, order: int) -> System:
-        """Return the system of the explicit programs; for order 2, the rates of positions are the velocities."""
+        """Return the system of the explicit programs; for order 2, the rates of the positions are the velocities."""
         programs = [explicit.program for explicit in self.explicit]
         count = len(programs) if order == 2 else 0
         velocities = measurements.variables[count : 2 * count]
@@ -342,7 +357,7 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
         values = program.constants[constant_places(program)].tolist()
         text = from_infix(result.equations[place].expression or "", equations.names)
         shown = text.constants[constant_places(text)].tolist()
-        numbers = matched(values, shown)
+        numbers = match_constants(values, shown)
         terms = iter(explicit.terms)
         for origin in explicit.origins if place not in equations.fixed else ():
             if origin is None:
@@ -361,9 +376,9 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
 class FittedEquations:
     """Equations fitted to whole measured trajectories, or to pieces of them.
 
-    `errors` are the measurement errors estimated from the residuals, corrected for the numbers fitted; later fits hold
-    them. `degrees_of_freedom` are left after the fit; `misfit` is minus the log-likelihood with fitted variances, up to
-    a constant.
+    `errors` are the measurement errors, estimated from the residuals and corrected for the number of fitted values;
+    later fits use the same errors. `degrees_of_freedom` are the independent rows minus the number of fitted values.
+    `misfit` is minus the log-likelihood with fitted variances, up to a constant, in nats.
     """
 
     equations: EquationSet
@@ -379,22 +394,25 @@ class FittedEquations:
         return self.fit.system.values
 
     def texts(self, result: Result) -> dict[str, str]:
-        """Return the fitted right-hand sides by left-hand side of a result, with rounded constants."""
+        """Return the fitted right-hand sides with rounded constants, by the left-hand sides of a result."""
         programs = self.fit.system.programs[-len(self.equations.programs) :]
         pairs = zip(result.equations, programs, strict=True)
         return {equation.lhs: to_infix(program, self.equations.names, digits=4) for equation, program in pairs}
 
     @cached_property
     def bounded_covariance(self) -> FloatArray:
-        """The covariance (P, P) of the constants, with large variances for constants that the data do not determine."""
+        """The covariance (P, P) of the constants; constants that the data do not determine have large variances."""
         return bounded_covariance(self.fit)
 
     def deviance(self, fit: TrajectoryFit) -> float:
-        """Return the squared residuals over the variances of these errors, in excess of this fit."""
+        """Return the sum of squared residuals over the variances of `errors`, minus the same sum of this fit."""
         return self.fit.estimator.cost(fit) - self.fit.estimator.cost(self.fit)
 
-    def again(self, system: System, starts: FloatArray) -> TrajectoryFit | None:
-        """Return a system fitted to the same trajectories with the same errors; None where it cannot be simulated."""
+    def refit(self, system: System, starts: FloatArray) -> TrajectoryFit | None:
+        """Fit a system to the same trajectories with the same errors; None if it cannot be simulated.
+
+        `starts` (G, D) are the initial states at which the fit begins.
+        """
         steps, is_stiff = SETTINGS.effort.steps, self.fit.is_stiff
         return self.fit.estimator.fit(system, None, steps, starts, self.errors, is_stiff=is_stiff)
 
@@ -402,18 +420,18 @@ class FittedEquations:
 def fit_equations(
     measured: FitData, equations: EquationSet, starts: FloatArray | None = None
 ) -> FittedEquations | None:
-    """Return the equations fitted with all their constants free; None where they cannot be simulated.
+    """Fit the equations with all their constants free; None if they cannot be simulated.
 
-    Where they cannot be fitted with unwritten factors of 1 as constants, they are fitted as written.
+    If the fit with unwritten coefficients of 1 as constants fails, the equations are fitted as written.
     """
     written = replace(equations, are_as_written=True)
-    return _fitted(measured, equations, starts) or _fitted(measured, written, starts)
+    return _fit(measured, equations, starts) or _fit(measured, written, starts)
 
 
 def fit_shown(measured: FitData, result: Result) -> FittedEquations:
-    """Return the equations of a result fitted again; raises AtollError where they cannot be simulated.
+    """Fit the equations of a result again; raises AtollError if they cannot be simulated.
 
-    In shorter pieces where residuals of whole trajectories exceed the noise.
+    If the residuals of whole trajectories exceed the noise, the equations are fitted to shorter pieces.
     """
     equations, measurements = equations_of(result), measured.measurements
     negligible = SETTINGS.common.negligible * measurements.scales[measurements.observed]
@@ -428,11 +446,11 @@ def fit_shown(measured: FitData, result: Result) -> FittedEquations:
             return fitted
         first = first or fitted
     if first is None:
-        raise AtollError("the equations cannot be simulated along the measured trajectories, so nothing can be fitted")
+        raise AtollError("the equations cannot be simulated along the measured trajectories, so they cannot be fitted")
     return first
 
 
-def _fitted(measured: FitData, equations: EquationSet, starts: FloatArray | None) -> FittedEquations | None:
+def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -> FittedEquations | None:
     measurements = measured.measurements
     precise = _TOLERANCE_OF_NOISE * float(measurements.relative_noise.min())
     estimator = MultipleShooting(measurements, min(max(precise, _FINEST), _COARSEST * 0.1))
@@ -447,7 +465,7 @@ def _fitted(measured: FitData, equations: EquationSet, starts: FloatArray | None
     decided = float(np.minimum(counts * measured.share, measured.independent).sum())
     left = max(counts.sum() - best.system.values.size - best.starts.size, 1.0)
     degrees_of_freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
-    # the variance of a row in the fit, corrected for fitted numbers and for correlated or unlisted rows
+    # the variance of a row in the fit, corrected for fitted values and for correlated or unlisted rows
     widened = np.sqrt(counts.sum() / left / measured.share)
     least = SETTINGS.smoothing.smallest_noise * measurements.scales[measurements.observed]
     sigmas = np.maximum(np.sqrt(best.squares), least) * widened
@@ -459,7 +477,7 @@ def _fitted(measured: FitData, equations: EquationSet, starts: FloatArray | None
 
 
 def _misfit(measured: FitData, fit: TrajectoryFit) -> float:
-    """Return n/2 ln s, summed over the measured states: n independent rows of mean square s."""
+    """Return n/2 ln s, summed over the measured states: n independent rows with the mean squared residual s."""
     floor = (SETTINGS.shooting.exact * measured.measurements.scales[measured.measurements.observed]) ** 2
     terms = 0.5 * measured.independent * np.log(np.maximum(fit.squares, floor))
     return math.fsum(terms.tolist())

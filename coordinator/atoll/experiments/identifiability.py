@@ -1,14 +1,18 @@
 """How well the data determine the constants of a model: profile likelihoods, and directions of joint change.
 
-Along a profile one constant is held at each value, and all other constants and all initial states are fitted again. The
-measurement errors are held at their values in the best fit, so that the deviance, the sum of squared residuals over
-their variances in excess of the best fit, is exactly the squared distance in standard errors where the model is linear
-(Bates & Watts 1988, chapter 6). A value lies within the interval while its deviance is at most the squared quantile of
-Student's t, which for many rows equals the quantile of chi-squared with one degree of freedom.
+For a profile, one constant is fixed at each of several values, and all other constants and all initial states are
+fitted again. The measurement errors keep their values in the best fit. The deviance is the sum of squared residuals
+over their variances, minus the same sum of the best fit. For a linear model, it is exactly the squared distance in
+standard errors (Bates & Watts 1988, chapter 6). A value lies within the interval if its deviance is at most the squared
+quantile of Student's t. For many rows this is the quantile of chi-squared with one degree of freedom.
 
-The directions are eigenvectors of the curvature of the misfit by the constants, with initial states eliminated, each
-constant in units of its own size: in logarithmic coordinates where it keeps its sign (Gutenkunst et al. 2007). Letters:
-P constants, n points of a profile.
+The directions are eigenvectors of the curvature (Hessian) of the misfit with respect to the constants, with initial
+states eliminated. Each constant is divided by its own size, which corresponds to logarithmic coordinates (Gutenkunst et
+al. 2007).
+
+Doubtful: a profile follows one local minimum, so another minimum far away is missed. It ends after 40 values on each
+side or at 1,000 times the size of the constant; the interval then counts as open. Letters: P constants, n points of a
+profile.
 """
 
 import json
@@ -39,7 +43,7 @@ SCHEMA: Final = 1
 Determination = Literal[
     "determined", "open above", "open below", "practically non-identifiable", "structurally non-identifiable"
 ]
-"""The interval is closed, has no upper end, no lower end, or neither; or the deviance does not change at all
+"""The interval is closed; it has no upper end, no lower end, or neither end; or the deviance does not change at all
 (Raue et al. 2009)."""
 
 
@@ -47,9 +51,10 @@ Determination = Literal[
 class Direction:
     """A direction in the space of constants.
 
-    `error` is the standard error along it, over the sizes of the constants (infinite: not determined at all); `weights`
-    (P,) are its components, of length 1; `is_sloppy`: the data do not determine it; `words` says which combination of
-    the constants is determined, "" where it is not sloppy.
+    `error` is the standard error along the direction, relative to the sizes of the constants; it is infinite if the
+    data do not determine the direction at all. `weights` (P,) is the unit vector of the direction. `is_sloppy`: the
+    data do not determine it. `words` says which combination of the constants is determined; it is "" if the direction
+    is not sloppy.
     """
 
     error: float
@@ -60,10 +65,11 @@ class Direction:
 
 @dataclass(frozen=True, eq=False)
 class ProfiledConstant:
-    """A constant with its profile, with its sign in the text of the equation.
+    """A constant with its profile; all values have the sign in the text of the equation.
 
-    `estimate` is the best value, `std_error` the standard error by the curvature there (infinite: none), `interval` the
-    interval by the profile, `quadratic` the estimate plus and minus the quantile times the standard error.
+    `estimate` is the best value. `std_error` is the standard error from the curvature at the best value; it is infinite
+    without curvature. `interval` is the interval from the profile. `quadratic` is the estimate minus and plus the
+    quantile times the standard error. `values` and `deviances` (n,) are the profile.
     """
 
     name: str
@@ -80,14 +86,14 @@ class ProfiledConstant:
 
     @property
     def _digits(self) -> int:
-        """The digits that distinguish the ends of the interval, and two more; at least four."""
+        """The number of digits that distinguish the ends of the interval, plus two; at least four."""
         largest = max((abs(end) for end in self.interval if math.isfinite(end)), default=0.0)
         width = self.interval[1] - self.interval[0]
         return max(4, math.ceil(math.log10(largest / width)) + 2) if 0.0 < width < largest else 4
 
     @property
     def sentence(self) -> str:
-        """Estimate and interval in a sentence without its name."""
+        """Estimate and interval in a sentence without the name of the constant."""
         low, high = (f"{end:.{self._digits}g}" for end in self.interval)
         ends = {
             "determined": f": {low} to {high}",
@@ -101,9 +107,9 @@ class ProfiledConstant:
 class Identifiability:
     """How well the data determine the constants of a model.
 
-    `quantile` is the quantile of Student's t at `level` with `freedom` degrees; deviances are compared with its square.
-    `directions` are directions in all constants, the least determined first. `source` names the data; trajectories were
-    simulated in pieces of `piece` rows.
+    `quantile` is the quantile of Student's t at `level` with `freedom` degrees of freedom; deviances are compared with
+    its square. `directions` are directions in the space of all constants, the least determined direction first.
+    `source` names the data. Trajectories were simulated in pieces of at most `piece` rows.
     """
 
     level: float
@@ -115,7 +121,7 @@ class Identifiability:
     piece: int
 
     def __getitem__(self, name: str) -> ProfiledConstant:
-        """Return a constant by name; raises KeyError."""
+        """Return a constant by name; raises KeyError for an unknown name."""
         return {constant.name: constant for constant in self.constants}[name]
 
     @property
@@ -133,9 +139,10 @@ class Identifiability:
         return first_lines(str(self), "print it")
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
-        """Return the constants, a row each, with the ends `lower` and `upper` of their intervals (infinite: open).
+        """Return a ``"polars"`` or ``"pandas"`` frame with a row for each constant.
 
-        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing.
+        `lower` and `upper` are the ends of its interval; an open end is infinite. Raises UsageError without that
+        library.
         """
         constants = self.constants
         named = ("name", "variable", "estimate", "std_error", "verdict")
@@ -146,7 +153,7 @@ class Identifiability:
         return frame_of(columns | ends, library)
 
     def as_dict(self) -> dict[str, object]:
-        """Return it as plain data; null is infinite."""
+        """Return it as plain data, as ``coordinator identify --json`` prints it; null stands for infinite."""
         names = [constant.name for constant in self.constants]
         constants = []
         for constant in self.constants:
@@ -172,29 +179,29 @@ class Identifiability:
 
 
 MOST_STEPS: Final = 40
-"""Values on each side of the best one."""
+"""Largest number of values on each side of the best value."""
 FARTHEST: Final = 1e3
-"""A constant is followed until it has changed by this multiple of its size."""
+"""A profile ends when the constant has changed by this multiple of its size."""
 _STEPS_INSIDE: Final = 5
 _GROWTH: Final = 3.0
 _HALVINGS: Final = 5
 _SECANTS: Final = 4
 _REFINEMENTS: Final = 14
-"""Fits to locate an end of an interval: first by secants, then by bisection."""
+"""Largest number of fits to locate an end of an interval: first by secants, then by bisection."""
 _CLOSE: Final = 1e-3
 """Relative error of the root of the deviance at an end of an interval."""
 FLAT: Final = 0.01
-"""Deviance below which a change is invisible: a tenth of a standard error."""
+"""Smallest deviance of a visible change: a tenth of a standard error, squared."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConstantProfile:
     """The profile of one constant.
 
-    `values` (n,) ascend and include the best one, with their `deviances` (n,); `path` (n, P) are all constants there.
-    `lower` and `upper` are the ends of the interval, infinite where the deviance stays below the threshold from
-    `values[0]` to `values[-1]`; 0 where the constant may be arbitrarily small, but not 0. `is_cut` (lower, upper): the
-    end is a bound on the constant, or the model cannot be simulated beyond it.
+    `values` (n,) ascend and include the best value; `deviances` (n,) belong to them. `path` (n, P) are all constants at
+    these values. `lower` and `upper` are the ends of the interval. An end is infinite if the deviance on its side stays
+    below the threshold. It is 0 if the constant may be arbitrarily small, but not 0. `is_cut` (lower, upper): the end
+    is a bound on the constant, or the model cannot be simulated beyond it.
     """
 
     best: float
@@ -207,13 +214,13 @@ class ConstantProfile:
 
     @property
     def is_flat(self) -> bool:
-        """Whether all values fit equally well: no data of this kind determine the constant."""
+        """Whether all values fit equally well: data of this kind cannot determine the constant."""
         inside = self.deviances[(self.values > self.lower) & (self.values < self.upper)]
         return all(self.is_open) and bool(inside.max() < FLAT)
 
     @property
     def is_open(self) -> tuple[bool, bool]:
-        """Whether the lower and the upper end are open; an end at 0 is open, since the logarithm is unbounded there."""
+        """Whether the lower and the upper end are open; an end at 0 is open, because log(0) is infinite."""
         return math.isinf(self.lower) or self.lower == 0.0, math.isinf(self.upper) or self.upper == 0.0
 
 
@@ -225,7 +232,7 @@ class _ProfilePoint:
 
 
 def profile(fitted: FittedEquations, index: int, quantile: float) -> ConstantProfile:
-    """Return the profile of a constant, followed until the root of the deviance is `quantile` on either side."""
+    """Return the profile of constant `index`: on each side up to the value whose root of the deviance is `quantile`."""
     best = float(fitted.values[index])
     start = _ProfilePoint(best, 0.0, fitted.fit)
     sides = [_ProfileSide(fitted, index, quantile, direction).follow(start) for direction in (-1.0, 1.0)]
@@ -242,7 +249,7 @@ def profile(fitted: FittedEquations, index: int, quantile: float) -> ConstantPro
 
 
 class _ProfileSide:
-    """One side of a profile: each value is fitted from the extrapolation of the last two fits."""
+    """One side of a profile: the fit at each value begins at the extrapolation of the last two fits."""
 
     def __init__(self, fitted: FittedEquations, index: int, quantile: float, direction: float) -> None:
         self._fitted, self._index, self._quantile, self._direction = fitted, index, quantile, direction
@@ -258,7 +265,7 @@ class _ProfileSide:
         return math.sqrt(variance) if variance > 0.0 and math.isfinite(variance) else 0.0
 
     def follow(self, start: _ProfilePoint) -> tuple[list[_ProfilePoint], float, bool]:
-        """Return the points, the end of the interval, and whether the model cannot be simulated beyond it."""
+        """Return the points, the end of the interval, and whether a bound or a failed simulation is the end."""
         aim = self._quantile / _STEPS_INSIDE
         step = min(aim * self._spread, self._size) if self._spread else aim * self._size
         points = [start]
@@ -290,7 +297,7 @@ class _ProfileSide:
         lower[self._index] = upper[self._index] = value
         held = replace(self._fitted.fit.system, lower=lower, upper=upper)
         for constants, starts in (self._extrapolated(points, value), (last.system.values, last.starts)):
-            fit = self._fitted.again(held.with_values(constants), starts)
+            fit = self._fitted.refit(held.with_values(constants), starts)
             if fit is not None:
                 deviance = self._fitted.deviance(fit)
                 root = math.copysign(math.sqrt(abs(deviance)), deviance)
@@ -298,7 +305,7 @@ class _ProfileSide:
         return None
 
     def _extrapolated(self, points: list[_ProfilePoint], value: float) -> tuple[FloatArray, FloatArray]:
-        """Return the constants and the initial states by a straight line through the last points."""
+        """Return constants (P,) and initial states (G, D), extrapolated linearly from the last two points."""
         last = points[-1]
         constants, starts = last.fit.system.values, last.fit.starts
         if len(points) == 1:
@@ -312,7 +319,7 @@ class _ProfileSide:
         return moved, starts + share * (starts - before.fit.starts)
 
     def _crossing(self, points: list[_ProfilePoint]) -> tuple[list[_ProfilePoint], float]:
-        """Return the points fitted between the last two, and the value with the quantile as root of the deviance."""
+        """Return further points between the last two, and the value where the root of the deviance is the quantile."""
         *before, inside, outside = points
         points_between = list[_ProfilePoint]()
         near, far = inside.root - self._quantile, outside.root - self._quantile
@@ -336,23 +343,23 @@ class _ProfileSide:
 
 
 SLOPPY: Final = 1.0
-"""Interval along a direction, over the constants themselves, from which it is not determined: they could be twice as
-large, or 0."""
+"""Half width of an interval along a direction, relative to the constants, from which the direction is not determined:
+the constants could be twice as large, or 0."""
 _PART: Final = 0.1
-"""Share of the largest component from which a constant belongs to a direction."""
+"""Smallest component of a constant that belongs to a direction, as a share of the largest component."""
 _LEFT: Final = 0.1
 """Largest change of a determined relation along a profile, as a share of the change of its terms."""
 _LARGEST_POWER: Final = 3
 _LEAST_CURVATURE: Final = 1e-11
-"""Share of the largest eigenvalue below which curvature is rounding error."""
+"""Smallest curvature that is not a rounding error, as a share of the largest eigenvalue."""
 
 
 def directions(fitted: FittedEquations, profiles: Sequence[ConstantProfile], names: Sequence[str], signs: FloatArray,
                quantile: float) -> tuple[Direction, ...]:  # fmt: skip
-    """Return the directions, the least determined one first.
+    """Return the directions, the least determined direction first.
 
-    `signs` (P,) are -1 where a name stands for minus the constant; `quantile` is the number of standard errors on
-    either side of an interval.
+    `signs` (P,) are -1 for names that stand for minus the constant. `quantile` is the half width of an interval in
+    standard errors.
     """
     sizes = np.maximum(np.abs(fitted.values), 1e-300)
     curvature = np.nan_to_num(fitted.fit.reduced) * np.outer(sizes, sizes)
@@ -377,17 +384,18 @@ def _words(vector: FloatArray, profiles: Sequence[ConstantProfile], names: Seque
     inside = profiles[lead].path[profiles[lead].deviances <= quantile**2][:, part] * signs[part]
     relation = relation_of(inside, (names[part[0]], names[part[1]])) if len(part) == 2 else None
     if relation is not None:
-        compared = f"only {relation} is determined, not" if is_open else f"{relation} is determined better than"
-        return f"{compared} {listed} by themselves"
+        if is_open:
+            return f"only {relation} is determined, not {listed} separately"
+        return f"{relation} is determined better than {listed} separately"
     shares = ", ".join(f"{names[index]} by {vector[index] / vector[lead]:+.2g} %" for index in part if index != lead)
-    return f"{listed} can change together: as {names[lead]} changes by +1 %, {shares}"
+    return f"{listed} can change together: if {names[lead]} changes by +1 %, {shares}"
 
 
 def relation_of(path: FloatArray, names: tuple[str, str]) -> str | None:
-    """Return the combination of two constants that is constant along a path (n, 2): ``a*b``, ``a + b``; or None.
+    """Return a combination of two constants that does not change along a path (n, 2), such as ``a*b``; or None.
 
     Products of powers up to cubes are tried, and sums. A sum with a factor other than 1 is reported only if no product
-    stays the same, since along a short path every relation is nearly such a sum.
+    is constant, because along a short path every relation is nearly such a sum.
     """
     product, total = _product(path, names), _sum(path, names)
     if total.change <= min(_LEFT, product.change) and (total.is_plain or product.change > _LEFT):
@@ -397,7 +405,7 @@ def relation_of(path: FloatArray, names: tuple[str, str]) -> str | None:
 
 @dataclass(frozen=True)
 class _ConstantRelation:
-    """The change of a relation along a path, over the changes of its terms; `is_plain`: without a factor."""
+    """The change of a relation along a path, divided by the changes of its terms; `is_plain`: it has no factor."""
 
     change: float = math.inf
     text: str = ""
@@ -406,7 +414,7 @@ class _ConstantRelation:
 
 def _product(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
     signs = np.sign(path)
-    kept = (signs == np.sign(signs.sum(axis=0))).all(axis=1)  # beyond 0 another relation may hold
+    kept = (signs == np.sign(signs.sum(axis=0))).all(axis=1)  # on the other side of 0 another relation may hold
     path = path[kept & (path != 0.0).all(axis=1)]
     if len(path) < max(3, len(signs) // 2):
         return _ConstantRelation()
@@ -418,7 +426,7 @@ def _product(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
     power = Fraction(abs(ratio)).limit_denominator(_LARGEST_POWER)
     if not 0 < power.numerator <= _LARGEST_POWER:
         return _ConstantRelation()
-    # along the path the logarithm of the second changes `ratio` times as much as the first
+    # along the path, the logarithm of the second constant changes `ratio` times as much as the first logarithm
     first, second = power.numerator, power.denominator * (1 if ratio < 0.0 else -1)
     change = float(np.ptp(first * logs[:, 0] + second * logs[:, 1])) / float(
         first * spread[0] + abs(second) * spread[1]
@@ -440,7 +448,7 @@ def _sum(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
 
 
 def _slope(path: FloatArray) -> float:
-    """Return the slope of the second column over the first, by the principal axis in scaled units."""
+    """Return the slope of the second column against the first, from the principal axis in scaled units."""
     centred = path - path.mean(axis=0)
     scale = centred.std(axis=0)
     return float(scale[1] / scale[0]) * (1.0 if float(centred[:, 0] @ centred[:, 1]) >= 0.0 else -1.0)
@@ -451,10 +459,10 @@ def _power(name: str, power: int) -> str:
 
 
 MOST_CONSTANTS: Final = 60
-"""More constants than this take minutes."""
+"""Largest number of profiled constants; more would take minutes."""
 _RESTARTS: Final = 2
 _BETTER: Final = 0.01
-"""Decrease in deviance from which a profile has found a better fit."""
+"""Smallest decrease in deviance of a better fit that a profile has found."""
 
 _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
     (False, False): "determined",
@@ -467,16 +475,17 @@ _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
 def identify(
     result: Result, table: Table | None = None, level: float = 0.95, spread: Spread | None = None
 ) -> Identifiability:
-    """Return how well the data (None: of the result) determine the constants of a model, by intervals of a level.
+    """Return how well data determine the constants of a model, as confidence intervals at `level` (0 to 1).
 
-    The profiles are independent of one another; `spread` distributes them over workers.
+    `table` has the data; None stands for the data of the result. The profiles are independent of each other; `spread`
+    distributes them over workers.
 
     Raises:
         UsageError: the level is invalid, the model has no constants or too many, or there are no measurements.
-        AtollError: the model cannot be simulated along them.
+        AtollError: the model cannot be simulated along the data.
     """
     if not 0.0 < level < 1.0:
-        raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
+        raise UsageError(f"the level must be between 0 and 1, but {level!r} was given")
     measured, equations = measured_of(result, table), equations_of(result)
     if not constants_of(equations, result):
         raise UsageError("the model has no fitted constants, so there is nothing to profile")
@@ -488,7 +497,7 @@ def identify(
     from scipy import special
 
     quantile = float(special.stdtrit(fitted.degrees_of_freedom, 0.5 + level / 2.0))
-    fitted, profiles = _profiled(_Profiler(fitted, quantile, result, table), count, spread or Spread())
+    fitted, profiles = _profile_all(_Profiler(fitted, quantile, result, table), count, spread or Spread())
     signs = np.array([constant.sign for constant in constants])
     with np.errstate(invalid="ignore"):
         errors = np.sqrt(np.diag(covariance(fitted.fit))).tolist()
@@ -508,14 +517,14 @@ def identify(
 
 
 def _reading_order(constant: FreeConstant, fitted: FittedEquations) -> tuple[int, bool, int, str]:
-    """Return the sort key of constants: by equation, in the order of the text, unwritten factors last."""
+    """Return the sort key of a constant: by equation, then in the order of the text, unwritten coefficients last."""
     number = int(constant.name[1:]) if constant.name[:1] == "c" and constant.name[1:].isdigit() else 0
     return fitted.equations.variables.index(constant.variable), not constant.is_written, number, constant.name
 
 
 @dataclass(frozen=True)
 class _Parts:
-    """A `_Profiler` in the form sent to workers: its result as JSON, the bytes of its table, and the rest."""
+    """The form in which a `_Profiler` is sent to workers: its result as JSON, and its table as bytes."""
 
     result: str
     table: bytes | None
@@ -533,9 +542,9 @@ class _Parts:
 
 @dataclass(frozen=True, eq=False)
 class _Profiler:
-    """Profiles of the fit of a result to a table, each until the root of the deviance is `quantile`.
+    """Computes profiles of the fit of a result to a table, up to the values whose root of the deviance is `quantile`.
 
-    `restarts` are the values (P,) of constants from which it was fitted again, one after the other.
+    `restarts` are the constants (P,) from which the result was fitted again, in this order.
     """
 
     fitted: FittedEquations
@@ -549,8 +558,8 @@ class _Profiler:
         return profile(self.fitted, index, self.quantile)
 
     def from_values(self, values: FloatArray) -> "_Profiler | None":
-        """Return the profiler of the fit from other values of the constants; None if the fit does not improve."""
-        fit = self.fitted.again(self.fitted.fit.system.with_values(values), self.fitted.fit.starts)
+        """Fit again from other values (P,) of the constants; None if the fit does not improve."""
+        fit = self.fitted.refit(self.fitted.fit.system.with_values(values), self.fitted.fit.starts)
         if fit is None or self.fitted.deviance(fit) >= 0.0:
             return None
         return replace(self, fitted=replace(self.fitted, fit=fit), restarts=(*self.restarts, values))
@@ -566,8 +575,8 @@ class _Profiler:
 _PROFILE: Final = BatchFunction("profile", _Parts, int, ConstantProfile, _Profiler.profile, _Parts.profiler)
 
 
-def _profiled(profiler: _Profiler, count: int, spread: Spread) -> tuple[FittedEquations, list[ConstantProfile]]:
-    """Return the profiles of all constants, and their fit: a better one where a profile has found it."""
+def _profile_all(profiler: _Profiler, count: int, spread: Spread) -> tuple[FittedEquations, list[ConstantProfile]]:
+    """Return the fit and the profiles of all constants; if a profile finds a better fit, all are repeated from it."""
     for _ in range(_RESTARTS + 1):
         mapped = spread.map(_PROFILE, profiler.itself, range(count), parts=profiler.parts)
         profiles = [likelihood for likelihood in mapped if likelihood is not None]

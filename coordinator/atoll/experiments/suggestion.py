@@ -1,11 +1,16 @@
-"""The next experiments, by worth for their cost, and their presentation.
+"""Find the experiments with the largest worth per cost, and present them.
 
-Experiments are tried all over the bounds, the best are improved one number after the other, and the best distinct
-experiments are kept. Where candidates predict different outcomes, an experiment is worth the evidence that it is
-expected to give about the right one; otherwise, or with only one candidate, the information about its constants.
+Experiments are tried all over the bounds. The best experiments are improved, one number after another, and the best
+distinct experiments are kept. If candidates predict different outcomes, the worth of an experiment is the expected
+evidence for the right candidate. Otherwise, or with only one candidate, it is the expected information about the
+constants of the displayed equations.
 
-Candidates are weighted by the fit alone (Akaike), while a result also counts the length of equations: an experiment
-should overrule simplicity. So the displayed equations may have a small weight where few rows decide.
+The weights of candidates use the fit alone (Akaike). A result also counts the lengths of the equations. An experiment
+should decide even against the simpler equation, so weights ignore simplicity. Therefore the displayed equations may
+have a small weight if the data have few rows.
+
+Doubtful: the search is local and starts from about 200 points, so it may miss the best experiment. All numbers assume
+that one of the candidates is right.
 """
 
 import math
@@ -54,22 +59,22 @@ Purpose = Literal["discrimination", "precision"]
 
 UNDECIDED: Final = 3.0
 DECIDED: Final = 20.0
-"""Odds below which data do not decide between two candidates, and from which they do.
+"""Data do not decide between two candidates at odds below `UNDECIDED`; they decide at odds of `DECIDED` or more.
 
-By Kass and Raftery (1995, doi 10.1080/01621459.1995.10476572) odds below 3 are "not worth more than a bare mention",
-and odds of 20 and more strong.
+Kass and Raftery (1995, doi 10.1080/01621459.1995.10476572) call odds below 3 "not worth more than a bare mention", and
+odds of 20 or more strong.
 """
 _MOST_ODDS: Final = 1e6
 _SUREST: Final = 0.999
 _NOTHING: Final = 0.01
-"""Differences in nats that count as none."""
+"""Smallest difference in nats that is not negligible."""
 _SURE: Final = 0.95
-"""Probability from which an experiment is said to distinguish two candidates."""
-_WEIGHTS: Final = "weights count the fit to the data alone (Akaike); the result also counts the length of equations"
+"""Smallest probability with which an experiment distinguishes two candidates."""
+_WEIGHTS: Final = "weights use only the fit to the data (Akaike); the result also counts the lengths of the equations"
 _IMPROVED: Final = 6
-"""Number of experiments, the best distinct ones, that are improved and examined closely."""
+"""Number of the best distinct experiments that are improved and examined more accurately."""
 _ROUNDS: Final = (0.1, 0.1, 0.03, 0.03)
-"""Steps of an improvement, over the widths of the bounds."""
+"""Steps of an improvement, in widths of the bounds."""
 _REFITTED: Final = 5
 """Number of candidates, with the largest weights, that are fitted to predicted outcomes of the best experiments."""
 _TOO_MANY: Final = 10
@@ -80,12 +85,12 @@ _TOO_MANY: Final = 10
 
 
 def which_of_two(first: str, second: str, nats: float) -> str:
-    """Return a sentence on which of two candidates the data favour, and how strongly.
+    """Return a sentence that says which of two candidates the data favour, and how strongly.
 
     Args:
         first: the name of one candidate.
-        second: the name of the other one.
-        nats: logarithm of the odds for the first; negative where the data favour the second.
+        second: the name of the other candidate.
+        nats: the logarithm of the odds for the first candidate; it is negative if the data favour the second one.
     """
     if nats < 0.0:
         return which_of_two(second, first, -nats)
@@ -96,22 +101,23 @@ def which_of_two(first: str, second: str, nats: float) -> str:
     times = f"{odds:.2g} times" if odds < 100.0 else f"{float(f'{odds:.1g}'):,.0f} times"
     if odds >= _MOST_ODDS:
         times = "more than a million times"
-    by = f"{first} is {times} as probable as {second}{shares}"
+    odds_text = f"{first} is {times} as probable as {second}{shares}"
     if odds < UNDECIDED:
-        return f"The data do not decide between {first} and {second}: {by}, if one of them is right."
-    strongly = "decide for" if odds >= DECIDED else "favour, without deciding for it,"
-    return f"The data {strongly} {first}: {by}, if one of them is right."
+        return f"The data do not decide between {first} and {second}: {odds_text}, if one of them is right."
+    if odds < DECIDED:
+        return f"The data favour {first}, but do not decide: {odds_text}, if one of them is right."
+    return f"The data decide for {first}: {odds_text}, if one of them is right."
 
 
 def certainty_text_of(certainty: float) -> str:
-    """Return a lower bound of a probability, never rounded up."""
+    """Return the text of a lower bound of a probability; it is never rounded up."""
     if certainty >= _SUREST:
         return f"more than {100.0 * _SUREST:.1f} %"
     return f"at least {math.floor(100.0 * certainty):.0f} %"
 
 
 def equations_text(equations: Mapping[str, str]) -> str:
-    """Return equations, right-hand sides by left-hand side, in a line."""
+    """Return equations (right-hand sides by left-hand side) in one line."""
     return "; ".join(f"{side} = {text}" for side, text in equations.items())
 
 
@@ -122,9 +128,10 @@ def equations_text(equations: Mapping[str, str]) -> str:
 class CandidateSystem:
     """A candidate with its fitted constants: `equations` by left-hand side, `origin` of the candidate.
 
-    `weight` is its Akaike weight among all candidates, by the fit to the data alone; `nats` is the logarithm of the
-    weight of the best candidate over its own. `longer` is its Δ description length to the displayed equations, in nats,
-    by which results choose. `written` are the equations with the constants of the result, where these differ.
+    `weight` is its Akaike weight among all candidates, which uses only the fit to the data. `nats` is the logarithm of
+    the largest weight divided by this weight. `longer` is its Δ description length relative to the displayed equations
+    in nats; jobs choose equations by their description length. `written` are the equations with the constants of the
+    result, if these differ from the fitted constants.
     """
 
     equations: Mapping[str, str]
@@ -136,7 +143,7 @@ class CandidateSystem:
 
     @property
     def origin_text(self) -> str:
-        """The origin, with the Δ description length to the displayed equations."""
+        """The origin, with the Δ description length relative to the displayed equations."""
         if self.origin == "shown":
             return self.origin
         return f"{self.origin}, Δ description length {self.longer:.3g}"
@@ -146,13 +153,14 @@ class CandidateSystem:
 class Suggestion:
     """An experiment: a trajectory from the `initial` state with constant `inputs`, measured at `times`.
 
-    `information` in nats is expected about the right candidate, or about the constants; `evidence` is the expected
-    Δ log-likelihood for the right candidate, 2,000 at most. `worth`, over `cost`, ranks experiments: the evidence,
-    limited for each pair of candidates to the amount that decides, or the information about constants. `worst` is the
-    constant of largest relative error, with that error before and after (None where candidates are distinguished).
-    `certainties` are lower bounds of the probability to tell the first candidate from each other one correctly, if one
-    of the two is right; empty where constants are determined. `remark` names initial values outside of the measured
-    range, "" without.
+    `information` is the expected information in nats about the right candidate, or about the constants. `evidence` is
+    the expected Δ log-likelihood for the right candidate, at most 2,000 nats. `worth` divided by `cost` ranks
+    experiments. It is the evidence, limited for each pair of candidates to the amount that decides, or the information
+    about constants. `worst` is the constant with the largest relative error, with this error before and after the
+    experiment; it is None if the purpose is to distinguish candidates. `certainties` has a number for each candidate
+    except the first one: a lower bound of the probability that the experiment correctly distinguishes this candidate
+    from the first one, if one of both is right. It is empty if the purpose is to determine constants. `remark` names
+    initial values outside of the measured range; it is "" if there are none.
     """
 
     initial: Mapping[str, float]
@@ -168,11 +176,11 @@ class Suggestion:
 
     @property
     def certainty_text(self) -> str:
-        """The distinguished candidates, with the certainty; "" where constants are determined."""
+        """The distinguished candidates, with the certainty; "" if the purpose is to determine constants."""
         if not self.certainties:
             return ""
         if len(self.certainties) == 1:
-            return f"which of the two is right is known then with {certainty_text_of(self.certainties[0])} certainty"
+            return f"decides between the two with {certainty_text_of(self.certainties[0])} certainty"
         apart = [place for place, sure in enumerate(self.certainties, start=2) if sure >= _SURE]
         rest = [place for place, sure in enumerate(self.certainties, start=2) if sure < _SURE]
         parts = []
@@ -180,15 +188,15 @@ class Suggestion:
             least = min(self.certainties[place - 2] for place in apart)
             each = " each" if len(apart) > 1 else ""
             parts.append(
-                f"tells 1 from {enumerated([*map(str, apart)])} with {certainty_text_of(least)} certainty{each}"
+                f"distinguishes 1 from {enumerated([*map(str, apart)])} with {certainty_text_of(least)} certainty{each}"
             )
         if rest:
-            parts.append(f"does not surely tell 1 from {enumerated([*map(str, rest)])}")
+            parts.append(f"may not distinguish 1 from {enumerated([*map(str, rest)])}")
         return ", ".join(parts)
 
     @property
     def worth_per_cost(self) -> float:
-        """The rank of the experiment, nats per unit of its cost."""
+        """The worth of the experiment in nats per unit of its cost, by which experiments are ranked."""
         return self.worth / self.cost
 
     @property
@@ -202,7 +210,7 @@ class Suggestion:
         return f"{len(self.times)} samples from {self.times[0]:.4g} to {self.times[-1]:.4g}"
 
     def as_dict(self) -> dict[str, object]:
-        """Return it as plain data."""
+        """Return the experiment as plain data."""
         heads = ("name", "relative_error", "expected_relative_error")
         worst = None if self.worst is None else dict(zip(heads, self.worst, strict=True))
         named = ("initial", "inputs", "times", "cost", "worth", "worth_per_cost", "information", "evidence")
@@ -213,9 +221,10 @@ class Suggestion:
 class Suggestions:
     """Experiments in descending order of worth per cost.
 
-    `purpose` and `reason` say what they are for and why; `entropy` in nats measures how undecided the candidates are:
-    the most that an experiment can tell about them. `bounds` are the searched ranges of initial states and inputs;
-    for the names in `measured` they are ranges of the smoothed data. `source` names the data.
+    `purpose` is the purpose of the experiments, `reason` the reason for this purpose. `entropy` is the entropy of the
+    candidate weights in nats: the largest information that an experiment can give about the candidates. `bounds` are
+    the searched ranges of initial states and inputs. For the names in `measured`, these are the ranges of the smoothed
+    data. `source` names the data.
     """
 
     purpose: Purpose
@@ -229,7 +238,7 @@ class Suggestions:
     source: str
 
     def __str__(self) -> str:
-        lines = [f"candidates, their constants fitted again ({self.source}):"]
+        lines = [f"candidates, with constants fitted again ({self.source}):"]
         for number, candidate in enumerate(self.candidates, start=1):
             origin, texts = candidate.origin_text, equations_text(candidate.equations)
             lines.append(f"  {number}. weight {candidate.weight:.2g} ({origin})  {texts}")
@@ -253,17 +262,17 @@ class Suggestions:
         per = "" if self.cost == "trajectory" else f" ({experiment.worth_per_cost:.3g} per unit of {self.cost})"
         if experiment.worst is None:
             doubt = min(experiment.information / self.entropy, 1.0) if self.entropy > 0.0 else 0.0
-            return f"{experiment.certainty_text}; resolves {100.0 * doubt:.0f} % of the doubt{per}"
+            return f"{experiment.certainty_text}; resolves {100.0 * doubt:.0f} % of the uncertainty{per}"
         name, before, after = experiment.worst
-        shrinks = f"the error of {name} from {100 * before:.2g} to {100 * after:.2g} %"
-        return f"{experiment.information:.3g} nats about the constants expected{per}, {shrinks}"
+        shrinks = f"the error of {name} falls from {100 * before:.2g} to {100 * after:.2g} %"
+        return f"expected information about the constants: {experiment.information:.3g} nats{per}; {shrinks}"
 
     def __repr__(self) -> str:
         return first_lines(str(self), "print it")
 
     @property
     def verdict(self) -> str:
-        """Which of the two most probable candidates the data favour so far, and how strongly; "" for one alone."""
+        """Which of the two most probable candidates the data favour, and how strongly; "" if there is only one."""
         if len(self.candidates) < 2:
             return ""
         first, second = self.candidates[:2]
@@ -272,13 +281,14 @@ class Suggestions:
     @property
     def purpose_text(self) -> str:
         """The purpose of the experiments, and the reason."""
-        purpose = "to tell them apart" if self.purpose == "discrimination" else "to determine constants"
-        return f"{purpose}, since {self.reason}"
+        purpose = "to distinguish the candidates" if self.purpose == "discrimination" else "to determine constants"
+        return f"{purpose}, because {self.reason}"
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
-        """Return the experiments, a row each: initial state and inputs by name, `since`, `until`, `samples`, `cost`, …
+        """Return a ``"polars"`` or ``"pandas"`` frame with a row for each experiment.
 
-        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing.
+        Its columns are the initial state and the inputs by name, `since`, `until`, `samples`, `cost`, `information` and
+        `remark`. Raises UsageError without that library.
         """
         experiments = self.experiments
         names = [*experiments[0].initial, *experiments[0].inputs] if experiments else []
@@ -314,13 +324,13 @@ def suggest(result: Result, request: DesignRequest, table: Table | None = None) 
     """Return the next experiments for a result, the best first.
 
     Raises:
-        UsageError: a number or name of the request does not fit, there are no measurements, the model cannot be
-            simulated within the bounds, or it has neither several candidates nor constants.
+        UsageError: a number or name of the request is invalid, there are no measurements, the model cannot be simulated
+            within the bounds, or there is only one candidate and it has no constants.
     """
     request.check()
     shown = fit_shown(measured_of(result, table), result)
     space = space_of(result, shown.measured, request)
-    # users name an equation x, dx/dt as in the result, or dx
+    # users may call an equation x, dx, or dx/dt as in the result
     sides = {equation.lhs: equation.variable for equation in result.equations}
     sides |= {side.partition("/")[0]: name for side, name in sides.items()}
     given = [{sides.get(side, side): text for side, text in rival.items()} for rival in request.rivals]
@@ -329,7 +339,7 @@ def suggest(result: Result, request: DesignRequest, table: Table | None = None) 
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """An experiment with its expected gain; `worth`, information and evidence per cost rank it, in this order."""
+    """An experiment with its expected gain; `worth` ranks it by worth, then information, then evidence, per cost."""
 
     design: Design
     cost: float
@@ -344,14 +354,14 @@ class _Tried:
 
 @dataclass(frozen=True)
 class _DesignSearch:
-    """Finds the experiments of largest worth, computed by `value`; `examined` evaluates the best ones again."""
+    """Finds the experiments with the largest worth; `value` computes the gain, `examined` evaluates the best again."""
 
     space: DesignSpace
     value: Callable[[Design], Gain]
     examined: Callable[[_Tried], _Tried] = lambda tried: tried
 
     def best(self, count: int, seed: int) -> list[_Tried]:
-        """Return `count` distinct experiments, the best first; fewer where other experiments have no worth."""
+        """Return up to `count` distinct experiments with a positive worth, the best first."""
         space, most = self.space, max(_IMPROVED, count)
         points = space.points(seed)
         tried = [self._tried(space.design(point, share)) for share in space.shares for point in points]
@@ -409,23 +419,23 @@ class _Suggester:
         if reason is None:
             return self._written("discrimination", chosen, f"{len(self._systems)} candidates differ")
         if not len(self._shown.values):
-            raise UsageError(f"{reason}, and the model has no constants, so no experiment tells more")
+            raise UsageError(f"{reason}, and the model has no constants, so an experiment gives no information")
         constants = len(self._shown.values)
         precise = _DesignSearch(self._space, lambda design: precision(self._of_shown.at(design), constants)[0])
         chosen = precise.best(count, seed)
         if not chosen:
-            raise UsageError("the model cannot be simulated from any initial state within the bounds; give others")
+            raise UsageError("the model cannot be simulated from any initial state in the bounds; give other bounds")
         return self._written("precision", chosen, reason)
 
     def _reason(self, chosen: Sequence[_Tried]) -> str | None:
-        """Return why experiments cannot distinguish candidates; None where they can."""
+        """Return why experiments cannot distinguish candidates; None if they can."""
         if len(self._systems) < 2:
             return "there is only one candidate"
         if sum(weight > 0.0 for weight in self._weights) < 2:
-            return f"the data have excluded all but one of {len(self._systems)} candidates already"
+            return f"the data already exclude all but one of {len(self._systems)} candidates"
         best = max((experiment.gain.evidence for experiment in chosen), default=0.0)
         if best * _TOO_MANY < SETTINGS.inference.distinct_nats:
-            return f"all {len(self._systems)} candidates predict the same within the bounds"
+            return f"all {len(self._systems)} candidates predict the same outcomes within the bounds"
         return None
 
     def _discrimination(self, design: Design) -> Gain:
@@ -433,7 +443,10 @@ class _Suggester:
         return expected_gain(distances_of(predictions, self._weights), self._weights, self._useful)
 
     def _examined(self, tried: _Tried) -> _Tried:
-        """Return an experiment with its gain when the candidates of largest weight are fitted to its outcomes."""
+        """Return an experiment with a more accurate gain: the candidates with the largest weights are fitted again.
+
+        Each of them is fitted to the data together with the outcome that another one predicts.
+        """
         predictions = [predictor.at(tried.design) for predictor in self._predictors]
         distances = distances_of(predictions, self._weights)
         heaviest = sorted(range(len(predictions)), key=lambda place: -self._weights[place])[:_REFITTED]
@@ -493,7 +506,7 @@ class _Suggester:
         )
 
     def _worst(self, design: Design) -> tuple[str, float, float]:
-        """Return the constant of largest relative error, and this error before and after an experiment."""
+        """Return the constant with the largest relative error, and this error before and after an experiment."""
         root = self._of_shown.root
         before, after = root @ root.T, root @ precision(self._of_shown.at(design), len(root))[1] @ root.T
         sizes = np.maximum(np.abs(self._shown.values), 1e-300)

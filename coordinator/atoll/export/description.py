@@ -1,4 +1,4 @@
-"""The content of an export, before any language. Letters: D states, N times."""
+"""The content of an export, independent of the language. Letters: D states, N times."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 Times = npt.ArrayLike | None
 """Ascending times, only the last time, or the measured times."""
 HeldInputs = Mapping[str, npt.ArrayLike | InputCurve] | None
-"""By name numbers, arrays at the times, or curves."""
+"""Numbers, arrays (N,) at the times, or curves, by name."""
 
 _MOST_EVALUATIONS: Final = 20_000
-"""Evaluations of the rates to find how small states become: a fraction of a second."""
+"""Largest number of evaluations of the rates to find the sizes of the states; they take a fraction of a second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +40,10 @@ class Formula:
 
 @dataclass(frozen=True, eq=False)
 class ExportedState:
-    """A state: its `name` in expressions, its `column` in the data ("" where it has none), its `unit`.
+    """A state: its `name` in expressions, its `column` in the data ("" if it has no column), its `unit`.
 
-    `rate` is its derivative, `start` its initial value. `size`, above 0, scales absolute tolerances; 0 for a process.
+    `rate` is its derivative, `start` its initial value. `size` scales absolute tolerances; it is above 0 for an
+    ordinary differential equation, and 0 for a stochastic process.
     """
 
     name: str
@@ -57,9 +58,10 @@ class ExportedState:
 class ExportedInput:
     """A variable without an equation.
 
-    It is the time itself, is held at a `value`, or follows a `table`: piecewise cubics (M, 5), each with its first time
-    and the coefficients of the powers 0 to 3 of the time since then; `until` is the end of the last one. Its `status`
-    says why it is held at 0: nothing is known of it, or its recorded table was dropped.
+    Its `kind` is the time itself, a constant `value`, or a `table` of piecewise cubics (M, 5). A row of the table is
+    the first time of a piece, then the coefficients of the powers 0 to 3 of the time since this first time. `until` is
+    the end of the last piece. For an input that is set to 0, `status` gives the reason: its values are unknown, or its
+    recorded table was dropped.
     """
 
     name: str
@@ -76,10 +78,11 @@ class ExportedInput:
 class Description:
     """The content of an exported model.
 
-    `symbols` are the variables of all formulas. The `states` go from `begin` to `end` in `steps` equal steps, with
-    velocities after the positions for order 2. `covariance` has the entries of g g' of a process dx = f dt + g dW by
-    the indices of two states. A regression has no state, and a `value`. `constants` are the named ones; `origin` has
-    lines on the origin of the model, `zeros` sentences on inputs that are held at 0 for lack of a value.
+    `symbols` are the variables of all formulas. The simulation goes from `begin` to `end` in `steps` equal time steps.
+    For order 2, the velocities are `states` after the positions. For a process dx = f dt + g dW, `covariance` has the
+    entries of g gᵀ by row and column. A regression has a `value` and no states. `constants` are the constants with a
+    name. `origin` has lines about the origin of the model. `zeros` has sentences about inputs that are set to 0 because
+    their values are not known.
     """
 
     symbols: tuple[str, ...]
@@ -99,17 +102,17 @@ class Description:
 
     @property
     def variables(self) -> "tuple[ExportedState | ExportedInput, ...]":
-        """States and inputs, the time left out."""
+        """All states and inputs except the time."""
         return (*self.states, *(variable for variable in self.inputs if variable.kind != "time"))
 
     @property
     def tables(self) -> tuple[ExportedInput, ...]:
-        """The inputs that go along a table."""
+        """The inputs with a table of values."""
         return tuple(variable for variable in self.inputs if variable.kind == "table")
 
     @property
     def held(self) -> tuple[ExportedInput, ...]:
-        """The inputs that are held at a value."""
+        """The inputs with a constant value."""
         return tuple(variable for variable in self.inputs if variable.kind == "value")
 
     @property
@@ -121,13 +124,13 @@ class Description:
 def describe(
     model: "ModelCore", x0: Given | None = None, t: Times = None, u: HeldInputs = None, without_tables: str = ""
 ) -> Description:
-    """Return the description of `model`, with an initial state, times and inputs as `Model.simulate` takes them.
+    """Return the description of `model`. The initial state, the times and the inputs are as in `Model.simulate`.
 
-    Inputs that are neither given nor recorded are held at 0, and so are recorded inputs that change if the format has
-    no tables (`without_tables` is then its name). Times are exported as first time, last time and number.
+    Inputs that are neither given nor recorded are set to 0. If the format has no tables (`without_tables` is then its
+    name), recorded inputs that change are set to 0 too. Times are exported as first time, last time and number.
 
     Raises:
-        UsageError: the initial state or the times are not known, arguments do not fit, or constants differ between
+        UsageError: the initial state or the times are not known, an argument is invalid, or constants differ between
             groups of trajectories.
     """
     model.require_one_group()
@@ -144,7 +147,7 @@ def describe(
     if not model.is_regression:
         start = start_of(model, x0)
         sizes = np.zeros(len(start))
-        if not components:  # sizes as in simulations, with unknown inputs held at 0
+        if not components:  # sizes as in simulations, with unknown inputs set to 0
             zeros = {variable.name: 0.0 for variable in inputs if variable.status == "unknown"}
             course = inputs_along(model, {**zeros, **given}, times, recorded)
             sizes = followed_sizes(model.field, start, times, course, _MOST_EVALUATIONS)
@@ -168,7 +171,7 @@ def describe(
 
 
 def _is_named(constant: Parameter) -> bool:
-    """Tell whether a constant gets a name: an integer without a fitted error, such as the 2 of 2*x, does not."""
+    """Tell whether a constant gets a name: an integer without a fitted error, such as the 2 in 2*x, gets none."""
     return constant.stderr is not None or constant.bounds is not None or not constant.value.is_integer()
 
 
@@ -187,7 +190,7 @@ def _formulas(model: "ModelCore") -> dict[str, Formula]:
 def _states(
     model: "ModelCore", formulas: Mapping[str, Formula], start: FloatArray, sizes: FloatArray
 ) -> tuple[ExportedState, ...]:
-    """Return the states; for order 2 the rates of positions are the velocities."""
+    """Return the states; for order 2, the rates of the positions are the velocities."""
     symbols, names = model.result.symbols, model.result.names
     rates = {symbols[variable]: formula for variable, formula in formulas.items() if variable in symbols}
     if len(rates) < len(model.states):
@@ -229,24 +232,24 @@ def _input(
             return ExportedInput(name, column, unit, "value", status="dropped")
         return ExportedInput(name, column, unit, "table", 0.0, value.pieces, value.until)
     if callable(value):
-        raise UsageError(f"the input {name!r} is a function, which no export can hold; give its values at the times t")
+        raise UsageError(f"the input {name!r} is a function, which cannot be exported; give its values at the times t")
     values = np.asarray(value, dtype=np.float64)
     if values.ndim == 0:
         return ExportedInput(name, column, unit, "value", float(values))
     if values.shape != times.shape or len(times) < 2:
-        raise UsageError(f"the input {name!r} has {values.size} values for {times.size} times; give one for each")
+        raise UsageError(f"the input {name!r} has {values.size} values for {times.size} times; give one value per time")
     curve = InputCurve.through(times, values, model.input_kind(name))
     return ExportedInput(name, column, unit, "table", 0.0, curve.pieces, curve.until)
 
 
 def _zeros(inputs: tuple[ExportedInput, ...], without_tables: str) -> tuple[str, ...]:
     reasons = {
-        "dropped": f"not as recorded, since {without_tables} has no tables",
-        "unknown": "since no value is given",
+        "dropped": f"and not to the recorded values, because {without_tables} has no tables",
+        "unknown": "because no value is given",
     }
     columns = {status: [variable.column for variable in inputs if variable.status == status] for status in reasons}
     return tuple(
-        f"inputs held at 0, {reasons[status]}: {', '.join(names)}" for status, names in columns.items() if names
+        f"inputs set to 0, {reasons[status]}: {', '.join(names)}" for status, names in columns.items() if names
     )
 
 

@@ -1,6 +1,6 @@
-"""The table of export formats, and the texts for people and sympy: LaTeX, sympy source, CSV of the fronts.
+"""The table of export formats, and three formats for text: LaTeX, SymPy source, and CSV of the fronts.
 
-Texts are written from a result, which need not be complete: equations that were not found are left out.
+These three are written from a result, which may be incomplete: equations that were not found are left out.
 """
 
 import csv
@@ -30,11 +30,11 @@ _COLUMNS: Final[tuple[str, ...]] = (
 )  # fmt: skip
 
 _POWER: Final = re.compile(r"e([+-]?\d+)\b")
-_OF_NUMBERS: Final = "-0123456789"
+_DIGITS_AND_SIGN: Final = "-0123456789"
 
 
 def as_csv(result: Result) -> str:
-    """Return the equations as CSV with a header: for each the displayed one, then all members of its front."""
+    """Return the equations as CSV with a header: each displayed equation, followed by all members of its front."""
     stream = io.StringIO()
     writer: csv.DictWriter[str] = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
@@ -87,7 +87,9 @@ def latex_lines(result: Result) -> list[str]:
 
 def _constant_latex(words: ConstantWords) -> str:
     """Return ``19.92\\; (19.9 \\pm 1.7)\\,\\mathrm{m}``."""
-    notes = ", ".join(_numbers_latex(note) if note[0] in _OF_NUMBERS else rf"\text{{{note}}}" for note in words.notes)
+    notes = ", ".join(
+        _numbers_latex(note) if note[0] in _DIGITS_AND_SIGN else rf"\text{{{note}}}" for note in words.notes
+    )
     unit = rf"\,{unit_to_latex(words.unit)}" if words.unit not in (None, "1") else ""
     return _numbers_latex(words.number) + (rf"\; ({notes})" if notes else "") + unit
 
@@ -106,44 +108,44 @@ LANGUAGES: Final[Mapping[str, Language]] = {
     "xppaut": XPPAUT,
     "sbml": SBML,
 }
-OF_RESULTS: Final[Mapping[str, Callable[[Result], str]]] = {
+RESULT_FORMATS: Final[Mapping[str, Callable[[Result], str]]] = {
     "latex": as_latex,
     "sympy": as_sympy,
     "csv": as_csv,
     "json": Result.to_json,
 }
 PETAB: Final = "petab"
-"""A folder, written by `atoll.export.petab`."""
-NAMES: Final = (*LANGUAGES, *OF_RESULTS, PETAB)
+"""The format of a folder, written by `atoll.export.petab`."""
+NAMES: Final = (*LANGUAGES, *RESULT_FORMATS, PETAB)
 
 
 def written(model: "ModelCore", name: str, x0: Given | None = None, t: Times = None, u: HeldInputs = None) -> str:
-    """Return the model in a format of one file, by its name; see `atoll.Model.export`."""
-    if name in OF_RESULTS:
-        return OF_RESULTS[name](model.result)
+    """Return the model in the format `name`, which is a single file; see `atoll.Model.export`."""
+    if name in RESULT_FORMATS:
+        return RESULT_FORMATS[name](model.result)
     if name not in LANGUAGES:
-        known = ", ".join([*LANGUAGES, *OF_RESULTS])
-        raise UsageError(f"{name!r} is no export format; choose one of {known}, or petab with a folder")
+        known = ", ".join([*LANGUAGES, *RESULT_FORMATS])
+        raise UsageError(f"{name!r} is not an export format; choose one of {known}, or petab with a folder")
     return write(describe(model, x0, t, u, LANGUAGES[name].without_tables), LANGUAGES[name])
 
 
 def write(model: Description, language: Language) -> str:
-    """Return a file of a language; raises UsageError where it cannot hold the model."""
-    require_holds(model, language)
+    """Return the file of a language; raises UsageError if the language cannot express the model."""
+    require_support(model, language)
     return language.write(model)
 
 
-def require_holds(model: Description, language: Language) -> None:
-    """Raise UsageError where a format has no noise for a process, no function for a regression, or no table."""
+def require_support(model: Description, language: Language) -> None:
+    """Raise UsageError if a format lacks noise for a process, functions for a regression, or tables of inputs."""
     if model.covariance and not language.has_noise:
         able = enumerated([name for name, other in LANGUAGES.items() if other.has_noise])
-        raise UsageError(f"{language.name} cannot hold the noise of a process; {able} can")
+        raise UsageError(f"{language.name} cannot express the noise of a process; {able} can")
     if not model.states and not language.regression:
         able = ", ".join([name for name, other in LANGUAGES.items() if other.regression])
         raise UsageError(
-            f"{language.name} holds models of dynamics, and this is a regression; {able}, latex and sympy hold it"
+            f"{language.name} only expresses models of dynamics, and this is a regression; {able}, latex and sympy can"
         )
     if model.tables and not language.has_tables:
         raise UsageError(
-            f"{language.name} cannot hold the table of the input '{model.tables[0].name}'; give one number for it"
+            f"{language.name} has no tables, but the input '{model.tables[0].name}' changes; give one number for it"
         )

@@ -1,12 +1,14 @@
-"""Languages as tables of words and templates, and a description in the words of one. Pure.
+"""Languages as tables of words and templates, and a `Description` in the words of a language. All functions are pure.
 
-A language takes some names only: names of columns are spelled in ASCII and changed where a language reserves them.
+Each language allows only some names. Therefore names of columns are written in ASCII, and changed if a language
+reserves them.
 
-Templates: `$name` is a value, or the number of items of a list. `<<items|text|separator>>` is the text for each item,
-the separator ", " by default. Whole lines can be conditional: ``$for items:line`` repeats a line for each item, with a
-comma in between as ``$for items,:line`` (or a semicolon); ``$if name:line`` keeps it where a value is neither 0 nor
-empty, ``$unless name:line`` where it is. With nothing after the colon they hold for all lines down to their ``$end``.
-Within an item its values hide outer ones.
+Templates: `$name` is replaced by a value, or by the number of items of a list. `<<items|text|separator>>` repeats the
+text for each item; the default separator is ", ". Lines can be repeated or conditional. ``$for items:line`` repeats the
+line for each item. ``$for items,:line`` also puts a comma (or a semicolon) between the lines. ``$if name:line`` keeps
+the line if the value is neither 0 nor empty, and ``$unless name:line`` keeps it otherwise. If the line after the colon
+is empty, the instruction applies to all lines up to its ``$end``. Values of an item hide outer values with the same
+name.
 """
 
 import re
@@ -31,11 +33,11 @@ _PART: Final = re.compile(r"<<(\w+)\|(.*?)(?:\|(.*?))?>>|\$(\w+)")
 
 
 def fill(template: str, values: Values) -> list[str]:
-    """Return the lines of a template with values; raises KeyError where one is missing."""
-    return list(_filled(template.splitlines(), values))
+    """Return the lines of a template, filled with `values`; raises KeyError for a missing value."""
+    return list(_fill_lines(template.splitlines(), values))
 
 
-def _filled(template: Iterable[str], values: Values) -> Iterator[str]:
+def _fill_lines(template: Iterable[str], values: Values) -> Iterator[str]:
     lines = iter(template)
     for line in lines:
         instruction = _LINE.fullmatch(line)
@@ -47,11 +49,11 @@ def _filled(template: Iterable[str], values: Values) -> Iterator[str]:
         if word == "for":
             scopes = _scopes(name, values)
             for number, scope in enumerate(scopes, start=1):
-                *before, last = _filled(body, scope)
+                *before, last = _fill_lines(body, scope)
                 yield from before
                 yield last + (separator if number < len(scopes) else "")
         elif bool(values[name]) is (word == "if"):
-            yield from _filled(body, values)
+            yield from _fill_lines(body, values)
 
 
 def _block(lines: Iterator[str]) -> Iterator[str]:
@@ -87,10 +89,10 @@ _LETTER: Final = re.compile(r"(?:GREEK|CYRILLIC) (SMALL|CAPITAL) LETTER (?:FINAL
 
 @dataclass(frozen=True)
 class Naming:
-    """The names that a language allows: ASCII letters, digits and _, a letter first, at most `longest` characters.
+    """The names that a language allows: ASCII letters, digits and _, beginning with a letter.
 
-    `reserved` words are excluded, and names that begin with one of `prefixes`; where the language `is_caseless`, names
-    that differ in case alone are equal.
+    A name has at most `longest` characters. `reserved` words are excluded, and names that begin with one of the
+    `prefixes`. If the language `is_caseless`, names that differ only in case are equal.
     """
 
     reserved: frozenset[str]
@@ -99,9 +101,9 @@ class Naming:
     is_caseless: bool = False
 
     def assign(self, wanted: Mapping[str, str]) -> dict[str, str]:
-        """Return a name for each key: the wanted one if possible, otherwise a similar one; all are different.
+        """Return a different name for each key: the `wanted` name if possible, otherwise a similar name.
 
-        If several keys want the same name, the first gets it.
+        If several keys want the same name, the first key gets it.
         """
         names: dict[str, str] = {}
         taken: set[str] = set()
@@ -138,7 +140,7 @@ class Naming:
 
 
 def spelled(name: str) -> str:
-    """Return `name` in ASCII letters, digits and _: without accents, Greek and Cyrillic letters by their names."""
+    """Return `name` in ASCII letters, digits and _: accents are removed, Greek and Cyrillic letters are named."""
     return "".join(map(_spelled, unicodedata.normalize("NFKC", name)))
 
 
@@ -152,7 +154,7 @@ def _spelled(character: str) -> str:
 
 
 def harmless(text: str) -> str:
-    """Return `text` for a comment in any language: one line, no backslash, no invisible character."""
+    """Return `text` as a comment in any language: one line, without backslashes and invisible characters."""
     kept = (
         character if unicodedata.category(character)[0] not in "CZ" else " "
         for character in text.replace("\\", "/").replace("*/", "* /")
@@ -165,24 +167,26 @@ _WIDTH: Final = 100
 _TOLERANCE: Final = 1e-12
 """Relative error of a step."""
 _LEAST_NOMINAL: Final = 1e-30
-"""Share of the initial value: tools divide by nominal values, whose squares must not underflow."""
+"""Smallest nominal value, as a share of the initial value. Tools divide by nominal values, so their squares must not
+underflow."""
 _UNDEFINED: Final = (
-    "Arithmetic is that of doubles. Where the mathematics has no value (a division by zero, the logarithm or a "
-    "fractional power of a negative number)"
+    "All numbers are doubles. Where an expression is undefined (a division by zero, the logarithm or a fractional "
+    "power of a negative number)"
 )
-_NOISE: Final = "Noise: dx = f dt + g dW in the sense of Ito; g is the root of the covariance per time."
-_LARGE_ANGLES: Final = "sin and cos of more than 1e5, which Atoll's search takes for undefined, have values here."
+_NOISE: Final = "Noise: dx = f dt + g dW (Ito); g is the Cholesky factor of the covariance per unit of time."
+_LARGE_ANGLES: Final = "sin and cos of more than 1e5 have values here; in Atoll's search they are undefined."
 
 
 @dataclass(frozen=True, kw_only=True)
 class Language:
     """The words of a language and the templates of its files, which docs/how-to/export-format.md describes.
 
-    `name` is its name in sentences, `notation` its notation of expressions, `naming` its allowed names, `time` its name
-    of the time; `comment` begins a comment line, `remark` is the form of a remark after a statement. `where_undefined`
-    says what happens where an expression is undefined. Templates: `motion` for a model of dynamics, `regression` for a
-    function ("" without), `usage` for lines on how to use the file. Without `has_noise` a process is refused, without
-    `has_tables` an input that follows a table. Lines have `longest` characters at most.
+    `name` is its name in sentences, `notation` its notation of expressions, `naming` its allowed names, and `time` its
+    name for the time. `comment` begins a comment line; `remark` is the template of a remark after a statement.
+    `where_undefined` says what happens if an expression is undefined. There are three templates: `motion` for a model
+    of dynamics, `regression` for a function ("" if the language has none), and `usage` for lines about the use of the
+    file. Without `has_noise`, stochastic processes are refused; without `has_tables`, inputs with a table are refused.
+    Lines have at most `longest` characters.
     """
 
     name: str
@@ -201,24 +205,25 @@ class Language:
 
     @property
     def without_tables(self) -> str:
-        """The name of a language without tables, "" for others."""
+        """The name of the language if it has no tables, otherwise ""."""
         return "" if self.has_tables else self.name
 
     def write(self, model: Description) -> str:
-        """Return a file; raises UsageError where a line would be too long."""
+        """Return the file; raises UsageError if a line is too long."""
         words = Wording(model, self)
         heading = [f"{self.comment} {line}".rstrip() for line in words.heading]
         template = self.motion if model.states else self.regression
         lines = [*heading, "", *fill(template, words.values)]
         for line in lines:
             if self.longest and len(line) > self.longest:
-                name, fault = re.split("[='(]", line)[0], f"{len(line)} characters, {self.name} reads {self.longest}"
+                name = re.split("[='(]", line)[0]
+                fault = f"{len(line)} characters, but {self.name} reads at most {self.longest}"
                 raise UsageError(f"the equation of {name} has {fault}; use another format")
         return "\n".join(lines) + "\n"
 
 
 class Wording:
-    """A description in the words of a language."""
+    """A description in the words of a language: names, expressions, and the values for its templates."""
 
     def __init__(self, model: Description, language: Language) -> None:
         self.model = model
@@ -226,7 +231,7 @@ class Wording:
         places = range(len(model.states) if model.covariance else 0)
         noise = [f"{kind}{i + 1}_{j + 1}" for kind in ("b", "g") for i in places for j in range(i + 1)]
         noise += [f"w{place + 1}" for place in places]
-        # Keys with a blank are not names of variables.
+        # a key with a space cannot be the name of a variable
         wanted = {variable.name: variable.name for variable in model.variables}
         wanted |= {f"constant {constant.name}": constant.name for constant in model.constants}
         wanted |= {f"noise {name}": name for name in noise}
@@ -238,11 +243,11 @@ class Wording:
         return self.constant(named.name) if isinstance(named, Parameter) else self._names[named.name]
 
     def constant(self, name: str) -> str:
-        """Return the name of a constant, by its name in the model."""
+        """Return the name of a constant in the language, from its name in the model."""
         return self._names[f"constant {name}"]
 
     def expression(self, formula: Formula) -> str:
-        """Return an expression."""
+        """Return an expression in the notation of the language."""
         symbols = [self._names.get(name, "") for name in self.model.symbols]
         constants = {place: self.constant(name) for place, name in formula.constants.items()}
         return to_code(formula.program, symbols, self.language.notation, constants)
@@ -259,7 +264,7 @@ class Wording:
         return self._quoted(f"column {harmless(variable.column)}{unit}")
 
     def _quoted(self, text: str) -> str:
-        """Return a text for a remark, which is a string in some languages."""
+        """Return a text for a remark; in some languages a remark is a string, so " becomes '."""
         return text.replace('"', "'") if '"' in self.language.remark else text
 
     @property
@@ -283,7 +288,7 @@ class Wording:
 
     @cached_property
     def values(self) -> Values:
-        """The values that templates can name."""
+        """The values that templates can use."""
         model = self.model
         constants: list[Values] = []
         for constant in model.constants:
@@ -354,7 +359,7 @@ class Wording:
     def _noise(self) -> tuple[list[tuple[str, str]], list[list[str]]]:
         """The factor g of dW: assignments (name, expression) in order, and the names in each row of g, "" for 0.
 
-        g is the lower triangle with g g' = B (Cholesky).
+        g is the lower triangular matrix with g gᵀ = B (Cholesky), the covariance per unit of time.
         """
         root = self.language.notation.call(SQRT)
         size = len(self.model.states) if self.model.covariance else 0

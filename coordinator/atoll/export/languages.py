@@ -1,7 +1,7 @@
-"""The languages of exports: reserved words, notation and templates of each.
+"""The languages of exports, with their reserved words, notation and templates.
 
-Python and C carry their own integrator (Dormand and Prince, orders 5 and 4); Julia, MATLAB, Modelica and XPPAUT use the
-solvers of their tools. Templates are written as `atoll.export.language` describes.
+Exports in Python and C contain an integrator (Dormand and Prince, orders 5 and 4). Exports in Julia, MATLAB, Modelica
+and XPPAUT use the solvers of their tools. `atoll.export.language` describes the templates.
 """
 
 import keyword
@@ -15,7 +15,7 @@ _PYTHON_WORDS: Final = "np sys t along parameters rates noise simulate main valu
 
 PYTHON: Final = Language(
     name="Python",
-    # np.power is not a number where a Python power would be complex
+    # np.power returns NaN where a Python power would be complex
     notation=Notation(prefix="np.", power="np.power({0}, {1})", natural="{0}**{1}", is_call=True),
     naming=Naming(frozenset([*keyword.kwlist, *keyword.softkwlist, *_PYTHON_WORDS.split()]), ("TABLE_", "UNTIL_")),
     time="t",
@@ -59,7 +59,7 @@ $if tables:
 
 
 def along(table, until, t):
-    """Return an input at time t: cubic between the times of its table, constant beyond."""
+    """Return an input at time t: cubic between the times of its table, constant before and after."""
     t = min(max(t, table[0, 0]), until)
     begin, c0, c1, c2, c3 = table[np.searchsorted(table[:, 0], t, side="right") - 1]
     s = t - begin
@@ -79,7 +79,7 @@ $if process:
 
 
 def noise(t, x, parameters=PARAMETERS):
-    """Return g (D, D) at time t and state x (D,): what multiplies dW."""
+    """Return g (D, D), the factor of dW, at time t and state x (D,)."""
     (<<states|$name>>$comma_of_one) = x
 $for parameters:    $name = parameters['$name']
 $for tables:    $name = along(TABLE_$name, UNTIL_$name, t)
@@ -94,7 +94,7 @@ $if process:
 def simulate(start=START, times=TIMES, parameters=PARAMETERS, seed=0, substeps=100):
     """Return one path (N, D) at N ascending times, from the state start (D,) at the first of them.
 
-    By the method of Euler and Maruyama, in so many substeps between two times.
+    The Euler-Maruyama method takes `substeps` equal steps between two times.
     """
     random, x, found = np.random.default_rng(seed), np.array(start, dtype=float), []
     found.append(x)
@@ -128,9 +128,9 @@ ERRORS = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 
 def simulate(start=START, times=TIMES, parameters=PARAMETERS, tolerance=1e-12):
     """Return the states (N, D) at N ascending times, from the state start (D,) at the first of them.
 
-    By the pair of orders 5 and 4 of Dormand and Prince (1980); a step has a relative error of about tolerance. Raises
-    ArithmeticError where the solution does not go on, or by more than a million steps only: a model as stiff as that
-    wants an implicit method, such as scipy.integrate.solve_ivp(rates, ..., method="LSODA").
+    The method is the pair of orders 5 and 4 of Dormand and Prince (1980). A step has a relative error of about
+    `tolerance`. Raises ArithmeticError if the solution ends early or needs more than a million steps. Such a stiff
+    model needs an implicit method, for example scipy.integrate.solve_ivp(rates, ..., method="LSODA").
     """
     x, t = np.array(start, dtype=float), float(times[0])
     found, count, stages = [x], 0, np.empty((7, len(x)))
@@ -163,7 +163,7 @@ $end
 
 
 def main(until=None, steps=None):
-    """Print a simulation as CSV, until a time, in so many steps."""
+    """Print a simulation as CSV, up to the time `until`, in this number of equal `steps`."""
     until = TIMES[-1] if until is None else float(until)
     times = np.linspace(TIMES[0], until, int(steps or len(TIMES) - 1) + 1)
     print('$time', *STATES, sep=",")
@@ -192,7 +192,7 @@ _C_MACROS: Final = (
     "TMP_MAX WCONTINUED WEXITED WNOHANG WNOWAIT WSTOPPED WUNTRACED math_errhandling linux unix DOMAIN OVERFLOW PLOSS "
     "SING TLOSS UNDERFLOW X_TLOSS"
 )
-"""Names in the headers that the program includes: a column of this name would clash with them."""
+"""Names in the included headers: a column of the same name would clash with them."""
 
 C: Final = Language(
     name="C",
@@ -239,7 +239,7 @@ $for held:    $value, // $name, input
 $end
 $if tables:
 
-// An input at time t: cubic between the times of its table, constant beyond.
+// An input at time t: cubic between the times of its table, constant before and after.
 static double along(const double table[][5], long rows, double until, double t)
 {
     long low = 0, high = rows;
@@ -287,9 +287,9 @@ static const double weights[7][6] = {
 };
 static const double errors[7] = {71.0 / 57600,      0,         -71.0 / 16695, 71.0 / 1920,
                                  -17253.0 / 339200, 22.0 / 525, -1.0 / 40};
-static const double tolerance = 1e-12; // relative error of a step, about
+static const double tolerance = 1e-12; // approximate relative error of a step
 
-// Go from time *t to time end with steps of about *step, stages[0] being the rates there; 0 where that is not possible.
+// Integrate from time *t to time end with steps of about *step; stages[0] has the rates at *t. Returns 0 on failure.
 static int advance(double *t, double end, double x[SIZE], double stages[7][SIZE], double *step,
                    const double least[SIZE])
 {
@@ -317,7 +317,7 @@ static int advance(double *t, double end, double x[SIZE], double stages[7][SIZE]
             for (int k = 0; k < 7; k++)
                 sum += errors[k] * stages[k][i];
             const double its = fabs(h * sum / (least[i] + tolerance * fmax(fabs(x[i]), fabs(moved[i]))));
-            size = its <= size ? size : its; // also where it is not a number
+            size = its <= size ? size : its; // also if it is NaN
         }
         if (!(size <= 1)) {
             *step = isfinite(size) ? h * fmax(0.2, 0.9 * pow(size, -0.2)) : 0.2 * h;
@@ -410,7 +410,7 @@ $for constants:@parameters $name = $value$remark
 $for held:@parameters $name = $value  # input, $about
 $if tables:
 
-# An input at a time: cubic between the times of its table, constant beyond.
+# An input at a time: cubic between the times of its table, constant before and after.
 function along(table, until, time)
     time = clamp(time, table[1, 1], until)
     row = searchsortedlast(view(table, :, 1), time)
@@ -472,16 +472,16 @@ _MATLAB_WORDS: Final = (
 
 MATLAB: Final = Language(
     name="MATLAB",
-    notation=Notation(  # the plain functions would go on with complex numbers, where the real ones end with an error
+    notation=Notation(  # the plain functions would return complex numbers; the real ones raise an error
         {LOG: "reallog", SQRT: "realsqrt"}, power="realpow({0}, {1})", natural="{0}^{1}", is_call=True, cotangent="cot"
     ),
     naming=Naming(frozenset(_MATLAB_WORDS.split()), ("along_",), longest=63),
     time="t",
     comment="%",
     remark=" % {}",
-    where_undefined="ode45 ends early, or with an error where a number would become complex",
+    where_undefined="ode45 ends early, or raises an error if a number would be complex",
     usage="Save as atoll_model.m. [t, x] = atoll_model(last) solves by ode45, one column of x for each state; "
-    "without results it prints CSV. For a stiff model write ode15s in place of ode45.",
+    "without results it prints CSV. For a stiff model, replace ode45 by ode15s.",
     regression="""\
 function value = atoll_model(<<inputs|$name>>)
 $for constants:    $name = $value;$remark
@@ -512,7 +512,7 @@ $for states:        $rate;
 end
 $for tables:
 
-function value = along_$name(t)  % cubic between the times of a table, constant beyond
+function value = along_$name(t)  % cubic between the times of a table, constant before and after
     persistent table
     if isempty(table)
         table = mkpp([<<cubics|$since>>, $until], [
@@ -547,7 +547,7 @@ MODELICA: Final = Language(
     motion="""\
 model AtollModel
 $for tables:
-  function along_$name "cubic between the times of a table, constant beyond"
+  function along_$name "cubic between the times of a table, constant before and after"
     input Real t;
     output Real value;
   protected
@@ -599,7 +599,7 @@ XPPAUT: Final = Language(
     has_tables=False,
     longest=900,  # XPPAUT reads 1024
     usage="Open with: xppaut model.ode. AUTO (File, Auto) continues fixed points and cycles. XPPAUT keeps seven digits "
-    "of what it shows.",
+    "of its results.",
     motion="""\
 $for constants:par $name=$value
 $for held:par $name=$value

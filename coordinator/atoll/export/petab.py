@@ -1,7 +1,7 @@
 """PEtab 1: a folder of SBML, measurements, noise and bounds, for pyPESTO, AMICI, Data2Dynamics and COPASI.
 
-Each trajectory is a condition with its own initial state, which is estimated like the constants. Simulations of PEtab
-begin at time 0: times are counted from the beginning of their trajectory.
+Each trajectory is a condition with its own initial state, which is estimated together with the constants. Simulations
+in PEtab begin at time 0, so times are counted from the first row of their trajectory.
 """
 
 import csv
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from atoll.export.description import Description, ExportedState, describe
-from atoll.export.formats import require_holds
+from atoll.export.formats import require_support
 from atoll.export.language import Wording
 from atoll.export.sbml import SBML, start_name
 from atoll.model.arguments import Columns, column, has, measured_conditions, read_columns, rows_of, values_of_curve
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from atoll.model.core import ModelCore
 
 _REACH: Final = 10.0
-"""Bounds of a constant: standard errors on either side, or multiples of its size where no error is known."""
+"""Distance of the bounds from a constant, in standard errors, or in multiples of its size if no error is known."""
 _PROBLEM: Final = """\
 format_version: 1
 parameter_file: parameters.tsv
@@ -50,12 +50,12 @@ def export_petab(model: "ModelCore", folder: str | Path, data: Sequence[Columns]
     columns = model.result.columns_by_symbol
     placeholders = {name: 0.0 for name in model.inputs if columns[name] != model.time}
     description = describe(model, start, times, placeholders)
-    require_holds(description, SBML)
+    require_support(description, SBML)
     document = SBML.write(description, has_start_parameters=True)
     trajectories = trajectories or _recorded(model)
     if not trajectories:
         raise UsageError(
-            "the result holds no measurements of trajectories", python="give them as data", command="give --data FILE"
+            "the result has no measurements of trajectories", python="give them as data", command="give --data FILE"
         )
     tables = _Tables(model, description, trajectories)
     files = {"problem.yaml": _PROBLEM, "model.xml": document}
@@ -73,9 +73,9 @@ def export_petab(model: "ModelCore", folder: str | Path, data: Sequence[Columns]
 
 @dataclass(frozen=True, eq=False)
 class PetabTrajectory:
-    """Measurements along a trajectory: `times` (N,), `values` (N,) by state, NaN where missing; `start` (D,) fitted.
+    """Measurements along a trajectory: `times` (N,), `values` (N,) by state, `inputs` (N,) by name.
 
-    `inputs` are the values (N,) of inputs, by name.
+    Missing values are NaN. `start` (D,) is the initial state from which the estimation begins.
     """
 
     name: str
@@ -88,7 +88,8 @@ class PetabTrajectory:
 def _recorded(model: "ModelCore") -> list[PetabTrajectory]:
     """Return the measurements in a result, without held-out trajectories, with their fitted initial states.
 
-    A trajectory without a fitted initial state begins at its first row with every state, and is left out without one.
+    A trajectory without a fitted initial state begins at its first row with all states. It is left out if it has no
+    such row.
     """
     symbols = model.result.symbols
     starts: Mapping[str, Mapping[str, float | None]]
@@ -115,7 +116,7 @@ def _recorded(model: "ModelCore") -> list[PetabTrajectory]:
 
 
 def _given(model: "ModelCore", data: Sequence[Columns]) -> list[PetabTrajectory]:
-    """Return given measurements, each with the initial state of its first row."""
+    """Return the measurements in `data`; the initial state of a trajectory is its first row."""
     if not data:
         raise UsageError("no trajectory of measurements was given; give at least one")
     columns, trajectories = model.result.columns_by_symbol, []
@@ -144,7 +145,7 @@ class _Tables:
         }
 
     def conditions(self) -> Iterator[_Row]:
-        """Yield the initial state, the inputs and, if it is an input, the first time of each trajectory."""
+        """Yield for each trajectory the initial state, the inputs and, if the time is an input, the first time."""
         description = self._description
         inputs = [self._words[held] for held in description.held]
         clock = ["begin_time"] if description.depends_on_time else []
@@ -162,7 +163,7 @@ class _Tables:
             yield f"observable_{name}", name, "lin", formula, "normal"
 
     def measurements(self) -> Iterator[_Row]:
-        """Yield the measured values, without missing ones."""
+        """Yield the measured values; missing values are left out."""
         yield "observableId", "simulationConditionId", "measurement", "time"
         for number, part in enumerate(self._trajectories, start=1):
             times = (part.times - part.times[0]).tolist()
@@ -192,7 +193,7 @@ class _Tables:
             yield f"sd_{name}", f"errors of {state.name}", "log10", sd / _REACH, sd * _REACH, sd, 1
 
     def _range(self, state: ExportedState) -> float:
-        """Return the range of a state in all trajectories; for a state that was not measured the range of slopes."""
+        """Return the range of a state in all trajectories; for an unmeasured state, the range of all slopes."""
         values = self._measured.get(state)
         if values is None:
             parts = [(part.times, curve) for part in self._trajectories for curve in part.values.values()]
@@ -201,9 +202,9 @@ class _Tables:
 
 
 def _errors(model: "ModelCore", state: ExportedState, name: str, values: FloatArray) -> tuple[float, str]:
-    """Return the standard deviation of the errors of a state, and the noise formula of PEtab.
+    """Return the standard deviation of the measurement errors of a state, and the noise formula of PEtab.
 
-    A share of the variance may grow with the square of the state, relative to the mean square of its measured values.
+    A share of the variance may be proportional to the square of the state over the mean square of its measured values.
     """
     noise = model.result.noise.get(state.column) or Noise()
     errors = noise.errors or Errors()
@@ -216,18 +217,16 @@ def _errors(model: "ModelCore", state: ExportedState, name: str, values: FloatAr
 
 
 def _constant_input(part: PetabTrajectory, name: str) -> float:
-    """Return the value of a constant input along a trajectory; raises UsageError where it is unknown or changes."""
+    """Return the value of a constant input along a trajectory; raises UsageError if it is unknown or changes."""
     values = np.unique(part.inputs.get(name, ()))
     if len(values) != 1 or not np.isfinite(values[0]):
         fault = "is not known" if not len(values) else "changes"
-        raise UsageError(
-            f"the input '{name}' {fault} along trajectory {part.name}; PEtab holds inputs that stay the same"
-        )
+        raise UsageError(f"the input '{name}' {fault} along trajectory {part.name}; PEtab needs constant inputs")
     return float(values[0])
 
 
 def _bounds(constant: Parameter) -> tuple[float, float]:
-    """Return the user's bounds of a constant, and multiples of its standard error on open sides."""
+    """Return the bounds of a constant: the user's bounds, on open sides multiples of its standard error."""
     reach = _REACH * (constant.stderr or abs(constant.value) or 1.0)
     low, high = constant.bounds or (None, None)
     return constant.value - reach if low is None else low, constant.value + reach if high is None else high

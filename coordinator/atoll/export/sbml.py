@@ -1,7 +1,7 @@
 """SBML Level 3 Version 2: states and constants as parameters, rate rules, initial values, units.
 
-The document is written as text, since libsbml writes 15 digits of a number, which are other doubles. Where libsbml is
-installed (the extra ``sbml``), it checks every document.
+The document is written as text, because libsbml writes only 15 digits of a number, which can change a double. If
+libsbml is installed (the extra ``sbml``), it checks every document.
 """
 
 import math
@@ -32,8 +32,8 @@ class _Sbml(Language):
     def write(self, model: Description, *, has_start_parameters: bool = False) -> str:
         """Return a document.
 
-        With `has_start_parameters` the initial state is given by constants named after the states, which PEtab sets,
-        and the time in the equations is the time of the simulation plus the constant ``begin_time``.
+        With `has_start_parameters`, the initial state is given by constants ``start_`` and the name of the state; PEtab
+        sets these constants. The time in the equations is then the simulation time plus the constant ``begin_time``.
 
         Raises:
             UsageError: libsbml finds an error.
@@ -117,7 +117,7 @@ class UnitDefinitions:
         self._known: dict[tuple[Factor, ...], str] = {}
 
     def of(self, text: str | None) -> str:
-        """Return the name of the definition of a unit; "" where SBML cannot express it."""
+        """Return the name of the definition of a unit; "" if SBML cannot express the unit."""
         factors = factors_of(text or "")
         return self._known.setdefault(factors, f"unit_{len(self._known) + 1}") if factors else ""
 
@@ -135,7 +135,7 @@ class UnitDefinitions:
 
 
 def factors_of(text: str) -> tuple[Factor, ...]:
-    """Return the factors of a unit; none outside of the SI, or where a factor overflows."""
+    """Return the factors of a unit; empty if the unit is not an SI unit or a factor overflows."""
     if not text.strip():
         return ()
     try:
@@ -148,7 +148,9 @@ def factors_of(text: str) -> tuple[Factor, ...]:
     kind, exponent = kinds[0] if kinds else ("dimensionless", 1.0)
     try:
         size = math.prod(float(symbol) ** float(power) for symbol, power in powers.items() if is_factor(symbol))
-        multiplier = float(f"{size ** (1.0 / exponent):.15g}")  # (m u)^e: the first kind takes the size
+        multiplier = float(
+            f"{size ** (1.0 / exponent):.15g}"
+        )  # (multiplier kind)^exponent: the first kind gets the size of all
     except (OverflowError, ZeroDivisionError):
         return ()
     if not 0.0 < multiplier < math.inf:
@@ -163,7 +165,7 @@ def start_name(words: Wording, state: ExportedState) -> str:
 
 
 def check(text: str) -> None:
-    """Check a document by libsbml, where it is installed; raises UsageError with its first error."""
+    """Check a document with libsbml, if it is installed; raises UsageError with its first error."""
     try:
         import libsbml
     except ImportError:
@@ -174,7 +176,7 @@ def check(text: str) -> None:
         error = document.getError(number)
         if error.getSeverity() >= libsbml.LIBSBML_SEV_ERROR:
             raise UsageError(
-                f"libsbml refuses the SBML of this model ({harmless(error.getMessage())}); use another format"
+                f"libsbml finds an error in the SBML of this model ({harmless(error.getMessage())}); use another format"
             )
 
 
@@ -256,7 +258,7 @@ def _expression(formula: Formula, symbols: Sequence[str], words: Wording) -> str
 
 
 def _piecewise(variable: ExportedInput) -> str:
-    """Return an input as piecewise cubics of the time, constant before and after."""
+    """Return an input as piecewise cubics of the time; it is constant before the first and after the last piece."""
     assert variable.table is not None
     rows = variable.table.tolist()
     ends = [*(row[0] for row in rows[1:]), variable.until]

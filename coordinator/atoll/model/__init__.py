@@ -1,7 +1,7 @@
-"""A model as users hold it after it was found.
+"""The model that a job has found.
 
-``core`` has `ModelCore`, a result with names, right-hand sides and constants; `atoll.Model` (``atoll.api.model``) adds
-the methods of users.
-``equations`` has equations and constants for display, ``vector_field`` the right-hand sides as functions with their
-derivatives, ``arguments`` checks arguments of users, ``simulation`` integrates and draws paths of stochastic processes.
+``core`` has `ModelCore`: a result with its names, right-hand sides and constants. `atoll.Model` (``atoll.api.model``)
+adds the public methods. ``equations`` has equations and constants for display. ``vector_field`` has the right-hand
+sides as functions, with their derivatives. ``arguments`` checks the arguments of users. ``simulation`` integrates the
+model and draws paths of stochastic processes.
 """

@@ -39,20 +39,20 @@ Given = Mapping[str, float] | Sequence[float] | FloatArray
 _TimeFunction = Callable[[float], npt.ArrayLike]
 _InputsByName = Mapping[str, npt.ArrayLike | _TimeFunction]
 GivenInputs = _InputsByName | npt.ArrayLike | _TimeFunction | None
-"""By name numbers, arrays or functions of time; an array (N, U); or a function of time that returns U numbers."""
+"""Numbers, arrays (N,) or functions of time by name; an array (N, U); or a function of time that returns U numbers."""
 
 ROWS: Final = 501
-"""Times of a simulation for which only the last time is given."""
+"""Number of times of a simulation if the user gives only the last time."""
 
 _SLACK: Final = 1e-9
-"""Share of a step by which rounding may shift the last time."""
+"""Largest rounding error of the last time, as a share of a step."""
 
 
 # ------------------------------------------------------------------------------------------------------------ numbers
 
 
 def numbers(given: object, what: str, expected: str = "numbers") -> FloatArray:
-    """Return an array of real numbers of any shape; raises UsageError, which names the argument as `what`."""
+    """Return an array of real numbers of any shape; raises UsageError, whose message calls the argument `what`."""
     try:
         plain = plain_array(given)
         if given is not None and plain.dtype.kind in "biufO":
@@ -71,7 +71,7 @@ def number(given: object, what: str) -> float:
 
 
 def interval(given: object, what: str) -> tuple[float, float]:
-    """Return a lower and an upper bound; raises UsageError where they are not a finite interval."""
+    """Return a lower and an upper bound; raises UsageError if they are not a finite interval."""
     bounds = numbers(given, what, "two numbers")
     if bounds.shape != (2,):
         raise UsageError(f"{what} must be two numbers, such as (0.0, 1.0), but {shown(given)} was given")
@@ -96,7 +96,7 @@ def by_name(given: object, what: str) -> Mapping[str, object]:
 class ReadColumns(Mapping[str, npt.ArrayLike]):
     """Columns of one trajectory as the fit reads them: angles are unwrapped and in radians.
 
-    `factors` are factors of columns, `wrapped` the names of the columns to unwrap.
+    `factors` are the factors by which columns are multiplied, `wrapped` are the names of the columns to unwrap.
     """
 
     given: Columns
@@ -136,10 +136,10 @@ def read_columns(model: "ModelCore", part: Columns) -> ReadColumns:
 def rows_of(model: "ModelCore", part: Columns) -> tuple[FloatArray, dict[str, FloatArray], dict[str, float]]:
     """Return the times (N,) of measured rows, the measured states (N,) by name, and the state of the first row.
 
-    Velocities of equations of second order that were not measured are slopes of the positions.
+    For equations of second order, a velocity that was not measured is the slope of its position.
 
     Raises:
-        UsageError: a column is missing, or a state of the first row is.
+        UsageError: a column is missing, or the first row lacks a state.
     """
     columns, half = model.result.columns_by_symbol, len(model.states) // 2
     is_second = all(equation.lhs.startswith(f"d2{equation.variable}/") for equation in model.result.equations)
@@ -156,8 +156,8 @@ def rows_of(model: "ModelCore", part: Columns) -> tuple[FloatArray, dict[str, Fl
         position = column(part, columns[positions[name]])
         stacked([times, position])
         if len(times) < 3:
-            what = f"a velocity is estimated from 3 rows of {positions[name]!r} or more"
-            raise UsageError(f"{what}, but the data have {len(times)}")
+            needed = f"the velocity of {positions[name]!r} is estimated from 3 or more rows"
+            raise UsageError(f"{needed}, but the data have {len(times)}")
         start[name] = float(np.gradient(position, times, edge_order=2)[0])
     unknown = next((name for name, value in start.items() if not np.isfinite(value)), None)
     if unknown is not None:
@@ -191,17 +191,17 @@ def column(given: Columns, *names: str) -> FloatArray:
     """Return the first of these columns that exists; raises UsageError."""
     name = next((name for name in names if has(given, name)), None)
     if name is None:
-        raise UsageError(f"the data have no column {names[0]!r}; give one, by that name")
+        raise UsageError(f"the data have no column {names[0]!r}; add a column of this name")
     values = getattr(given, "index", None) if _is_index(given, name) else given[name]
     return numbers(values, f"column {name!r}")
 
 
 def stacked(columns: Sequence[FloatArray]) -> FloatArray:
-    """Return columns (N,) as one array (K, N); raises UsageError where their lengths differ."""
+    """Return columns (N,) as one array (K, N); raises UsageError if their lengths differ."""
     shapes = {values.shape for values in columns}
     if len(shapes) > 1 or any(values.ndim != 1 for values in columns):
         lengths = sorted(str(values.shape[0] if values.ndim == 1 else values.shape) for values in columns)
-        raise UsageError(f"columns have {', '.join(lengths)} rows; one number of rows is expected")
+        raise UsageError(f"columns have {', '.join(lengths)} rows; all columns must have the same number of rows")
     return np.stack(columns)
 
 
@@ -212,7 +212,7 @@ def _is_index(given: object, name: str) -> bool:
 
 
 def values_of_curve(curve: Sequence[Number]) -> FloatArray:
-    """Return a curve as an array, NaN where it is not known."""
+    """Return the values (N,) of a curve; unknown values are NaN."""
     return np.array(curve, dtype=np.float64)
 
 
@@ -221,7 +221,7 @@ def values_of_curve(curve: Sequence[Number]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class InitialConditions:
-    """The `name` of a trajectory, its initial state by column, its `times` (N,); empty where unknown."""
+    """The `name` of a trajectory, its initial state `start` by column and its `times` (N,); empty if unknown."""
 
     name: str | None = None
     start: Mapping[str, float] = field(default_factory=dict)
@@ -229,7 +229,11 @@ class InitialConditions:
 
 
 def initial_conditions(model: "ModelCore") -> InitialConditions:
-    """Return the initial conditions of the first simulated trajectory, else of a process or measured trajectory."""
+    """Return the initial conditions of the first simulated trajectory.
+
+    Without one, these are the initial conditions of the ensemble of a stochastic process, else of the first measured
+    trajectory that has a complete row.
+    """
     result = model.result
     for part in result.simulated:
         if part.start:
@@ -245,7 +249,7 @@ def initial_conditions(model: "ModelCore") -> InitialConditions:
 
 
 def measured_conditions(model: "ModelCore", part: Recorded | Simulated) -> InitialConditions | None:
-    """Return the initial conditions of the complete rows of a trajectory; None where no row has all states."""
+    """Return the initial conditions from the complete rows of a trajectory; None if no row has all states."""
     columns = {name: values_of_curve(curve) for name, curve in part.measured.items()}
     times = values_of_curve(part.times)
     known = np.flatnonzero(np.isfinite([times, *columns.values()]).all(axis=0))
@@ -270,13 +274,14 @@ def start_of(model: "ModelCore", x0: Given | None) -> FloatArray:
     if not isinstance(given, Mapping):
         values = numbers(given, "an initial state")
         if values.shape != (len(model.states),):
-            raise UsageError(f"an initial state has one number for each of {', '.join(model.states)}")
+            needed = f"an initial state has one number for each of {', '.join(model.states)}"
+            raise UsageError(f"{needed}, but the shape is {values.shape}")
         return values
     symbols, known = model.result.symbols, f"the states are {', '.join(model.states)}"
     named = {symbols.get(name, name): value for name, value in given.items()}
     for name in named:
         if name not in model.states:
-            raise UsageError(f"the initial state names {name!r}; {known}{did_you_mean(name, model.states)}")
+            raise UsageError(f"the initial state has {name!r}, but {known}{did_you_mean(name, model.states)}")
     for name in model.states:
         if name not in named:
             raise UsageError(f"the initial state lacks {name!r}; {known}")
@@ -299,7 +304,7 @@ def times_of(model: "ModelCore", t: npt.ArrayLike | float | None) -> FloatArray:
         return times
     begin = float(first[0]) if len(first) else 0.0
     if not float(times) > begin:
-        raise UsageError(f"a simulation begins at {model.time} = {begin:g} and ends later, but {t!r} was given")
+        raise UsageError(f"the last time must be after the first time, {model.time} = {begin:g}, but {t!r} was given")
     return np.linspace(begin, float(times), ROWS)
 
 
@@ -307,19 +312,19 @@ def times_of(model: "ModelCore", t: npt.ArrayLike | float | None) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Driving:
+class InputFunctions:
     """All inputs (U,) of a simulation as one function of time."""
 
-    courses: Sequence[Callable[[float], float]]
+    functions: Sequence[Callable[[float], float]]
 
     def __call__(self, t: float) -> FloatArray:
-        """Return the inputs at a time."""
-        return np.array([course(t) for course in self.courses], dtype=np.float64)
+        """Return the inputs (U,) at a time."""
+        return np.array([function(t) for function in self.functions], dtype=np.float64)
 
     @cached_property
     def jumps(self) -> FloatArray:
         """The times at which a held input changes, ascending."""
-        parts = [course.jumps for course in self.courses if isinstance(course, InputCurve)]
+        parts = [function.jumps for function in self.functions if isinstance(function, InputCurve)]
         return np.unique(np.concatenate(parts)) if parts else np.zeros(0)
 
 
@@ -347,7 +352,7 @@ def input_curves(result: Result, part: Recorded) -> dict[str, InputCurve]:
 
 
 def require_inputs(model: "ModelCore", names: Iterable[str]) -> None:
-    """Raise UsageError where one of `names`, symbols or columns, is not an input."""
+    """Raise UsageError if one of the `names` (symbols or columns) is not an input."""
     symbols = model.result.symbols
     unknown = next((name for name in names if symbols.get(name, name) not in model.inputs), None)
     if unknown is not None:
@@ -358,17 +363,19 @@ def require_inputs(model: "ModelCore", names: Iterable[str]) -> None:
 def inputs_along(
     model: "ModelCore", u: GivenInputs, times: FloatArray, recorded: Mapping[str, InputCurve]
 ) -> Inputs | None:
-    """Return all inputs as one function of time, by default the `recorded` ones; None for a model without inputs.
+    """Return all inputs as one function of time; None for a model without inputs.
+
+    An input that is missing in `u` is taken from the `recorded` inputs.
 
     Raises:
-        UsageError: a name is not an input, an input is not known, or a number of values does not fit.
+        UsageError: a name is not an input, an input has no values, or the number of values is wrong.
     """
     if isinstance(u, Mapping):
         require_inputs(model, u)
     if not model.inputs:
         return None
     if callable(u):
-        return lambda t: np.atleast_1d(numbers(u(t), "what u returns"))
+        return lambda t: np.atleast_1d(numbers(u(t), "the return value of u"))
     given: _InputsByName = {}
     if has_columns(u):
         given = u
@@ -377,9 +384,10 @@ def inputs_along(
         values = values.reshape(len(times), -1) if values.ndim and len(values) == len(times) else values
         if values.shape != (len(times), len(model.inputs)):
             shape = f"({len(times)}, {len(model.inputs)})"
-            raise UsageError(f"inputs have the shape {values.shape}, expected {shape}: rows by {model.inputs}")
+            columns = f"one row per time, one column for each of {', '.join(model.inputs)}"
+            raise UsageError(f"inputs have the shape {values.shape}, expected {shape}: {columns}")
         given = dict(zip(model.inputs, values.T, strict=True))
-    return Driving([_input(model, name, given, times, recorded.get(name)) for name in model.inputs])
+    return InputFunctions([_input(model, name, given, times, recorded.get(name)) for name in model.inputs])
 
 
 def _input(
@@ -393,20 +401,20 @@ def _input(
         if recorded is not None:
             return recorded
         raise UsageError(
-            f"the model has the input {name!r}, of which nothing is given",
-            python="name it in u",
-            command=f"give a number, such as --hold {name}=1, or a file with its column as --initial",
+            f"the model has the input {name!r}, but no values of it are given",
+            python="add it to u",
+            command=f"give a number, such as --hold {name}=1, or pass a file with this column to --initial",
         )
     value = given[key]
     if isinstance(value, InputCurve):
         return value
     if callable(value):
-        return lambda t: number(value(t), f"what the function of the input {name!r} returns")
+        return lambda t: number(value(t), f"the return value of the function of the input {name!r}")
     values = numbers(value, f"the input {name!r}")
     if values.ndim == 0:
         return lambda _: float(values)
     if values.shape != times.shape:
-        raise UsageError(f"the input {name!r} has {values.size} values for {len(times)} times; give one for each")
+        raise UsageError(f"the input {name!r} has {values.size} values for {len(times)} times; give one value per time")
     return InputCurve.through(times, values, model.input_kind(name))
 
 
@@ -415,7 +423,10 @@ def _input(
 
 @dataclass(frozen=True)
 class FileStart:
-    """An initial state by symbol, and if it is read from a file also times (N,) and inputs; None: as measured."""
+    """An initial state by symbol; if it was read from a file, also its times (N,) and inputs.
+
+    None stands for the measured state or times.
+    """
 
     state: Mapping[str, float] | None = None
     times: FloatArray | None = None
@@ -426,13 +437,13 @@ def start_of_file(model: "ModelCore", path: Path) -> FileStart:
     """Return the first row, the times and the inputs of the first trajectory of a data file.
 
     Raises:
-        DataError: it cannot be read.
-        UsageError: it has no column for a state.
+        DataError: the file cannot be read.
+        UsageError: the file has no column for a state.
     """
     from atoll_coordinator.data.reading.files import read_table
 
     config, symbols = model.result.data_settings, model.result.symbols
-    # dates are read in the unit of the model
+    # dates are converted to the time unit of the model
     table = read_table([path], DataConfig.model_validate({"time": config.get("time")}), model.result.units)
     rows, trajectory = (*table.starts, table.rows)[1], str(config.get("trajectory") or TRAJECTORY_NAME)
     if trajectory in table.names:
@@ -446,7 +457,7 @@ def start_of_file(model: "ModelCore", path: Path) -> FileStart:
         if symbols.get(name) in model.inputs and name != model.time:
             known = np.isfinite(columns[name])
             if not known.any():
-                raise UsageError(f"the input {name!r} has no number in the file of the initial state; give one")
+                raise UsageError(f"the input {name!r} has no value in {path}; give at least one number")
             assert times is not None
             inputs[symbols[name]] = InputCurve.through(times[known], columns[name][known], model.input_kind(name))
     state = {symbols.get(name, name): float(values[0]) for name, values in columns.items() if len(values)}
@@ -456,17 +467,20 @@ def start_of_file(model: "ModelCore", path: Path) -> FileStart:
         part = {by_symbol.get(symbols.get(name, name), name): values for name, values in columns.items()}
         state, lacking = rows_of(model, part)[2], []
     if lacking:
-        raise UsageError(f"{path} has no column for {', '.join(lacking)}; an initial state names every state")
+        raise UsageError(f"{path} has no column for {', '.join(lacking)}; an initial state needs every state")
     return FileStart({name: state[name] for name in model.states}, times, inputs)
 
 
 def times_until(model: "ModelCore", start: FileStart, end: float | None, step: float | None) -> FloatArray:
-    """Return the times (N,) of a simulation: up to `end` by `step`, where they are given; raises UsageError."""
+    """Return the times (N,) of a simulation, up to `end` in steps of `step`; raises UsageError.
+
+    Without `end` the simulation ends at the last known time, without `step` it has `ROWS` times.
+    """
     known = start.times if start.times is not None else initial_conditions(model).times
     if end is None and step is None and len(known):
         return known
     if end is None and not len(known):
-        raise UsageError("nothing tells how long to simulate; give %s", Field("until"))
+        raise UsageError("the last time of the simulation is not known; give %s", Field("until"))
     first = float(known[0]) if len(known) else 0.0
     last = float(known[-1]) if end is None else end
     if last <= first:

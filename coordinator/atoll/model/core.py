@@ -1,6 +1,6 @@
 """The core of a model that was found: its result, names, right-hand sides, constants, groups and candidates.
 
-All other packages of the library work on a `ModelCore`. `atoll.Model` (``atoll.api.model``) adds the methods of users,
+All other packages of the library work on a `ModelCore`. `atoll.Model` (``atoll.api.model``) adds the public methods,
 which call these packages. Letters: D states, U inputs.
 """
 
@@ -28,13 +28,13 @@ from atoll_core.quoting import write_text
 
 
 class ModelCore:
-    """The equations of a job that has found every equation, without the methods that use them."""
+    """A model: a result in which every equation was found. The public methods are in `atoll.Model`."""
 
     def __init__(self, result: Result | Mapping[str, object]) -> None:
         """Take a result, or the content of result.json; raises UsageError if it is invalid or lacks an equation."""
         self._result = Result.of(result)
         if not self._result.equations or any(equation.expression is None for equation in self._result.equations):
-            raise UsageError("the result has not found every equation, so there is no model; look at its verdicts")
+            raise UsageError("the result lacks an equation, so there is no model; its verdicts give the reasons")
 
     def __reduce__(self) -> tuple[type[Self], tuple[Result]]:
         """Pickle only the result: functions are compiled again in the other process."""
@@ -47,7 +47,7 @@ class ModelCore:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Return the model of a saved result, by its file or the folder of its ``result.json``; raises UsageError."""
+        """Return the model of a saved result: of a file, or of a folder with a ``result.json``; raises UsageError."""
         result = Result.load(path)
         try:
             return cls(result)
@@ -65,12 +65,12 @@ class ModelCore:
 
     @property
     def is_regression(self) -> bool:
-        """Whether it is y = f(X), without time."""
+        """Whether the model is a regression y = f(X), without time."""
         return self._result.kind == "regression"
 
     @property
     def time(self) -> str:
-        """The name of the time column, t where it has none."""
+        """The name of the time column, t if there is none."""
         return self._result.time
 
     @property
@@ -84,7 +84,7 @@ class ModelCore:
         return self._result.names if self.is_regression else self.field.inputs
 
     def input_kind(self, name: str) -> InputKind | None:
-        """Return the interpolation of an input between rows of the data, None where it is not known or not an input."""
+        """Return the interpolation of an input between rows of the data; None if it is unknown or not an input."""
         return self._result.columns.input_kinds.get(self._result.columns_by_symbol.get(name, name))
 
     @cached_property
@@ -94,7 +94,7 @@ class ModelCore:
 
     @cached_property
     def equations(self) -> tuple[DisplayedEquation, ...]:
-        """All equations, for a stochastic process including the diffusion."""
+        """All equations; for a stochastic process also the equations of the diffusion."""
         return tuple(displayed_equation(self._result, equation) for equation in self._result.equations)
 
     @cached_property
@@ -112,9 +112,9 @@ class ModelCore:
 
     @cached_property
     def candidates(self) -> tuple[Self, ...]:
-        """The other equations that were compared, each as a model with the rest of this one, the best first.
+        """The other candidates that were compared, the best first: models that differ from this one in one equation.
 
-        Their constants have no errors; `equations[i].nats` is the Δ description length.
+        Their constants have no errors. `equations[i].nats` is the Δ description length in nats.
         """
         others = [
             (candidate.nats, place, candidate)
@@ -131,12 +131,12 @@ class ModelCore:
         return differing_groups(self._result)
 
     def of_group(self, group: object) -> Self:
-        """Return the model with the constants of one of the `groups`; raises UsageError for another one."""
+        """Return the model with the constants of one of the `groups`; raises UsageError for an unknown group."""
         name = str(group)
         if name not in self.groups:
-            alone = "the model has no groups, but one set of constants for all trajectories"
-            there = f"the groups are {', '.join(self.groups)}" if self.groups else alone
-            raise UsageError(f"there is no group {name!r}; {there}")
+            without_groups = "the model has no groups, but one set of constants for all trajectories"
+            known_groups = f"the groups are {', '.join(self.groups)}" if self.groups else without_groups
+            raise UsageError(f"there is no group {name!r}; {known_groups}")
         return type(self)(of_group(self._result, next(known for known in self._result.groups if known.group == name)))
 
     def require_one_group(self) -> None:
@@ -166,7 +166,7 @@ class ModelCore:
 
     @cached_property
     def components(self) -> dict[str, Pair]:
-        """The equations of the diffusion g g' of a process dx = f dt + g dW: the indices of both states, by name."""
+        """The equations of the diffusion matrix g gᵀ of a process dx = f dt + g dW: row and column, by name."""
         columns = [*enumerate(self.result.columns_by_symbol[name] for name in self.states)]
         pairs = {f"[{name}]": (place, place) for place, name in columns}
         pairs |= {f"[{first},{second}]": (i, j) for i, first in columns for j, second in columns if i < j}
@@ -183,7 +183,7 @@ class ModelCore:
         return None if known is None else known.freedom
 
 
-_OF_THE_SEARCH = (
+_SEARCH_FIELDS = (
     "error", "normalized_error", "r2", "converged", "simple_together", "epoch", "generation", "point_evaluations",
     "point_evaluations_by_part", "seconds", "why", "derivative_floor", "target_error", "convergence", "front",
 )  # fmt: skip
@@ -191,19 +191,19 @@ _OF_THE_SEARCH = (
 
 
 def _with_candidate(result: Result, place: int, other: Candidate) -> Result:
-    """Return the result with a candidate instead of an equation, without errors, verdicts and shared terms."""
+    """Return the result with a candidate instead of equation `place`, without errors, verdicts and shared terms."""
     # constants of candidates, and of equations without their groups, belong to all groups together
     equations = [
         equation.model_copy(update={"groups": (), "is_of_all_groups": bool(equation.groups)})
         for equation in result.equations
     ]
-    shown_equation = result.equations[place]
+    replaced = result.equations[place]
     equations[place] = Equation(
-        variable=shown_equation.variable,
-        lhs=shown_equation.lhs,
+        variable=replaced.variable,
+        lhs=replaced.lhs,
         **{name: getattr(other, name) for name in ("expression", "complexity", "origin", "nats")},
-        **{name: getattr(shown_equation, name) for name in _OF_THE_SEARCH},
-        is_of_all_groups=result.group is not None or bool(shown_equation.groups),
+        **{name: getattr(replaced, name) for name in _SEARCH_FIELDS},
+        is_of_all_groups=result.group is not None or bool(replaced.groups),
     )
     unknown = {"covariance": None, "groups": (), "correlations": (), "shared_terms": (), "chaos": None}
     return result.model_copy(update={"equations": tuple(equations), **unknown})

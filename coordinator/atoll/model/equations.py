@@ -1,8 +1,8 @@
-"""Equations and constants of a result as people read them, its groups of trajectories, its measured ranges.
+"""Equations and constants of a result for display, its groups of trajectories, and its measured ranges.
 
-The text of an equation holds numbers; the result lists fitted constants. Both are matched by value here: c1, c2, …
-count the numbers of all texts, in order. A number without a fitted constant, such as the 2 of 2*x for x + x, has no
-error.
+The text of an equation contains numbers, and the result lists fitted constants. This module matches both by value. The
+names c1, c2, … count the numbers of all texts, in order. A number without a fitted constant has no error, such as the 2
+in 2*x, which stands for x + x.
 """
 
 import math
@@ -27,22 +27,23 @@ DIGITS: Final = 6
 """Significant digits of the displayed constants."""
 
 _COMPOUND: Final = re.compile(r"[\s*/^.·⋅×⁻¹²³]|\d")
-"""Part of a unit with several factors or a power."""
+"""Characters that occur only in units with several factors or a power."""
 
 _EXACT_SHARE: Final = 1e-6
 """Standard errors below this share of their constants are rounding errors and not displayed."""
 
 _PRINTED: Final = 5e-4
-"""Relative rounding error of a range as `outside_sentence` prints it: a copied end is not outside."""
+"""Relative rounding error of the ends of a range that `outside_sentence` prints. A value copied from such a sentence
+does not count as outside."""
 
 
 # ---------------------------------------------------------------------------------------------------------- equations
 
 
 class DisplayedEquation(Equation):
-    """An equation of a result for display: `expression` has rounded constants, `exact` is the text to the last bit.
+    """An equation of a result for display: `expression` has rounded constants, `exact` has constants with all digits.
 
-    `unit` is the unit of the left-hand side, "" where columns have none.
+    `unit` is the unit of the left-hand side, "" if it is not known.
     """
 
     expression: str = ""
@@ -67,7 +68,7 @@ def displayed_equation(result: Result, equation: Equation) -> DisplayedEquation:
 
 
 def program_of(equation: Equation, names: Sequence[str]) -> Program:
-    """Return a right-hand side over the variables of these names, the computed program if it is known."""
+    """Return the program of a right-hand side over variables `names`: from the result, or else parsed from the text."""
     if equation.program:
         return Program.from_bytes(bytes.fromhex(equation.program), len(names))
     return from_infix(equation.expression or "", names)
@@ -85,9 +86,9 @@ def rounded(expression: str, names: Sequence[str]) -> str:
 class Parameter:
     """A constant of a model.
 
-    `name` is c1, c2, … over all equations, `variable` the state of its equation; `stderr` is its standard error,
-    `interval` the 95 % interval, None where they are not known; `identifiable`: the data determine it. `unit` is "1"
-    for a pure number, None where it is not known; `bounds` are set by the user, None on an open side.
+    `name` is c1, c2, …, counted over all equations. `variable` is the state of its equation. `stderr` is its standard
+    error and `interval` the 95 % interval, None if they are not known. `identifiable`: the data determine its value.
+    `unit` is "1" for a pure number, None if it is not known. `bounds` were set by the user; an open side is None.
     """
 
     name: str
@@ -100,9 +101,10 @@ class Parameter:
     bounds: tuple[float | None, float | None] | None = None
 
     def interval_at(self, level: float, freedom: float | None) -> tuple[float, float] | None:
-        """Return the interval at `level`, by Student's t with `freedom` degrees of freedom (None: infinitely many).
+        """Return the confidence interval at `level` (0 to 1) from Student's t with `freedom` degrees of freedom.
 
-        None where no interval is known, or only the 95 % interval, as for a constant at its bound.
+        `freedom` None stands for infinitely many. The interval is None if it is not known. For a constant at its bound
+        only the 95 % interval is known.
         """
         if level == LEVEL:
             return self.interval
@@ -113,7 +115,7 @@ class Parameter:
 
 
 def quantile(level: float, freedom: float | None) -> float:
-    """Return the standard errors on either side of an interval at `level`; see `Parameter.interval_at`."""
+    """Return half the width of an interval at `level` in standard errors; see `Parameter.interval_at`."""
     from scipy import special
 
     below = 0.5 + level / 2.0
@@ -142,7 +144,10 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
 
 
 def constant_names(result: Result) -> dict[str, list[str]]:
-    """Return by equation the names of its `constants` in `parameters_of`; by value where the text lacks one."""
+    """Return for each equation the names of its `constants`, as in `parameters_of`.
+
+    A constant that does not occur in the text has its value as name.
+    """
     names: dict[str, list[str]] = {}
     count = 0
     for equation in result.equations:
@@ -162,12 +167,12 @@ def _numbers(equation: Equation | GroupEquation, names: Sequence[str]) -> list[t
     program = from_infix(equation.expression, names)
     values = program.constants[constant_places(program)].tolist()
     known = [math.nan if constant.value is None else constant.value for constant in equation.constants]
-    by_place = dict(zip(matched(known, values), equation.constants, strict=True))
+    by_place = dict(zip(match_constants(known, values), equation.constants, strict=True))
     return [(value, by_place.get(place)) for place, value in enumerate(values)]
 
 
-def matched(constants: Sequence[float], numbers: Sequence[float]) -> list[int | None]:
-    """Return for each constant the place of a number of the same size in a text; each number is used once."""
+def match_constants(constants: Sequence[float], numbers: Sequence[float]) -> list[int | None]:
+    """Return for each constant the index of a number of the same absolute value, or None; each number is used once."""
     left = list(range(len(constants)))
     places: list[int | None] = [None] * len(constants)
     for place, number in enumerate(numbers):
@@ -179,20 +184,20 @@ def matched(constants: Sequence[float], numbers: Sequence[float]) -> list[int | 
 
 
 def _parameter(name: str, variable: str, value: float, constant: Constant | None) -> Parameter:
-    """Return a constant with its errors; `value` has the sign in the text, where a minus may stand before it."""
+    """Return a constant with its errors; the sign of `value` in the text may differ from the sign of the constant."""
     if constant is None:
         return Parameter(name, variable, value)
-    is_turned = value * (constant.value or 0.0) < 0.0
+    has_other_sign = value * (constant.value or 0.0) < 0.0
 
-    def turned(pair: Pair | None) -> Pair | None:
-        if pair is None or not is_turned:
+    def with_sign(pair: Pair | None) -> Pair | None:
+        if pair is None or not has_other_sign:
             return pair
         low, high = pair
         return None if high is None else 0.0 - high, None if low is None else 0.0 - low
 
-    low, high = turned(constant.interval) or (None, None)
+    low, high = with_sign(constant.interval) or (None, None)
     interval = None if low is None or high is None else (low, high)
-    bounds = turned(constant.bounds)
+    bounds = with_sign(constant.bounds)
     return Parameter(name, variable, value, constant.std_error, interval, constant.identifiable, constant.unit, bounds)
 
 
@@ -201,9 +206,9 @@ def _parameter(name: str, variable: str, value: float, constant: Constant | None
 
 @dataclass(frozen=True)
 class ConstantWords:
-    """A constant as it is displayed: a number, such as ``2.981 ± 0.018``, `notes` on it, and its `unit`.
+    """A displayed constant: a number, such as ``2.981 ± 0.018``, `notes` about it, and its `unit`.
 
-    `unit` is "1" for a pure number, None where it is not known.
+    `unit` is "1" for a pure number, None if it is not known.
     """
 
     number: str
@@ -212,7 +217,7 @@ class ConstantWords:
 
 
 def constant_words(constants: Sequence[Constant]) -> list[ConstantWords]:
-    """Return the displayed constants of an equation; empty where no error is known, or all are rounding errors."""
+    """Return the displayed constants of an equation; empty if no error is known or all errors are rounding errors."""
     known = with_errors(constants)
     is_rounding = (
         (constant.std_error or 0.0) <= _EXACT_SHARE * abs(constant.value or 0.0)
@@ -224,12 +229,12 @@ def constant_words(constants: Sequence[Constant]) -> list[ConstantWords]:
 
 
 def with_errors(constants: Sequence[Constant]) -> list[Constant]:
-    """Return the constants with known errors; an infinite error is null in the result, and not determined."""
+    """Return the constants with an error, also those that are not identifiable (infinite error) or at a bound."""
     return [each for each in constants if each.std_error is not None or not each.identifiable or each.at_bound]
 
 
 def words_of(constant: Constant) -> ConstantWords:
-    """Return a constant for display: if the displayed value was rounded, the fitted value is a note."""
+    """Return a constant for display. If the equation has another value than the fit, the fitted value is a note."""
     shown, fitted = number_text(constant.value, 6), fitted_text(constant)
     notes = [] if constant.identifiable else ["not determined"]
     if constant.at_bound:
@@ -246,7 +251,7 @@ def fitted_text(constant: Constant) -> str:
 
 
 def plus_minus(value: float, error: float) -> str:
-    """Return ``2.981 ± 0.018``, or ``1.21e-07 ± 3.0e-09``: an error in two digits, the value with as many decimals."""
+    """Return ``2.981 ± 0.018`` or ``1.21e-07 ± 3.0e-09``: the error has two digits, the value the same decimals."""
     if not error > 0.0:
         return f"{value:.6g}"
     size = math.floor(math.log10(max(abs(value), error)))
@@ -274,7 +279,7 @@ def unit_text(unit: str | None) -> str:
 
 
 def interval_text(bounds: Sequence[float | None] | None) -> str:
-    """Return ``1.99956 to 2.00019``, with enough digits to distinguish the ends; ``-`` where one is not known."""
+    """Return ``1.99956 to 2.00019``, with enough digits to distinguish the ends; ``-`` if an end is not known."""
     low, high = bounds or (None, None)
     if low is None or high is None:
         return "-"
@@ -287,9 +292,9 @@ def interval_text(bounds: Sequence[float | None] | None) -> str:
 
 
 def differing_groups(result: Result) -> tuple[str, ...]:
-    """Return the groups of trajectories of a result; empty where no constant differs between them."""
+    """Return the groups of trajectories of a result; empty if no constant differs between them."""
     for equation in result.equations:
-        # shared constants are compared by this flag, since the mean of equal numbers may have another last bit
+        # the flag is compared and not the values: the mean of equal numbers may differ from them in the last bit
         are_shared = equation.constants and all(constant.shared for constant in equation.constants)
         if not are_shared and any(group.expression != equation.expression for group in equation.groups):
             return tuple(group.group for group in result.groups)
@@ -297,22 +302,22 @@ def differing_groups(result: Result) -> tuple[str, ...]:
 
 
 def remark_on_groups(result: Result) -> str:
-    """Return a line that says to which group the constants belong, or over which groups they are means; "" without.
+    """Return a line that says to which group the constants belong, or over which groups they are averaged.
 
-    Constants of fronts and candidates belong to all groups together.
+    It is "" for a result without groups. Constants of fronts and candidates belong to all groups together.
     """
     together = ", ".join(equation.lhs for equation in result.equations if equation.is_of_all_groups)
     if result.group is not None:
         others = f"; the constants of {together} belong to all groups together" if together else ""
         return f"Constants belong to group {' '.join(result.group.split())}{others}."
     if together:
-        return f"Constants of {together} belong to all groups together, which may differ in them."
+        return f"Constants of {together} are fitted to all groups together, although groups may differ in them."
     names = " ".join(", ".join(differing_groups(result)).split())
     return f"Constants that differ between groups are means over them; the groups are {names}." if names else ""
 
 
 def of_group(result: Result, group: Group) -> Result:
-    """Return a result with the constants and the trajectories of one of its groups, named as `group`."""
+    """Return a result with the constants and the trajectories of one of its groups."""
     equations = []
     for equation in result.equations:
         own = next((known for known in equation.groups if known.group == group.group), None)
@@ -353,9 +358,9 @@ def _searched_rows(result: Result) -> int:
 
 
 def measured_ranges(result: Result) -> dict[str, tuple[float, float]]:
-    """Return the lowest and highest measured value of states and inputs, by symbol, in all rows.
+    """Return the smallest and largest measured value of each state and input, by symbol.
 
-    Angles have none, since they are periodic.
+    Angles are left out, because they are periodic.
     """
     data = DataConfig.model_validate(result.data_settings)
     angles = {result.symbols.get(angle.column, angle.column) for angle in data.angles}
@@ -370,7 +375,7 @@ def measured_ranges(result: Result) -> dict[str, tuple[float, float]]:
 
 
 def outside_sentence(values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> str:
-    """Return a sentence on the values that lie outside of their range; "" where none does, or has no range."""
+    """Return a sentence about the `values` outside of their `ranges`; "" if there are none."""
     outside = []
     for name, value in values.items():
         low, high = ranges.get(name, (value, value))

@@ -1,9 +1,17 @@
 """Simulations of a vector field from any initial state, with 95 % bands, and paths of stochastic processes.
 
-A simulation is bounded in evaluations of the rates, and how it ends is its status and not an error. Absolute tolerances
-follow the size of each state, so that a state that falls far and comes back is resolved in its trough; where a first
-integration shows that sizes were taken too large, a second one takes smaller ones. Letters: D states, U inputs, K
-constants, N times.
+LSODA integrates the rates with a relative tolerance of 1e-11. The absolute tolerance of each state is 1e-14 times the
+size of this state. The size is the initial value, or the largest measured value if the initial value is 0. A state may
+fall far below its size and grow again; its later values then depend on its smallest values. If the first integration
+finds such a state, a second integration uses smaller sizes. The number of evaluations of the rates is limited. A
+simulation that ends early is not an error: its status gives the reason. 95 % bands come from the sensitivities of the
+states to the constants, which are integrated together with the states.
+
+Doubtful: the sizes are a heuristic. If the second integration fails, the first one is kept, with a remark that later
+values may be wrong. The bands are of first order and hold only the errors of the constants. They are too narrow if the
+initial state or the form of the equation is uncertain, and they mean little for chaotic models.
+
+Letters: D states, U inputs, K constants, N times.
 """
 
 import contextlib
@@ -44,49 +52,51 @@ if TYPE_CHECKING:
     from atoll.model.core import ModelCore
 
 Status = Literal["finished", "blow-up", "stiff", "undefined"]
-"""How a simulation ended: at the last time; with a state that grows without bounds in finite time; with all evaluations
-used up; where a rate is undefined."""
+"""How a simulation ended: at the last time; because a state grows without bounds in finite time; because the allowed
+number of evaluations was used up; or because a rate is undefined."""
 
 Inputs = Callable[[float], FloatArray]
-"""The inputs (U,) at a time. Held inputs have `jumps`, the times at which they change: no step crosses these."""
+"""The inputs (U,) at a time. Held inputs have `jumps`, the times at which they change: no step crosses a jump."""
 
 TOLERANCE: Final = 1e-11
-"""Relative error of a step; far below the errors of constants."""
+"""Relative error of a step: far below the errors of the constants."""
 MOST_EVALUATIONS: Final = 200_000
-"""Evaluations of the rates: some seconds. A longer simulation can start from the end of this one."""
+"""Largest number of evaluations of the rates: some seconds. A longer simulation can continue from the last state."""
 MOST_NUMBERS: Final = 10_000_000
 """Largest number of values, times by states: 80 MB."""
 _COARSE: Final = 1e-3
-"""Share of the size of a state below which errors are relative to that share and no longer to the state."""
+"""Share of the size of a state. Below it the absolute tolerance of a state exceeds the relative one."""
 _DEEPEST: Final = 1e-250
-"""Share of the size of a state down to which a state that cannot cross 0 is resolved."""
-_LOOKS: Final = 50
-"""Rows at which it is tested how strongly errors of constants drive a simulation, and which states can cross 0."""
+"""Smallest share of its size to which a state is resolved that cannot cross 0."""
+_TESTED_ROWS: Final = 50
+"""Number of rows at which two things are tested: which states can cross 0, and how much the errors of the constants
+change the rates."""
 _LARGEST: Final = 1e150
-"""The square of a larger number overflows."""
-_ROUGH: Final = "; a state falls below the resolved size: if it comes back, later values may be wrong"
+"""Largest absolute value of a state: the square of a much larger number overflows."""
+_ROUGH: Final = "; a state falls below the resolved size: if it grows again, later values may be wrong"
 
 
 class SimulationWarning(UserWarning):
-    """A limit of a simulation that users have to know."""
+    """A limitation of a simulation that users have to know."""
 
 
 class EarlyEndWarning(SimulationWarning):
-    """A simulation has ended before the last requested time; its times and states are the ones reached."""
+    """A simulation has ended before the last requested time; it has only the times and states that were reached."""
 
 
 class ExtrapolationWarning(SimulationWarning):
-    """A simulation begins outside of the measured range."""
+    """The initial state of a simulation is outside of the measured range."""
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
     """A simulation of a model from an initial state.
 
-    `t` (N,) are the times that were reached, fewer than requested if it ended early, and `x` (N, D) the `states` there.
-    `stderr` (N, D) are standard errors, propagated from the constants to first order, `lower` and `upper` the 95 %
-    band; None where the errors of the constants are not known. `status` says how it ended, `message` is the same in a
-    sentence; `remark` names initial values outside of the measured range, "" without.
+    `t` (N,) are the times that were reached: fewer than requested if the simulation ended early. `x` (N, D) are the
+    `states` at these times. `stderr` (N, D) are standard errors, propagated from the constants to first order. `lower`
+    and `upper` (N, D) are the 95 % band. All three are None if the errors of the constants are not known. `status` says
+    how the simulation ended, and `message` says it in a sentence. `remark` names the initial values outside of the
+    measured range; it is "" if there are none.
     """
 
     states: tuple[str, ...]
@@ -101,7 +111,7 @@ class Simulation:
     remark: str = ""
 
     def __getitem__(self, state: str) -> FloatArray:
-        """Return the values (N,) of a state by name; raises KeyError."""
+        """Return the values (N,) of a state by name; raises KeyError for an unknown name."""
         if state not in self.states:
             raise KeyError(state)
         return np.asarray(self.x[:, self.states.index(state)])
@@ -116,7 +126,7 @@ class Simulation:
     def band(self, state: str) -> tuple[FloatArray, FloatArray]:
         """Return the lower and the upper bound (N,) of the 95 % band of a state, by name.
 
-        Raises KeyError for another name, UsageError where the errors of the constants are not known.
+        Raises KeyError for an unknown name, UsageError if the errors of the constants are not known.
         """
         if state not in self.states:
             raise KeyError(state)
@@ -129,11 +139,11 @@ class Simulation:
         return np.asarray(self.lower[:, place]), np.asarray(self.upper[:, place])
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
-        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing."""
+        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError without that library."""
         return frame_of(self.columns(), library)
 
     def columns(self) -> dict[str, FloatArray]:
-        """Return the time, the states and, where they are known, their bands, by column name."""
+        """Return the times, the states and, if they are known, their bands, by column name; each is (N,)."""
         columns = {self.time: self.t, **dict(zip(self.states, self.x.T, strict=True))}
         if self.lower is not None and self.upper is not None:
             for name, lower, upper in zip(self.states, self.lower.T, self.upper.T, strict=True):
@@ -141,7 +151,7 @@ class Simulation:
         return columns
 
     def to_csv(self) -> str:
-        """Return the columns as CSV, numbers with all their digits."""
+        """Return the columns as CSV; numbers have all digits."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         columns = self.columns()
@@ -166,21 +176,21 @@ def simulate(
     bands: tuple[JointErrors, float] | None = None,
     most: int = MOST_EVALUATIONS,
 ) -> Simulation:
-    """Integrate from `x0` (D,) at the first of the times `t` (N,), which ascend.
+    """Integrate from the state `x0` (D,) at the first of the ascending times `t` (N,).
 
-    LSODA takes implicit steps where the system is stiff. `bands` are the errors of the constants and the number of
-    standard errors on either side; `most` bounds the evaluations. Raises UsageError where arguments do not fit.
+    LSODA takes implicit steps where the system is stiff. `bands` are the errors of the constants and the half width of
+    a band in standard errors. `most` limits the number of evaluations. Raises UsageError for invalid arguments.
     """
     check_times(field, x0, t)
     task = _RateTask(field, inputs, most)
-    course = _integrated(task, x0, t)
+    course = _integrate(task, x0, t)
     states, count = course.rows, len(course.rows)
     status: Status = "finished" if course.is_whole else _ending(task, course, _sizes(task, x0, t), float(t[-1] - t[0]))
     where = f"time {course.reached:.6g}"
     sentence = {
         "finished": f"it reached {where}",
         "blow-up": f"a state grows without bounds near {where}",
-        "stiff": f"{most} evaluations reach {where} only: the model is stiff or very fast there; simulate less time",
+        "stiff": f"{most} evaluations only reach {where}: the model is stiff or very fast; simulate a shorter time",
         "undefined": f"a rate is undefined near {where}",
     }[status]
     sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
@@ -194,19 +204,19 @@ def simulate(
 def followed_sizes(
     field: VectorField, x0: FloatArray, t: FloatArray, inputs: Inputs | None = None, most: int = MOST_EVALUATIONS
 ) -> FloatArray:
-    """Return the size (D,) of each state, above 0, for the absolute tolerances of a solver; arguments as `simulate`.
+    """Return the size (D,) of each state, above 0, for the absolute tolerances of a solver.
 
-    Raises UsageError where arguments do not fit.
+    The arguments are as in `simulate`. Raises UsageError for invalid arguments.
     """
     check_times(field, x0, t)
-    course = _integrated(_RateTask(field, inputs, most), x0, t)
+    course = _integrate(_RateTask(field, inputs, most), x0, t)
     return np.maximum(course.sizes, np.minimum(course.lowest, np.abs(x0)))
 
 
 def check_times(field: VectorField, x0: FloatArray, t: FloatArray, paths: int = 1) -> None:
-    """Raise UsageError for an invalid initial state, invalid times, or too many numbers on `paths` paths."""
+    """Raise UsageError for an invalid initial state, invalid times, or too many values of `paths` paths."""
     if x0.shape != (len(field.states),) or not np.isfinite(x0).all():
-        raise UsageError(f"an initial state has a finite number for each of {', '.join(field.states)}; correct it")
+        raise UsageError(f"an initial state must have a finite number for each of {', '.join(field.states)}")
     if t.ndim != 1 or len(t) < 1 or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
         raise UsageError("times must be finite and ascend; give at least one")
     if paths * len(t) * len(x0) > MOST_NUMBERS:
@@ -215,7 +225,7 @@ def check_times(field: VectorField, x0: FloatArray, t: FloatArray, paths: int = 
 
 
 class _SpentError(Exception):
-    """All evaluations are used up."""
+    """The allowed number of evaluations is used up."""
 
 
 @dataclass
@@ -227,19 +237,22 @@ class _RateTask:
     most: int
     count: int = 0
     before: float = math.inf
-    """From this time on inputs are held at their values just before it."""
+    """From this time on, inputs keep the values that they have just before it."""
 
     @property
     def is_spent(self) -> bool:
-        """Whether all evaluations are used up."""
+        """Whether the allowed number of evaluations is used up."""
         return self.count > self.most
 
     def inputs_at(self, t: float) -> FloatArray | None:
-        """Return the inputs at a time; None where there are none."""
+        """Return the inputs (U,) at a time; None for a model without inputs."""
         return None if self.inputs is None else np.asarray(self.inputs(min(t, self.before)), dtype=np.float64)
 
     def spans(self, begin: float, end: float) -> Iterator[tuple[float, float]]:
-        """Yield the intervals between jumps of inputs; while one is yielded, inputs have their values inside it."""
+        """Yield the intervals between jumps of inputs.
+
+        Until the next interval is taken, `inputs_at` returns the values inside the interval, also at its end.
+        """
         jumps = np.asarray(getattr(self.inputs, "jumps", ()), dtype=np.float64)
         times = [begin, *jumps[(jumps > begin) & (jumps < end)].tolist(), end]
         for first, last in pairwise(times):
@@ -248,24 +261,24 @@ class _RateTask:
         self.before = math.inf
 
     def rates(self, t: float, x: FloatArray) -> FloatArray:
-        """Return dx/dt."""
+        """Return dx/dt (D,)."""
         self.count += 1
         if self.is_spent:
             raise _SpentError
         return self.field.values(x, self.inputs_at(t))
 
     def jacobian(self, t: float, x: FloatArray) -> FloatArray:
-        """Return d(dx/dt)/dx, 0 where it is not finite: there the rates end the integration."""
+        """Return d(dx/dt)/dx (D, D), with 0 for entries that are not finite: there the rates end the integration."""
         return np.nan_to_num(self.field.jacobian(x, self.inputs_at(t)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Integration:
-    """The states `rows` at the times that were passed, the last time `reached`, and the `last` state (D,) there.
+    """The states `rows` (n, D) at the first n times, the last time `reached`, and the `last` state (D,) at that time.
 
-    `sizes` (D,) are the sizes for the absolute errors, `lowest` (D,) the smallest absolute values on the way;
-    `is_spent`: all evaluations were used up; `is_rough`: a state fell below the resolved size and no finer integration
-    succeeded.
+    `sizes` (D,) are the sizes for the absolute tolerances. `lowest` (D,) are the smallest absolute values of all steps.
+    `is_whole`: the last time was reached. `is_spent`: the allowed number of evaluations was used up. `is_rough`: a
+    state fell below the resolved size, and the integration with smaller sizes failed.
     """
 
     rows: FloatArray
@@ -278,22 +291,22 @@ class _Integration:
     is_rough: bool = False
 
 
-def _integrated(task: _RateTask, x0: FloatArray, t: FloatArray) -> _Integration:
-    """Return the integration from `x0` (D,), repeated with smaller sizes where states turn out to be smaller."""
+def _integrate(task: _RateTask, x0: FloatArray, t: FloatArray) -> _Integration:
+    """Integrate from `x0` (D,), and again with smaller sizes if states turn out to be smaller than assumed."""
     begin, sizes = float(t[0]), _sizes(task, x0, t)
     if len(t) == 1 or not np.isfinite(task.field.values(x0, task.inputs_at(begin))).all():
         return _Integration(np.array([x0]), begin, x0, sizes, np.abs(x0), is_whole=len(t) == 1)
-    course = _attempt(task, x0, t, sizes)
+    course = _integrate_once(task, x0, t, sizes)
     smaller = sizes if course.is_spent else _smaller_sizes(task, course, t)
     if (smaller == sizes).all():
         return course
     task.count = 0
-    finer = _attempt(task, x0, t, smaller)
+    finer = _integrate_once(task, x0, t, smaller)
     return finer if finer.is_whole else replace(course, is_rough=course.is_whole)
 
 
 def _smaller_sizes(task: _RateTask, course: _Integration, t: FloatArray) -> FloatArray:
-    """Return sizes (D,) for another attempt: smaller where a state is far below the assumed size."""
+    """Return the sizes (D,) for a second integration: smaller for states that are far below the assumed size."""
     reached, sizes = np.abs(course.rows).max(axis=0), course.sizes.copy()
     if course.is_whole:
         is_small = (reached > 0.0) & (reached < _COARSE * sizes)
@@ -305,12 +318,12 @@ def _smaller_sizes(task: _RateTask, course: _Integration, t: FloatArray) -> Floa
 
 
 def _can_cross(task: _RateTask, course: _Integration, t: FloatArray, place: int) -> bool:
-    """Tell whether a state may change its sign: at 0 its rate points away from its initial sign.
+    """Tell whether a state can change its sign: its rate at 0 points away from its initial sign.
 
-    The signs on the way do not tell: in a trough deeper than the allowed errors they are signs of errors.
+    The signs of the integrated states are no evidence: below the tolerance they are the signs of integration errors.
     """
     sign = float(np.sign(course.rows[0, place]))
-    for row in np.unique(np.linspace(0, len(course.rows) - 1, _LOOKS).astype(int)).tolist():
+    for row in np.unique(np.linspace(0, len(course.rows) - 1, _TESTED_ROWS).astype(int)).tolist():
         x = course.rows[row].copy()
         x[place] = 0.0
         with np.errstate(all="ignore"):
@@ -320,8 +333,8 @@ def _can_cross(task: _RateTask, course: _Integration, t: FloatArray, place: int)
     return False
 
 
-def _attempt(task: _RateTask, x0: FloatArray, t: FloatArray, sizes: FloatArray) -> _Integration:
-    """Return an integration with absolute errors relative to the `sizes` (D,)."""
+def _integrate_once(task: _RateTask, x0: FloatArray, t: FloatArray, sizes: FloatArray) -> _Integration:
+    """Integrate with absolute tolerances in proportion to the `sizes` (D,)."""
     from scipy.integrate import LSODA
 
     rows, reached, last, lowest = [x0.copy()], float(t[0]), x0, np.abs(x0)
@@ -347,10 +360,10 @@ def _attempt(task: _RateTask, x0: FloatArray, t: FloatArray, sizes: FloatArray) 
 
 
 def _sizes(task: _RateTask, x0: FloatArray, t: FloatArray) -> FloatArray:
-    """Return the size (D,) of each state, above 0: its initial value.
+    """Return the size (D,) of each state, above 0: its absolute initial value.
 
-    Where that is 0, its largest measured value; without data its value after D steps of Euler's method, since states
-    pass growth on to one another; 1 for a state that stays 0 until an input changes.
+    If the initial value is 0, the size is the largest measured value. Without data it is the value after D steps of
+    Euler's method: after D steps, growth has passed from any state to any other. A state that stays 0 has size 1.
     """
     sizes = np.abs(x0)
     if task.field.sizes:
@@ -364,7 +377,7 @@ def _sizes(task: _RateTask, x0: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def _ending(task: _RateTask, course: _Integration, sizes: FloatArray, span: float) -> Status:
-    """Return why a simulation ended early, from the last state reached; `sizes` (D,) are the initial ones."""
+    """Return why a simulation ended early, from its last state; `sizes` (D,) are the initial sizes of the states."""
     last = course.last
     rates = task.field.values(last, task.inputs_at(course.reached))
     with np.errstate(all="ignore"):  # the time in which a growing state doubles
@@ -376,20 +389,20 @@ def _ending(task: _RateTask, course: _Integration, sizes: FloatArray, span: floa
 
 
 def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration, t: FloatArray) -> FloatArray | None:
-    """Return the standard errors (N, D) of the simulated states (N, D), by the sensitivities S' = J S + df/dc.
+    """Return the standard errors (N, D) of the simulated states (N, D) from the sensitivities S' = J S + df/dc.
 
-    None where these cannot be integrated.
+    None if the sensitivities cannot be integrated.
     """
     states = course.rows
     x0, (rows, size) = states[0], states.shape
     values, vectors = np.linalg.eigh(errors.covariance)
     kept = values > 0.0
-    root = vectors[:, kept] * np.sqrt(values[kept])  # (K, M): sensitivities to directions of unit variance
+    root = vectors[:, kept] * np.sqrt(values[kept])  # (K, M): M independent directions of unit variance
     number = root.shape[1]
     if not len(errors.columns) or not number or len(t) == 1:
         return np.zeros((len(t), size))
     sizes = _positive(np.abs(states).max(axis=0))
-    some = np.unique(np.linspace(0, rows - 1, _LOOKS).astype(int))
+    some = np.unique(np.linspace(0, rows - 1, _TESTED_ROWS).astype(int))
     driven = np.array([errors.rates(states[row], task.inputs_at(float(t[row]))) @ root for row in some])
     # sensitivities are linear: each direction is scaled so that states change by about their own size
     shares = _positive(np.nan_to_num((np.abs(driven) / sizes[:, None]).max(axis=(0, 1)) * float(t[-1] - t[0])))
@@ -406,7 +419,7 @@ def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration,
             warnings.simplefilter("ignore")
             small = np.where(_comes_back(states), np.minimum(course.lowest, sizes), sizes)
             least = 1e-9 * np.concatenate([small, np.repeat(small, number)])
-            solution = _solved(task, rates, start, t, least)
+            solution = _solve(task, rates, start, t, least)
     except _SpentError:
         return None
     if solution is None:
@@ -415,14 +428,14 @@ def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration,
     return np.asarray(np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities)))
 
 
-def _solved(
+def _solve(
     task: _RateTask,
     rates: Callable[[float, FloatArray], FloatArray],
     start: FloatArray,
     t: FloatArray,
     least: FloatArray,
 ) -> FloatArray | None:
-    """Return the solution (M, N) from `start` (M,) with these rates; None where the solver fails."""
+    """Return the solution (M, N) from `start` (M,) with absolute tolerances `least` (M,); None if the solver fails."""
     from scipy.integrate import solve_ivp
 
     found = np.empty((len(start), len(t)))
@@ -438,7 +451,7 @@ def _solved(
 
 
 def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
-    """Tell which states (N, D) have a trough between higher values: its depth decides the later values."""
+    """Tell which of the D states (N, D) have a deep minimum between higher values: later values depend on its depth."""
     course = np.abs(states)
     lowest = course.argmin(axis=0)
     later = np.array([course[row:, place].max() for place, row in enumerate(lowest.tolist())])
@@ -448,28 +461,28 @@ def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def _positive(sizes: FloatArray) -> FloatArray:
-    """Return sizes with 1 instead of 0: a state that is always 0 has no errors."""
+    """Return sizes with 1 instead of 0: for a state that is always 0, any size will do."""
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
 MOST_STEPS: Final = 200_000
-"""Steps of an ensemble: some minutes."""
+"""Largest number of time steps of an ensemble; they take some minutes."""
 
 
 def ensemble_of(
     model: "ModelCore", x0: FloatArray, times: FloatArray, inputs: Inputs | None, drawn: tuple[int, int]
 ) -> Ensemble:
-    """Return paths from `x0` (D,) at the first of the ascending `times` (N,).
+    """Return random paths from `x0` (D,) at the first of the ascending `times` (N,).
 
-    Steps are no longer than the sampling interval of the measurements; `inputs` are held in each step at their value in
-    its middle. `drawn` has the number of paths and their seed. Raises UsageError.
+    Time steps are at most the sampling interval of the measurements. During a step, `inputs` have their value in the
+    middle of the step. `drawn` is the number of paths and the seed. Raises UsageError.
     """
     simulator, longest = _simulator(model, *drawn), process_of(model).step
     check_times(model.field, x0, times, drawn[0])
     count = float(step_counts(times, longest).sum())
     if count > MOST_STEPS:
-        what = f"{count:.15g} steps of {longest:g}, the sampling interval, are more than {MOST_STEPS}"
-        raise UsageError(f"{what}; simulate less time")
+        needed = f"the simulation needs {count:.15g} steps of {longest:g} (the sampling interval)"
+        raise UsageError(f"{needed}, more than {MOST_STEPS}; simulate a shorter time")
     begins, lengths, is_kept = divided(times, longest)
     middles = (begins + 0.5 * lengths).tolist()
     held = np.zeros((0, len(middles))) if inputs is None else np.array([inputs(at) for at in middles]).T
@@ -480,22 +493,25 @@ def ensemble_of(
 def density_of_process(
     model: "ModelCore", x0: FloatArray, inputs: Sequence[float], drawn: tuple[int, int]
 ) -> StationaryDensity | None:
-    """Return the density of settled paths from `x0` (D,) with held `inputs` (U,); None where they do not settle."""
-    simulator = _simulator(model, *drawn, least=2)  # one path gives no error of its means
+    """Return the stationary density with constant `inputs` (U,); None if paths from `x0` (D,) do not become stationary.
+
+    `drawn` is the number of paths and the seed. Raises UsageError.
+    """
+    simulator = _simulator(model, *drawn, least=2)  # a single path has no standard error of the mean
     check_times(model.field, x0, np.zeros(1))
     most = MOST_NUMBERS // ((STEPS + 1) * len(x0))
     if drawn[0] > most:
-        raise UsageError(f"{drawn[0]} paths are more than {most}, the most for a density; draw fewer")
+        raise UsageError(f"{drawn[0]} paths are more than {most}, the largest number for a density; draw fewer")
     starts = np.repeat(x0[:, None], drawn[0], axis=1)
     paths = settled_paths(simulator, starts, np.array(inputs), process_of(model).step)
     return None if paths is None else density_of(model.states, paths)
 
 
 def process_of(model: "ModelCore") -> Process:
-    """Return the process; raises UsageError where the model has no noise, or its result has no 'process'."""
+    """Return the stochastic process; raises UsageError if the model has no noise, or its result has no 'process'."""
     process = model.result.process
     if not model.components:
-        raise UsageError("the model has no noise, so it has no paths; --stochastic finds models with noise")
+        raise UsageError("the model has no noise, so it has no random paths; --stochastic finds models with noise")
     if process is None:
         raise UsageError("the result has equations of noise but no 'process'; give the complete result")
     return process

@@ -1,8 +1,8 @@
 """The right-hand sides of a model as functions of numbers, with their derivatives, and the joint errors of constants.
 
-Values agree with the search up to rounding: this module uses the functions of the C library, and sine and cosine also
-have values for large arguments. Letters: D states, U inputs, P parameters of a field, K constants with known joint
-covariance, N points.
+Values agree with the values of the search up to rounding, because this module uses the functions of the C library.
+Sine and cosine are also defined for large arguments, for which the search has no values. Letters: D states, U inputs, P
+parameters of a field, K constants with known joint covariance, N points.
 """
 
 import itertools
@@ -31,25 +31,25 @@ from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
 
 MOST_STATES: Final = 200
-"""More states make a Jacobian of more than 40 000 formulas."""
+"""Largest number of states: the Jacobian of 200 states has 40,000 formulas."""
 
 _VELOCITY: Final = "_dot"
 
-_OF_NUMBERS: Final = Functions(
+_NUMBER_FUNCTIONS: Final = Functions(
     math.sin, math.cos, math.exp, math.log, math.sqrt, abs, math.tanh, math.pow,
     sign=lambda x: (x > 0.0) - (x < 0.0), base_log=lambda x, v: 0.0 if x == v == 0.0 else math.log(x),
 )  # fmt: skip
-_OF_ARRAYS: Final = NUMPY._replace(sin=np.sin, cos=np.cos, power=operator.pow)
+_ARRAY_FUNCTIONS: Final = NUMPY._replace(sin=np.sin, cos=np.cos, power=operator.pow)
 
 
 @dataclass(frozen=True, eq=False)
 class VectorField:
     """dx/dt = f(x, u, p) of D states.
 
-    `states` are the names of x in order, `inputs` the names of u, which have no equation; `expressions` are the D
+    `states` are the names of x in order. `inputs` are the names of u, which have no equation. `expressions` are the D
     right-hand sides as infix text. For equations of second order, the velocities are states after all positions.
-    `sizes` are the largest measured absolute values of the states, 0 where unknown, empty if all are unknown.
-    `programs` are the right-hand sides over states and inputs; empty: parsed from the texts.
+    `sizes` are the D largest measured absolute values of the states: 0 where unknown, empty if all are unknown.
+    `programs` are the right-hand sides over states and inputs; if empty, they are parsed from `expressions`.
     """
 
     states: tuple[str, ...]
@@ -62,10 +62,10 @@ class VectorField:
     def __post_init__(self) -> None:
         if not 1 <= len(self.states) <= MOST_STATES or len(self.expressions) != len(self.states):
             counts = f"{len(self.expressions)} expressions for {len(self.states)} states"
-            raise UsageError(f"there are {counts}; give one for each, of 1 to {MOST_STATES} states")
+            raise UsageError(f"there are {counts}; give one expression for each state, for 1 to {MOST_STATES} states")
         names = (*self.states, *self.inputs)
         if len(set(names)) < len(names):
-            raise UsageError(f"a name stands twice among {', '.join(names)}; give each state and input its own")
+            raise UsageError(f"a name occurs twice in {', '.join(names)}; give each state and input its own name")
         programs = self.programs or tuple(from_infix(text, names) for text in self.expressions)
         constants = [
             (state, value)
@@ -83,7 +83,7 @@ class VectorField:
 
     @classmethod
     def from_result(cls, result: Result) -> "VectorField":
-        """Return the field of the model of a result, for a stochastic process the drift.
+        """Return the field of the model of a result; for a stochastic process this is the drift.
 
         Variables without an equation are inputs. Raises UsageError if an equation was not found or is not differential.
         """
@@ -92,7 +92,7 @@ class VectorField:
         for equation in result.equations:
             side = equation.lhs
             if side == equation.variable or "/" not in side:
-                raise UsageError(f"the equation of {side} is not differential; a model of dynamics needs d{side}/dt")
+                raise UsageError(f"the equation of {side} is not differential; a dynamical model needs d{side}/dt")
         missing = next((equation.lhs for equation in equations if not equation.expression), None)
         if missing is not None:
             raise UsageError(f"the result has no equation for {missing}; a model needs one for each state")
@@ -109,35 +109,35 @@ class VectorField:
         return np.array([parameter.value for parameter in self.parameters], dtype=np.float64)
 
     def values(self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None) -> FloatArray:
-        """Return dx/dt at one point (D,) or at N points (N, D), of the same shape; NaN where it is not finite.
+        """Return dx/dt at one point, (D,), or at N points, (N, D); values that are not finite are NaN.
 
         Args:
-            x: states.
-            u: inputs, (U,) for all points or (N, U); None where there are none.
-            p: parameters (P,); None: the parameters of the model.
+            x: states (D,) or (N, D).
+            u: inputs, (U,) for all points or (N, U); None for a field without inputs.
+            p: parameters (P,); None for the parameters of the model.
         """
         return self._evaluated(self._rates, x, u, p)
 
     def jacobian(self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None) -> FloatArray:
-        """Return d(dx_i/dt)/dx_j as (D, D), or (N, D, D) at N points; otherwise as `values`."""
+        """Return d(dx_i/dt)/dx_j as (D, D), or (N, D, D) at N points; the arguments are as in `values`."""
         return self._evaluated(self._by_states, x, u, p)
 
     def parameter_derivatives(
         self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None
     ) -> FloatArray:
-        """Return d(dx_i/dt)/dp_k as (D, P), or (N, D, P) at N points; otherwise as `values`."""
+        """Return d(dx_i/dt)/dp_k as (D, P), or (N, D, P) at N points; the arguments are as in `values`."""
         return self._evaluated(self._by_parameters, x, u, p)
 
     def input_derivatives(
         self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None
     ) -> FloatArray:
-        """Return d(dx_i/dt)/du_k as (D, U), or (N, D, U) at N points; otherwise as `values`."""
+        """Return d(dx_i/dt)/du_k as (D, U), or (N, D, U) at N points; the arguments are as in `values`."""
         return self._evaluated(self._by_inputs, x, u, p)
 
     def term_of(self, index: int, p: FloatArray) -> str:
-        """Return the term of which a parameter (from 0) is the coefficient, as infix text without sign: x*y for c1*x*y.
+        """Return the term whose coefficient is parameter `index` (from 0), as infix text without sign: x*y for c1*x*y.
 
-        Other parameters in it have the values `p` (P,).
+        Other parameters in the term have the values `p` (P,).
         """
         import sympy
 
@@ -153,7 +153,7 @@ class VectorField:
 
     @cached_property
     def _sides(self) -> list[Program]:
-        """The right-hand sides with their parameters as variables after states and inputs."""
+        """The right-hand sides; their variables are the states, the inputs, then the parameters."""
         sides: list[Program] = []
         end = len(self.states) + len(self.inputs)
         for program in self.programs:
@@ -209,7 +209,7 @@ def is_acceleration(equation: Equation) -> bool:
 
 
 def _velocity_of(variable: str, symbols: Mapping[str, str]) -> str:
-    """Return the symbol of the velocity of `variable`: its name with _dot, and more _ where that is taken."""
+    """Return the symbol of the velocity of `variable`: its name with _dot, and further _ if that name is taken."""
     name = variable + _VELOCITY
     while name in symbols and name + "_" in symbols:
         name += "_"
@@ -219,9 +219,9 @@ def _velocity_of(variable: str, symbols: Mapping[str, str]) -> str:
 
 
 class CompiledPrograms:
-    """Programs as two functions, compiled when first used: one of numbers, fast at one point, and one of arrays.
+    """Programs as two functions: one takes numbers and is fast at a single point, the other one takes arrays.
 
-    `shape` is the shape of the values of all programs at a point.
+    Each is compiled when it is first used. `shape` is the shape of the values of all programs at a point.
     """
 
     def __init__(self, programs: Sequence[Program], shape: tuple[int, ...], variables: int) -> None:
@@ -230,14 +230,14 @@ class CompiledPrograms:
 
     @cached_property
     def _of_numbers(self) -> Callable[..., Sequence[float]]:
-        return function_of(self._programs, self._variables, _OF_NUMBERS)
+        return function_of(self._programs, self._variables, _NUMBER_FUNCTIONS)
 
     @cached_property
     def _of_arrays(self) -> Callable[..., Sequence[FloatArray | float]]:
-        return function_of(self._programs, self._variables, _OF_ARRAYS)
+        return function_of(self._programs, self._variables, _ARRAY_FUNCTIONS)
 
     def at_point(self, numbers: Sequence[float]) -> FloatArray:
-        """Return the values of all programs; NaN where they are undefined."""
+        """Return the values (programs,) of all programs; undefined values are NaN."""
         try:
             values = np.array(self._of_numbers(*numbers), dtype=np.float64)
         except (ArithmeticError, ValueError):  # a division by zero, log of 0, a root of a negative number
@@ -248,7 +248,7 @@ class CompiledPrograms:
         return values
 
     def at_points(self, columns: Sequence[FloatArray], numbers: Sequence[float], rows: int) -> FloatArray:
-        """Return the values of all programs at `rows` points, shape (rows, programs); NaN where they are undefined."""
+        """Return the values (rows, programs) of all programs at `rows` points; undefined values are NaN."""
         values = np.zeros((rows, len(self._programs)))
         with np.errstate(all="ignore"):
             for index, column in enumerate(self._of_arrays(*columns, *map(np.float64, numbers))):
@@ -260,10 +260,10 @@ class CompiledPrograms:
 
 @dataclass(frozen=True, eq=False)
 class JointErrors:
-    """The joint covariance (K, K) of the constants, and the field whose parameters they are.
+    """The joint covariance (K, K) of the constants, and a field that has these constants among its parameters.
 
-    In `field` unwritten factors of 1 are parameters as well; `columns` (K,) are the indices of the constants among its
-    P parameters.
+    In `field`, coefficients of 1 are parameters too, although the text of an equation does not show them. `columns`
+    (K,) are the indices of the constants among the P parameters of `field`.
     """
 
     field: VectorField
@@ -272,9 +272,9 @@ class JointErrors:
 
     @classmethod
     def of(cls, result: Result, field: VectorField) -> "JointErrors | None":
-        """Return the errors of the model of a result, with right-hand sides `field`; None where they are not known.
+        """Return the errors of the constants of a result with the right-hand sides `field`; None if they are not known.
 
-        Constants of a diffusion are left out.
+        The constants of a diffusion are left out.
         """
         known = result.covariance
         if known is None or any(None in row for row in known.matrix):
@@ -285,7 +285,7 @@ class JointErrors:
         sides: dict[str, int] = {}
         for variable in dict.fromkeys(variables):
             equation = next(equation for equation in result.equations if equation.variable == variable)
-            program = _explicit(result, equation, known)
+            program = _program_with_coefficients(result, equation, known)
             if program is None:
                 return None
             position = field.states.index(result.symbols[variable])
@@ -294,19 +294,19 @@ class JointErrors:
             left = [places[index] if code == VARIABLE else index for code, index, _, _ in program.nodes()]
             programs[sides[variable]] = replace(program, left=np.array(left, dtype=np.int16))
         ends = np.cumsum([0, *(len(constant_places(program)) for program in programs)])
-        # the parameters of each side follow one another, in the order of the covariance
+        # parameters of one right-hand side are consecutive, in the order of the covariance
         following = [itertools.count(begin) for begin in ends.tolist()]
         columns = tuple(next(following[sides[variable]]) for variable in variables)
         matrix = np.array(known.matrix, dtype=np.float64).reshape(len(known.constants), -1)
         return cls(replace(field, programs=tuple(programs)), columns, matrix[np.ix_(rows, rows)])
 
     def rates(self, x: FloatArray, u: FloatArray | None) -> FloatArray:
-        """Return the derivatives (D, K) of the rates by the constants at a point."""
+        """Return the derivatives (D, K) of the rates with respect to the constants at a point `x` (D,), `u` (U,)."""
         return self.field.parameter_derivatives(x, u)[:, list(self.columns)]
 
 
-def _explicit(result: Result, equation: Equation, known: Covariance) -> Program | None:
-    """Return a right-hand side whose constants, in node order, are the constants of the covariance; None without."""
+def _program_with_coefficients(result: Result, equation: Equation, known: Covariance) -> Program | None:
+    """Return the right-hand side whose constants, in node order, are the constants of the covariance, or None."""
     if equation.program is None:
         return None
     origins = [place.constant for place in known.constants if place.variable == equation.variable]

@@ -1,4 +1,4 @@
-"""Sections on the equations: verdicts, constants, candidates, fronts, searches, and how to repeat the run."""
+"""Sections about the equations: verdicts, constants, candidates, fronts, searches, and how to repeat the run."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -39,15 +39,15 @@ if TYPE_CHECKING:
     from atoll.experiments.suggestion import Suggestions
 
 MEANINGS: Final = {
-    "exact": "the data determine this equation uniquely, to all of their digits",
+    "exact": "this is the only equation that agrees with all digits of the data",
     "good": "within the measured range, predictions of this equation can be trusted",
-    "doubtful": "another equation may be right, or this was not tested; the reason says why",
+    "doubtful": "another equation may be right, or a test was not possible; the reason says why",
     "no model": "no equation was found that describes the data",
 }
 
 
 def overview(findings: Findings) -> Element:
-    """Return the section: equations with verdicts, then data and options."""
+    """Return the section "Found": equations with verdicts, then data and options."""
     result = findings.result
     equations = [_equation(equation, findings) for equation in result.equations]
     warned = _list("Warnings", result.proper_warnings)
@@ -128,7 +128,7 @@ def _facts(findings: Findings) -> list[tuple[str, str]]:
 
 
 def constants(findings: Findings) -> list[Element]:
-    """Return the section, empty where no equation has a constant."""
+    """Return the section "Constants"; empty if no equation has a constant."""
     names = constant_names(findings.result)
     rows = [row for equation in findings.result.equations for row in _rows(equation, names[equation.variable])]
     if not rows:
@@ -139,7 +139,7 @@ def constants(findings: Findings) -> list[Element]:
     notes += [paragraph(_correlation(pair, names)) for pair in findings.result.correlations]
     profiles = [] if findings.identifiability is None else _profiles(findings.identifiability)
     if count_constants(findings.result) > MOST_PROFILES:
-        profiles.append(paragraph("Profiles of so many constants: run coordinator analyse --identifiability."))
+        profiles.append(paragraph("Profiles of more constants: run coordinator analyse --identifiability."))
     listed = table("Constants", [*heads, "determined"], rows, is_stacked=True)
     return [section("constants", "Constants", listed, *_groups(findings, names), *notes, *profiles)]
 
@@ -168,8 +168,8 @@ def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Elem
 
 def _profiles(identifiability: "Identifiability") -> list[Element]:
     text = paragraph(
-        "Each constant is held at values of a range while all others are fitted again. The data allow the values whose "
-        "deviance is below the line."
+        "Each constant is fixed at several values while all other constants are fitted again. The data allow the "
+        "values whose deviance is below the line."
     )
     listed = [element("li", f"{constant.name} = {constant.sentence}") for constant in identifiability.constants]
     listed += [element("li", direction.words) for direction in identifiability.sloppy]
@@ -208,11 +208,12 @@ def _rows(equation: Equation, names: Sequence[str]) -> list[list[Child]]:
 def _simple(simple: SimpleNumber | None) -> str:
     if not simple or simple.odds is None:
         return ""
-    return f"{number(simple.value, 6)}, odds {number(simple.odds, 2)}, {number(simple.standard_errors, 2)} se off"
+    distance = f"{number(simple.standard_errors, 2)} standard errors away"
+    return f"{number(simple.value, 6)}, odds {number(simple.odds, 2)}, {distance}"
 
 
 def _together(equation: Equation, names: Sequence[str]) -> list[str]:
-    """Return a sentence on simple numbers for several constants together; empty if other numbers are more probable."""
+    """Return a sentence about simple numbers for several constants; empty if other numbers are more probable."""
     together = equation.simple_together
     if not together or together.odds is None:
         return []
@@ -227,7 +228,7 @@ def _together(equation: Equation, names: Sequence[str]) -> list[str]:
 def _correlation(correlation: Correlation, names: Mapping[str, Sequence[str]]) -> str:
     places = (correlation.first, correlation.second)
     first, second = (names[place.variable][place.constant or 0] for place in places)
-    return f"{first} and {second} are hardly distinguished: correlation {number(correlation.value, 3)}."
+    return f"{first} and {second} are strongly correlated: correlation {number(correlation.value, 3)}."
 
 
 def choice(findings: Findings) -> list[Element]:
@@ -238,8 +239,8 @@ def choice(findings: Findings) -> list[Element]:
     sections = []
     if compared:
         text = paragraph(
-            "Δ description length: the description length of the data with another equation less that with the "
-            "displayed one, in nats. Below about 3 the data hardly decide."
+            "Δ description length: the description length with another equation minus the description length with the "
+            "displayed equation, in nats. Below about 3 nats, the data hardly decide."
         )
         if findings.result.groups or findings.result.group is not None:
             compared.append(paragraph("Constants of candidates belong to all groups of trajectories together."))
@@ -247,16 +248,16 @@ def choice(findings: Findings) -> list[Element]:
         sections.append(section("candidates", "Candidates", text, *compared, *following))
     if fronts:
         text = paragraph(
-            "The best expression of each complexity in the search, by its error over the standard deviation of the "
-            "target. A ring marks the displayed equation if it comes from the front; the line is the uncertainty of "
-            "the target."
+            "The best expression of each complexity in the search, with its error relative to the standard deviation "
+            "of the target. A ring marks the displayed equation if it comes from the front. The line is the "
+            "uncertainty of the target."
         )
         sections.append(section("front", "Accuracy and complexity", text, pictures(fronts)))
     return sections
 
 
 def _next_experiment(suggestions: "Suggestions") -> list[Element]:
-    told_apart = suggestions.purpose == "discrimination"
+    is_discrimination = suggestions.purpose == "discrimination"
     systems: list[list[Child]] = [
         [number(weight, 2), origin, element("code", equations_text(equations))]
         for candidate in suggestions.candidates
@@ -270,18 +271,18 @@ def _next_experiment(suggestions: "Suggestions") -> list[Element]:
         [
             element("span", experiment.initial_text),
             experiment.samples_text,
-            experiment.certainty_text if told_apart else f"{number(experiment.information, 3)} nats",
+            experiment.certainty_text if is_discrimination else f"{number(experiment.information, 3)} nats",
             experiment.remark,
         ]
         for experiment in suggestions.experiments
     ]
-    heads = ["initial state", "samples", "expected result" if told_apart else "about the constants", "warning"]
+    heads = ["initial state", "samples", "expected result" if is_discrimination else "about the constants", "warning"]
     if not any(experiment.remark for experiment in suggestions.experiments):
         heads, rows = heads[:-1], [row[:-1] for row in rows]
     return [
         element("h3", "The next experiment"),
         paragraph(" ".join(filter(None, [f"Purpose: {suggestions.purpose_text}.", suggestions.verdict]))),
-        table("Systems, their constants fitted again", ["weight", "origin", "equations"], systems),
+        table("Systems, with constants fitted again", ["weight", "origin", "equations"], systems),
         table("Experiments", heads, rows),
     ]
 
@@ -311,7 +312,7 @@ def _candidates(equation: Equation, findings: Findings) -> list[Element]:
             element("code", rounded(candidate.expression, findings.result.names)),
             "shown" if candidate.selected else number(candidate.nats, 3),
             r2_cell(candidate.r2),
-            r2_cell(candidate.held_out_r2) + (" (left out in turn)" if candidate.cross_validated else ""),
+            r2_cell(candidate.held_out_r2) + (" (cross-validated)" if candidate.cross_validated else ""),
             str(candidate.complexity),
             candidate.origin or "",
         ]
@@ -333,7 +334,7 @@ def _decision(equation: Equation) -> list[Element]:
 
 
 def search(findings: Findings) -> list[Element]:
-    """Return the section."""
+    """Return the section "Search"."""
     equations = findings.result.equations
     rows = [
         [equation.lhs, ENDS.get(equation.why or "", equation.why or ""), str(equation.epoch),
@@ -369,7 +370,7 @@ def _convergence(equation: Equation) -> Element:
 
 
 def origin(findings: Findings) -> Element:
-    """Return the section."""
+    """Return the section "How to repeat this"."""
     result = findings.result
     entries: list[tuple[str, Child]] = [("Job", str(result.job)), ("Seed", str(result.seed))]
     if result.command:
@@ -386,8 +387,8 @@ def origin(findings: Findings) -> Element:
     if by_clock:
         epochs = ",".join(f"{equation.variable}={equation.epoch}" for equation in by_clock)
         promise = (
-            "A search was stopped by the clock, so another run may stop elsewhere. The same data, settings and seed "
-            f"with --max-epochs {epochs} in place of --max-time give the same digest on any number of workers and "
-            "machines."
+            "A search was stopped by its time limit, so another run may stop at another epoch. The same data, settings "
+            f"and seed with --max-epochs {epochs} instead of --max-time give the same digest on any number of workers "
+            "and machines."
         )
     return section("origin", "How to repeat this", paragraph(promise), facts(entries))

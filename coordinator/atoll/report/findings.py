@@ -1,4 +1,4 @@
-"""The content of a page: a result, and if it is complete its model, dynamics and identifiability."""
+"""The content of a page: a result and, if the result is complete, its model, dynamics and identifiability."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Final, TypeVar
 
 from atoll.analysis.analyse import analyse_model
 from atoll.analysis.analysis import Analysis
-from atoll.display.curves import ModelCurves, chosen, curves_of, label
+from atoll.display.curves import ModelCurves, choose_trajectories, curves_of, label
 from atoll.experiments.designs import DesignRequest
 from atoll.experiments.identifiability import Identifiability, identify
 from atoll.experiments.suggestion import Suggestions, suggest
@@ -20,15 +20,15 @@ from atoll_core.errors import DataError, UsageError
 
 Found = TypeVar("Found")
 MOST_PROFILES: Final = 12
-"""Largest number of constants whose profiles are drawn: each takes a fit for every point."""
+"""Largest number of constants whose profiles are drawn: each point of a profile needs a fit."""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """A result, and its model (None where an equation was not found).
+    """A result, and its model (None if an equation was not found).
 
-    The dynamics, the identifiability of the constants and the suggested experiments are None where they cannot be
-    computed; `unanalysed` says why there are no dynamics, "" if there are.
+    The dynamics, the identifiability of the constants and the suggested experiments are None if they cannot be
+    computed. `unanalysed` says why the dynamics were not analysed; it is "" if they were.
     """
 
     result: Result
@@ -58,7 +58,7 @@ class Findings:
     @cached_property
     def curves(self) -> Sequence[tuple[Simulated, ModelCurves]]:
         """The simulated trajectories that are drawn, at most `SHOWN`, with their curves."""
-        return [(part, curves_of(self.model, part)) for part in chosen(self.result.simulated)]
+        return [(part, curves_of(self.model, part)) for part in choose_trajectories(self.result.simulated)]
 
     def label(self, column: str) -> str:
         """Return a column name with its unit."""
@@ -70,12 +70,12 @@ class Findings:
 
 
 def count_constants(result: Result) -> int:
-    """Return the number of fitted constants, including unwritten factors of 1."""
+    """Return the number of fitted constants, including coefficients of 1 that the text does not show."""
     return sum(len(equation.constants) + len(equation.implied) for equation in result.equations)
 
 
 def _found(find: Callable[[], Found]) -> Found | None:
-    """Return the value of a computation; None where the result has no measurements for it."""
+    """Return the value of a computation; None if the result lacks the measurements for it."""
     try:
         return find()
     except (UsageError, DataError):

@@ -1,4 +1,4 @@
-"""Elements of HTML, SVG and MathML, and charts of curves, points and bands as SVG. Pure.
+"""Elements of HTML, SVG and MathML, and charts of curves, points and bands as SVG. All functions are pure.
 
 All texts and attributes are escaped when a page is written.
 """
@@ -33,7 +33,7 @@ def element(tag: str, *children: Child, **attributes: str | float) -> Element:
 
 
 def section(identifier: str, title: str, *children: Child) -> Element:
-    """Return a section with its heading; the identifier can be linked."""
+    """Return a section with its heading; links can refer to the identifier."""
     return element("section", element("h2", title), *children, id=identifier)
 
 
@@ -51,7 +51,7 @@ def facts(pairs: Iterable[tuple[str, Child]]) -> Element:
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Child]], *, is_stacked: bool = False) -> Element:
     """Return a table that scrolls if it is wider than the page, with numbers aligned to the right.
 
-    Empty columns are left out. A table that `is_stacked` has its cells below one another on narrow pages.
+    Empty columns are left out. If `is_stacked`, narrow pages show the cells of a row one below another.
     """
     rows = [*rows]
     kept = [place for place in range(len(heads)) if not rows or any(row[place] != "" for row in rows)]
@@ -68,12 +68,12 @@ def _cell(content: Child, head: str) -> Element:
 
 
 def scrolling(label: str, content: Element) -> Element:
-    """Return content in a box that scrolls sideways, also by keyboard."""
+    """Return content in a box that scrolls sideways, also with the keyboard."""
     return element("div", content, class_="wide", role="region", tabindex="0", aria_label=label)
 
 
 def figure(picture: Element, caption: str, numbers: Element | None, *legend: Element) -> Element:
-    """Return a picture with its legend and caption, and its numbers in a box that can be opened."""
+    """Return a picture with its legend and caption; its numbers are in a box that the reader can open."""
     behind = () if numbers is None else (element("details", element("summary", "Numbers"), numbers),)
     return element("figure", picture, *legend, element("figcaption", caption), *behind)
 
@@ -120,7 +120,7 @@ COLORS: Final = SHOWN
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 12, 12, 44
 _TICKS: Final = 5
 _PLAIN: Final = (1e-4, 1e6)
-"""Ticks with smaller steps, or with larger numbers, have labels with exponents."""
+"""Labels of ticks have exponents if steps are smaller than the first number, or numbers larger than the second."""
 _FEW_DECADES: Final = 2.0
 _BEYOND: Final = 0.04
 """Margin of an axis as a share of its range."""
@@ -148,7 +148,7 @@ class _Layer:
 
 @dataclass
 class Chart:
-    """A picture with two axes; later layers are drawn above earlier ones. `title` is its text for screen readers."""
+    """A picture with two axes; later layers cover earlier layers. `title` is its text for screen readers."""
 
     title: str
     x: Axis
@@ -160,17 +160,17 @@ class Chart:
         self._add("line", style, x, y)
 
     def add_points(self, x: Numbers, y: Numbers, style: str) -> None:
-        """Add points."""
+        """Add points; missing numbers are left out."""
         self._add("points", style, x, y)
 
     def add_band(self, x: Numbers, lower: Numbers, upper: Numbers, style: str) -> None:
-        """Add the area between two curves over the same `x`, where both are known."""
+        """Add the area between two curves over the same `x`; rows with a missing number are left out."""
         rows = [row for row in zip(x, lower, upper, strict=True) if None not in row]
         forth, back = [(row[0], row[1]) for row in rows], [(row[0], row[2]) for row in reversed(rows)]
         self._add("area", style, *zip(*forth, *back, strict=True)) if rows else None
 
     def add_cells(self, x: Numbers, y: Numbers, style: str) -> None:
-        """Add rectangles, each given by two opposite corners: two numbers of `x` and of `y`, all known."""
+        """Add rectangles. Two consecutive points of `x` and `y` are opposite corners; no number may be missing."""
         self._add("cells", style, x, y)
 
     def _add(self, kind: str, style: str, x: Numbers, y: Numbers) -> None:
@@ -229,7 +229,7 @@ class _Scale:
 
 
 def _on(axis: Axis, value: Number) -> float:
-    """Return the position of a number on an axis; NaN where it has none."""
+    """Return the position of a number on an axis; NaN if it has no position."""
     if value is None or not math.isfinite(value):
         return math.nan
     if not axis.is_logarithmic:
@@ -260,7 +260,7 @@ def _layer_element(layer: _Layer, across: _Scale, up: _Scale) -> Element:
 
 
 def ticks(bounds: tuple[float, float], is_logarithmic: bool) -> list[tuple[float, str]]:
-    """Return places and labels of ticks within `bounds`; if these are logarithms, at 1, 2 and 5 times powers of ten."""
+    """Return places and labels of ticks within `bounds`; logarithmic ticks are 1, 2 and 5 times powers of ten."""
     return _logarithmic_ticks(*bounds) if is_logarithmic else _even_ticks(*bounds)
 
 

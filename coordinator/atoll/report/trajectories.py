@@ -1,4 +1,4 @@
-"""Sections on trajectories: measurements with simulations and residuals, stochastic processes, dynamics."""
+"""Sections about trajectories: measurements with simulations and residuals, stochastic processes, dynamics."""
 
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
@@ -34,15 +34,15 @@ if TYPE_CHECKING:
     from atoll.analysis.analysis import Analysis
 
 ROWS: Final = 60
-"""Rows of the numbers of a picture."""
+"""Largest number of rows in the table of a picture, approximately."""
 _RESIDUALS: Final = (
-    "Measured minus simulated values. Residuals of a right model have no pattern and are as large as the measurement "
-    "errors; lines mark twice the estimated error on either side."
+    "Measured minus simulated values. The residuals of a correct model have no pattern and are as large as the "
+    "measurement errors. Lines mark plus and minus twice the estimated error."
 )
 
 
 def trajectories(findings: Findings) -> list[Element]:
-    """Return the sections of the fit, of its residuals, and of the errors of the measurements."""
+    """Return the sections about the fit, its residuals, and the errors of the measurements."""
     parts = [part for part, _ in findings.curves]
     sections = []
     if parts:
@@ -59,7 +59,7 @@ def trajectories(findings: Findings) -> list[Element]:
 
 
 def fitted_values(findings: Findings) -> list[Element]:
-    """Return the section of a regression: over its variable, or, for several, fitted over measured values."""
+    """Return the section about a regression: a plot over its variable; for several variables, fitted over measured."""
     known = findings.result.regression
     if known is None:
         return []
@@ -91,24 +91,23 @@ def fitted_values(findings: Findings) -> list[Element]:
 
 def _which(findings: Findings) -> Element:
     parts, curves = zip(*findings.curves, strict=True)
-    text = f"Dots are measured. Lines are simulated by the model{_origin([each.pieces for each in curves])}"
-    text += "." if not any(part.lower for part in parts) else (
-        "; 95 % bands have the uncertainty of constants and initial states."
-    )  # fmt: skip
+    text = f"Dots are measured. Lines are simulated by the model{_origin([each.pieces for each in curves])}."
+    if any(part.lower for part in parts):
+        text += " The 95 % bands contain the uncertainty of constants and initial states."
     if len(findings.result.simulated) > len(parts):
-        drawn = f"{len(parts)} trajectories of {len(findings.result.simulated)} are drawn"
-        text += f" {drawn}, from the worst explained to the best."
+        drawn = f"{len(parts)} of {len(findings.result.simulated)} trajectories are drawn"
+        text += f" {drawn}, from the worst to the best fit."
     return paragraph(text)
 
 
 def _origin(pieces: Sequence[int | None]) -> str:
-    """Return the initial states of the simulations; "" where these are not known for all."""
+    """Return a phrase about the initial states of the simulations; "" if they are not known for all simulations."""
     known = [count for count in pieces if count is not None]
     if len(known) < len(pieces):
         return ""
     if max(known) == 1:
         return ", from one fitted initial state" if len(known) == 1 else ", each from one fitted initial state"
-    return ", in pieces that each have a fitted initial state of their own"
+    return ", in pieces with separate fitted initial states"
 
 
 def _fit(state: str, findings: Findings) -> Element:
@@ -191,7 +190,7 @@ def _errors(findings: Findings) -> Element:
     smoothed = findings.result.smoothed
     drawn = [_smoothing(state, smoothed, findings) for state in (smoothed[0].measured if smoothed else ())]
     explained = (
-        [paragraph("Dots are measured, lines are smoothed; the search uses the smoothed values.")] if drawn else []
+        [paragraph("Dots are measured, lines are smoothed. The search uses the smoothed values.")] if drawn else []
     )
     found = table("Errors found", heads, rows)
     return section("errors", "Errors of the measurements", found, *explained, pictures(drawn))
@@ -210,7 +209,7 @@ def _kind(errors: Errors) -> str:
     if errors.correlated:
         descriptions.append(f"{100 * errors.correlated:.0f} % of the variance is correlated between rows")
     if errors.add_up:
-        descriptions.append("accumulates along trajectories, as errors of a solver do")
+        descriptions.append("errors accumulate along trajectories, like integration errors of a solver")
     return "; ".join(descriptions)
 
 
@@ -226,12 +225,12 @@ def _smoothing(state: str, parts: Sequence[Smoothed], findings: Findings) -> Ele
 
 
 def process(findings: Findings) -> list[Element]:
-    """Return the section of a stochastic process."""
+    """Return the section about a stochastic process; empty without one."""
     fitted = findings.result.process
     if fitted is None:
         return []
     entries = [
-        ("Steps", f"{fitted.steps}, of {number(fitted.step)} in the median"),
+        ("Time steps", f"{fitted.steps}, median {number(fitted.step)}"),
         ("Log-likelihood of a step", f"{number(fitted.log_likelihood)} nats"),
     ]
     ensemble, densities = fitted.ensemble, fitted.stationary or {}
@@ -267,19 +266,19 @@ def _density(density: Density, state: str, findings: Findings) -> Element:
 
 
 def dynamics(findings: Findings) -> list[Element]:
-    """Return the section of a model of dynamics."""
+    """Return the section about the dynamics of a model; empty for a regression."""
     if findings.model is not None and findings.model.is_regression:
         return []
     analysis = findings.analysis
     if analysis is None:
         groups = ", ".join(differing_groups(findings.result))
-        told_apart = f"Constants differ between the groups {groups}; coordinator report --group NAME analyses one."
-        why = told_apart if groups else f"The model is not analysed: {findings.unanalysed}."
+        with_groups = f"Constants differ between the groups {groups}; analyse one with coordinator report --group NAME."
+        why = with_groups if groups else f"The model is not analysed: {findings.unanalysed}."
         return [section("dynamics", "Dynamics", paragraph(why))]
     parts = [_part(part) for part in describe(analysis)]
     if analysis.nullclines:
         parts.insert(1 if analysis.caveat else 0, pictures([_phase_plane(findings, analysis)]))
-    bounded = paragraph("The search is bounded: it may have missed fixed points and cycles.")
+    bounded = paragraph("The search has a limited effort: it may have missed fixed points and cycles.")
     return [section("dynamics", "Dynamics", *parts, bounded)]
 
 
@@ -321,14 +320,14 @@ def _phase_plane(findings: Findings, analysis: "Analysis") -> Element:
     marks += [(f"line c{index}", f"trajectory {part.name}") for index, (part, _) in enumerate(findings.curves)]
     return figure(
         drawn.svg(),
-        "Phase plane" + ("; shades show which attractor is reached" if len(analysis.basins.attractors) > 1 else ""),
+        "Phase plane" + ("; colours show the reached attractor" if len(analysis.basins.attractors) > 1 else ""),
         None,
         legend(marks),
     )
 
 
 def _add_basins(drawn: Chart, analysis: "Analysis") -> None:
-    """Add the cells of each basin, with neighbours in a column as one rectangle."""
+    """Add the cells of each basin; neighbouring cells in a column are one rectangle."""
     grid = analysis.basins.grid
     if grid is None or len(analysis.basins.attractors) < 2:
         return

@@ -1,1 +1,1 @@
-"""Output on a terminal: ``output`` has lines, tables and numbers, ``progress`` the displays of a job."""
+"""Output on a terminal: ``output`` writes lines, tables and numbers; ``progress`` displays a running job."""

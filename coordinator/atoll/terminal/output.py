@@ -1,4 +1,4 @@
-"""The output of verbs: lines on stdout, notes on stderr, JSON, and plain aligned tables."""
+"""The output of commands: lines on stdout, notes on stderr, JSON, and plain aligned tables."""
 
 import contextlib
 import json

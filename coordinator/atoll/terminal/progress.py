@@ -1,7 +1,7 @@
-"""Progress on stderr: a table that is redrawn on a terminal, otherwise a few plain lines now and then.
+"""Progress on stderr: a table that is redrawn on a terminal, otherwise a few plain lines every few seconds.
 
-The texts are pure functions of the coordinator's views of a job and its workers; displays only decide when and how they
-appear.
+The texts are pure functions of the coordinator's views of a job and its workers. The displays only decide when and how
+the texts appear.
 """
 
 import json
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PLAIN_INTERVAL_S: Final = 5.0
 _PASSING: Final = re.compile(r"\b[0-9]+ (s\b|of [0-9]+ compiled)")
-"""Numbers of seconds and of kernels, which change a sentence every second."""
+"""Numbers of seconds and of compiled kernels: they change every second, without a change of the state."""
 _HEADS: Final = ("equation", "epoch", "error", "size", "best so far", "")
 
 
@@ -37,7 +37,7 @@ def is_screen() -> bool:
 
 
 def headline(view: JobView, workforce: Workforce, connect_hint: str) -> str:
-    """Return one line about the whole job: state, time, workers, speed, and why it waits."""
+    """Return one line about the whole job: state, elapsed time, workers, speed, and why it waits."""
     number = view.workers or workforce.alive
     parts = [f"job {view.job} {view.state}", duration(view.elapsed), "1 worker" if number == 1 else f"{number} workers"]
     if view.point_evaluations:
@@ -52,13 +52,13 @@ def headline(view: JobView, workforce: Workforce, connect_hint: str) -> str:
 
 
 def waiting(view: JobView, workforce: Workforce, connect_hint: str) -> str:
-    """Return why an unfinished job waits or makes no progress, if so."""
+    """Return why an unfinished job waits or makes no progress; "" if it makes progress."""
     if view.state in FINAL_STATES:
         return ""
     if not workforce.alive:
         return f"no worker has joined; start one with: {connect_hint}" if connect_hint else "its workers are starting"
     if workforce.compiling == workforce.alive:
-        return f"workers are getting ready: {workforce.details[0] if workforce.details else 'loading kernels'}"
+        return f"workers are starting: {workforce.details[0] if workforce.details else 'loading kernels'}"
     return view.reason or (view.stalls[0] if view.stalls else "")
 
 
@@ -83,7 +83,7 @@ def standing(variable: VariableView) -> str:
 
 
 def plain_lines(view: JobView, workforce: Workforce, connect_hint: str) -> list[str]:
-    """Return the lines of the plain display: the headline, then one for each equation with progress."""
+    """Return the lines of the plain display: the headline, then a line for each equation whose search has begun."""
     lines = [headline(view, workforce, connect_hint)]
     for variable in view.variables:
         if not variable.epoch and not variable.finished:
@@ -95,7 +95,7 @@ def plain_lines(view: JobView, workforce: Workforce, connect_hint: str) -> list[
 
 
 class PlainDisplay(Display):
-    """Plain lines: whenever the state of the job or of an equation changes, and every few seconds."""
+    """Writes plain lines when the state of the job or of an equation changes, and every few seconds."""
 
     def __init__(self, connect_hint: str, write: Callable[[str], None] = note) -> None:
         self._hint = connect_hint
@@ -104,7 +104,7 @@ class PlainDisplay(Display):
         self._due = 0.0
 
     def show(self, view: JobView, workforce: Workforce, now: float) -> None:
-        """Write the lines when the state has changed, or some time has passed."""
+        """Write the lines if the state has changed or the interval has passed."""
         standings = tuple((variable.finished, variable.converged) for variable in view.variables)
         state = (view.state, standings, _PASSING.sub("", waiting(view, workforce, self._hint)))
         if state == self._shown and now < self._due:
@@ -119,7 +119,7 @@ class PlainDisplay(Display):
 
 
 class JsonDisplay(Display):
-    """One JSON object a line for every state that differs from the one before; sentences go to stderr."""
+    """Writes one JSON object per line for every change of the view; sentences go to stderr."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write

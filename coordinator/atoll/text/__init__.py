@@ -1,5 +1,4 @@
-"""A result as text for people.
+"""A result as text.
 
-`render` writes the whole text, `tables` its tables, `process` the part on a stochastic process, `conclusion` a summary
-in plain words.
+`render` writes the whole text with its tables. `conclusion` writes a summary in plain words.
 """

@@ -1,4 +1,4 @@
-"""A result in plain sentences, for readers who do not know the terms of the field."""
+"""Summarise a result in plain sentences, for readers who do not know the terms of the field."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -8,10 +8,10 @@ from atoll_coordinator.result.result import Result
 from atoll_core.quoting import enumerated
 
 _MEANINGS: Final = {
-    "exact": "The data leave no other equation: {it} reproduce{s} them to all of their digits",
+    "exact": "No other equation is possible: {it} reproduce{s} all digits of the data",
     "good": "Within the measured range, predictions of {it} can be trusted",
-    "doubtful": "Do not rely on predictions of {it} yet: another equation may be the right one",
-    "no model": "Do not use {it}: nothing was found that describes the data",
+    "doubtful": "Do not rely on predictions of {it} yet: another equation may be right",
+    "no model": "Do not use {it}: no equation was found that describes the data",
 }
 _MOST_NAMES: Final = 4
 _TIMES: Final = {
@@ -22,12 +22,12 @@ _CALENDAR: Final = ("second", "minute", "hour", "day", "week", "month", "quarter
 
 
 def conclusion(result: Result) -> str:
-    """Return one paragraph: the data, the search, the equations found, and how far to trust them."""
+    """Return one paragraph about the data, the search, the equations that were found, and how far to trust them."""
     found = [equation for equation in result.equations if equation.expression is not None]
     if not found:
-        return f"Atoll looked{_source(result)} for {_aim(result)}, and found none."
+        return f"Atoll searched{_source(result)} for {_aim(result)}, and found none."
     meaning = _trust(result.equations)
-    return f"Atoll looked{_source(result)} for {_aim(result)}. {_explain(result, found[0])}{meaning}"
+    return f"Atoll searched{_source(result)} for {_aim(result)}. {_explain(result, found[0])}{meaning}"
 
 
 def _aim(result: Result) -> str:
@@ -37,8 +37,8 @@ def _aim(result: Result) -> str:
     states = result.columns.states or variables
     noise = " and how large its noise is" if result.process else ""
     if len(states) == 1:
-        return f"an equation that says how fast {states[0]} changes{noise}"
-    return f"equations that say how fast {enumerated(states, _MOST_NAMES)} change{noise.replace('its', 'their')}"
+        return f"an equation that describes how fast {states[0]} changes{noise}"
+    return f"equations that describe how fast {enumerated(states, _MOST_NAMES)} change{noise.replace('its', 'their')}"
 
 
 def _source(result: Result) -> str:
@@ -69,7 +69,7 @@ def _time_unit(result: Result) -> str:
 
 
 def _trust(equations: Sequence[Equation]) -> str:
-    """Return the meaning of the verdicts, the worst first; "" without verdicts."""
+    """Return the meaning of the verdicts, the worst verdict first; "" without verdicts."""
     sentences = []
     for verdict in ("no model", "doubtful", "good", "exact"):
         named = [equation.lhs for equation in equations if equation.verdict == verdict]

@@ -1,4 +1,4 @@
-"""A result for people and for other programs: text, CSV, sympy, LaTeX."""
+"""Render a result as text, CSV, SymPy or LaTeX."""
 
 import math
 import re
@@ -34,9 +34,9 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
 MOST_LINES: Final = 12
-"""Most trajectories and pairs of constants that are listed; of more, the worst."""
+"""Largest number of listed trajectories and of listed pairs of constants; if there are more, the worst are listed."""
 NEAREST: Final = 2
-"""Alternative equations listed in a short output."""
+"""Number of alternative equations in a short output."""
 _PLACES: Final = {
     "end": "near ends",
     "gap": "near gaps",
@@ -46,14 +46,14 @@ _PLACES: Final = {
 }
 _ROUNDINGS: Final = {
     "decimals": "values rounded to multiples of {:.3g}",
-    "digits": "values rounded to significant digits, to {:.3g} where they are largest",
-    "single precision": "values in single precision, in steps of {:.3g} where they are largest",
-    "steps": "values in steps of {:.3g}, as of an encoder",
+    "digits": "values rounded to significant digits, in steps of {:.3g} at the largest value",
+    "single precision": "values in single precision, in steps of {:.3g} at the largest value",
+    "steps": "values in steps of {:.3g}, like the values of an encoder",
 }
 
 
 def columns(heads: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "") -> list[str]:
-    """Return rows under their heads, right-aligned except the last column, which is not padded."""
+    """Return rows under their heads; all columns are right-aligned except the last one, which is not padded."""
     lines = [tuple(heads), *map(tuple, rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(heads) - 1)]
     padded = (
@@ -71,7 +71,7 @@ def percent(share: float | None) -> str:
 
 
 def checks_text(checks: Sequence[Check]) -> str:
-    """Return the number of passed checks among the applicable ones, and the checks that failed."""
+    """Return the numbers of passed and applicable checks, and the names of checks that failed or were not made."""
     passed = sum(check.outcome == "passed" for check in checks)
     parts = [f"{passed} of {sum(check.outcome != 'not applicable' for check in checks)} passed"]
     for outcome in ("failed", "not made"):
@@ -81,7 +81,7 @@ def checks_text(checks: Sequence[Check]) -> str:
 
 
 def checks_lines(checks: Sequence[Check], *, is_listed: bool) -> list[str]:
-    """Return a line about all checks of an equation, and one for each if they are listed."""
+    """Return a line about all checks of an equation and, if `is_listed`, a line for each check."""
     if not checks:
         return []
     listed = [f"        {check.name}: {check.outcome}: {check.reason}" for check in checks] if is_listed else []
@@ -92,7 +92,7 @@ def checks_lines(checks: Sequence[Check], *, is_listed: bool) -> list[str]:
 
 
 def constants_line(constants: Sequence[Constant]) -> str | None:
-    """Return all constants with their standard errors in a line; None if these are unknown, or only rounding."""
+    """Return all constants with their standard errors in one line; None if the errors are unknown or only rounding."""
     known = constant_words(constants)
     return "constants: " + ", ".join(map(_words_text, known)) if known else None
 
@@ -102,7 +102,7 @@ def _words_text(words: ConstantWords) -> str:
 
 
 def constants_table(constants: Sequence[Constant]) -> list[str]:
-    """Return a table of the constants whose standard errors are known, or infinite; no lines without such constants."""
+    """Return a table of the constants whose standard errors are known or infinite; empty without such constants."""
     known = with_errors(constants)
     has_intervals = any(constant.interval is not None for constant in known)
     heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
@@ -119,21 +119,21 @@ def constants_table(constants: Sequence[Constant]) -> list[str]:
 
 
 def _remark(constant: Constant) -> str:
-    """Return the odds of the displayed simple number, the distance of the nearest one, or the reason for none."""
+    """Return the odds of the displayed simple number, the distance of the nearest one, or why there is none."""
     simple = constant.simple
     if constant.at_bound:
-        return "on its bound"
+        return "at its bound"
     if not constant.identifiable:
         return "not determined by the data"
     if simple is None or simple.odds is None:
         return ""
     if simple.value is None or simple.value == constant.value:
         return f"odds {simple.odds:.2g} against other numbers"
-    return f"{simple.value:.6g} is {simple.standard_errors or 0.0:.1f} standard errors off, odds {simple.odds:.2g}"
+    return f"{simple.value:.6g} is {simple.standard_errors or 0.0:.1f} standard errors away, odds {simple.odds:.2g}"
 
 
 def together_line(together: SimpleTogether | None) -> list[str]:
-    """Return a line about simple numbers of several constants, judged together; none if others are more likely."""
+    """Return a line about simple numbers of several constants together; empty if other numbers are more likely."""
     if not together or together.odds is None:
         return []
     chi = "" if together.chi_square is None else f" (chi-square {together.chi_square:.2g})"
@@ -142,15 +142,15 @@ def together_line(together: SimpleTogether | None) -> list[str]:
 
 
 def units_line(units: Units | None) -> list[str]:
-    """Return a line about factors of one that are not written but have a unit; none without any."""
+    """Return a line about coefficients of 1 that are not written but have a unit; empty if there are none."""
     if not units or not units.implied:
         return []
     factors = ", ".join(f"1 {factor.unit} before {factor.of}" for factor in units.implied)
-    return [f"    units: not written is {factors}"]
+    return [f"    units: coefficients that are not written: {factors}"]
 
 
 def groups_table(equation: Equation, texts: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Return a line for each group of trajectories with its own constants; no lines where all groups share them.
+    """Return a line for each group of trajectories with its own constants; empty if all groups share the constants.
 
     `texts` are the displayed expressions of the groups, `names` the names of the constants.
     """
@@ -171,9 +171,9 @@ def groups_table(equation: Equation, texts: Sequence[str], names: Sequence[str])
 def candidates_table(
     candidates: Sequence[Candidate], display: Callable[[str], str], most: int | None = None
 ) -> list[str]:
-    """Return the candidates, the displayed one first, with their Δ description length; no lines for a single candidate.
+    """Return the candidates with their Δ description length, the displayed one first; empty for a single candidate.
 
-    At most `most` others are listed, and all guesses; of the rest their number.
+    At most `most` other candidates and all guesses are listed. A last line has the number of the remaining candidates.
     """
     if len(candidates) < 2:
         return []
@@ -209,7 +209,7 @@ def candidates_table(
 
 
 def summary(result: Result) -> list[str]:
-    """Return a line about noise and one about simulations; none for exact or unknown ones."""
+    """Return lines about noise and simulations; empty if the data have no noise and all equations are exact."""
     noisy = [
         f"{state} {percent(noise.relative)}" for state, noise in result.noise.items() if noise.method != "interpolation"
     ]
@@ -231,12 +231,12 @@ def _simulation_line(trajectories: Sequence[Simulated]) -> list[str]:
             what = "held out" if held_out else "trajectory" if len(chosen) == 1 else "trajectories"
             parts.append(f"{'' if parts else 'R2 at least '}{r2_text(least)} on {len(chosen)} {what}")
     if len(whole) < len(trajectories):
-        parts.append(f"{len(trajectories) - len(whole)} not to the end")
+        parts.append(f"{len(trajectories) - len(whole)} ended early")
     return [f"simulation: {', '.join(parts)}"] if parts else []
 
 
 def noise_lines(result: Result) -> list[str]:
-    """Return a line for each state: its noise, and how it was smoothed."""
+    """Return a line for each state: its noise, and how the state was smoothed."""
     return [f"noise of {state}: {_noise_text(noise)}" for state, noise in result.noise.items()]
 
 
@@ -252,9 +252,9 @@ def _error_texts(errors: Errors | None) -> list[str]:
         texts.append(f"errors accumulate along trajectories, like integration errors of a solver: {size}")
     elif errors.correlated:
         rows = max(2, round(errors.correlation_rows or 0.0))
-        share = f"{percent(errors.correlated)} of the errors' variance of neighbouring rows goes"
-        what = "errors of neighbouring rows go" if errors.correlated == 1.0 else share
-        texts.append(f"{what} together over about {rows} rows")
+        share = f"{percent(errors.correlated)} of the error variance is"
+        what = "errors are" if errors.correlated == 1.0 else share
+        texts.append(f"{what} correlated over about {rows} rows")
     return texts
 
 
@@ -288,7 +288,7 @@ def _residual_texts(noise: Noise) -> list[str]:
 
 
 def simulation_table(result: Result) -> list[str]:
-    """Return R2 of every simulated trajectory and state; of many trajectories the worst."""
+    """Return R2 of every simulated trajectory and state; if there are many trajectories, only the worst."""
     trajectories = result.simulated
     if not trajectories:
         return []
@@ -325,7 +325,7 @@ def correlation_lines(result: Result) -> list[str]:
     ]
 
 
-_EULER_MARUYAMA: Final = "rows are the steps of Euler and Maruyama's method rather than samples of a process in time"
+_EULER_MARUYAMA: Final = "rows are the steps of an Euler-Maruyama simulation rather than samples of a process in time"
 _BLOCKS: Final = " ▁▂▃▄▅▆▇█"
 
 
@@ -336,13 +336,16 @@ def process_lines(result: Result) -> list[str]:
         return []
     lines = []
     if process.discretisation == "Euler-Maruyama":
-        lines.append(f"{_EULER_MARUYAMA} ({number_text(process.discretisation_nats)} nats shorter so)")
+        difference = number_text(process.discretisation_nats)
+        lines.append(f"{_EULER_MARUYAMA} (this description is {difference} nats shorter)")
     for state, noise in process.measurement_noise.items():
-        lines.append(f"errors of measurement of {state}: {plus_minus(noise.sd or 0.0, noise.std_error or 0.0)}")
+        lines.append(f"measurement errors of {state}: {plus_minus(noise.sd or 0.0, noise.std_error or 0.0)}")
     if process.ensemble is not None:
         lines.append(_ensemble_line(process.ensemble))
     if process.stationary is None:
-        reason = "not sought: there are inputs" if result.columns.inputs else "none that simulations settle into"
+        reason = (
+            "not computed: there are inputs" if result.columns.inputs else "none: simulations do not become stationary"
+        )
         lines.append(f"stationary density: {reason}")
     for state, density in (process.stationary or {}).items():
         sizes = f"{number_text(density.mean)} ± {number_text(density.sd)}"
@@ -358,7 +361,7 @@ def _ensemble_line(ensemble: PathEnsemble) -> str:
         for state in ensemble.mean
     ]
     start = f"{ensemble.finite_paths} paths from the initial state of trajectory {ensemble.trajectory}"
-    return f"ensemble: {start}; at t = {number_text(ensemble.times[-1], 6)} 90 % have {', '.join(ranges)}"
+    return f"ensemble: {start}; at t = {number_text(ensemble.times[-1], 6)}, 90 % of the paths have {', '.join(ranges)}"
 
 
 def _bars(values: Sequence[float | None]) -> str:
@@ -372,20 +375,20 @@ FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 _NUMBER: Final = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?")
 ENDS: Final = {
     "target": "the target error was met",
-    "law": "laws by regression describe the data up to noise",
-    "stagnation": "no better equation was found for long",
+    "law": "equations from sparse regression describe the data up to noise",
+    "stagnation": "no better equation was found for a long time",
     "max-epochs": "the number of epochs was used up",
-    "max-time": "the time was used up",
+    "max-time": "the time limit was reached",
     "cancelled": "it was cancelled",
     "known": "the equation was given",
 }
 
 
 def render(result: Result, how: str) -> str:
-    """Return `result` in one of `FORMATS` but json, which needs nothing from here.
+    """Return `result` in a format of `FORMATS` except json, which `Result.to_json` writes.
 
     Raises:
-        UsageError: `how` is no such format.
+        UsageError: `how` is not such a format.
     """
     renderers: dict[str, Callable[[Result], str]] = {
         "text": render_text,
@@ -394,15 +397,15 @@ def render(result: Result, how: str) -> str:
         "latex": as_latex,
     }
     if how not in renderers:
-        raise UsageError(f"{how!r} is no format of a result; choose one of {', '.join(FORMATS)}")
+        raise UsageError(f"{how!r} is not a format of a result; choose one of {', '.join(FORMATS)}")
     return renderers[how](result)
 
 
 def pick(result: Result, picks: Mapping[str, int]) -> Result:
-    """Return `result` with other members of the fronts selected: by variable, the number that the front table shows.
+    """Return `result` with other members of the fronts selected: by variable, their numbers in the front table.
 
-    The properties of the selected equation are taken from the front; the end and cost of the search stay. Results of
-    refining for the model as a whole do not apply to it and are removed.
+    The properties of the selected equation come from the front. The reason for the end of the search and its cost
+    stay the same. Refinement results for the whole model do not apply to the selected equation and are removed.
 
     Raises:
         UsageError: a variable or number does not exist.
@@ -410,10 +413,10 @@ def pick(result: Result, picks: Mapping[str, int]) -> Result:
     known = [equation.variable for equation in result.equations]
     for variable in picks:
         if variable not in known:
-            raise UsageError(f"--pick names the equation {variable!r}, but there are only {', '.join(known)}")
+            raise UsageError(f"--pick has the equation {variable!r}, but the equations are {', '.join(known)}")
     is_of_group = result.group is not None
     equations = [
-        _picked(equation, picks[equation.variable], is_of_group) if equation.variable in picks else equation
+        _pick_member(equation, picks[equation.variable], is_of_group) if equation.variable in picks else equation
         for equation in result.equations
     ]
     groups = tuple(group.model_copy(update={"covariance": None}) for group in result.groups)
@@ -427,9 +430,9 @@ def parse_picks(texts: Sequence[str]) -> dict[str, int]:
     for text in texts:
         variable, _, number = text.rpartition("=")
         if not variable or not number.isdecimal():
-            raise UsageError(f"--pick wants VARIABLE=NUMBER such as x=2, but got {text!r}")
+            raise UsageError(f"--pick must be VARIABLE=NUMBER, such as x=2, but {text!r} was given")
         if variable in picks:
-            raise UsageError(f"--pick names the equation {variable!r} twice; pick one member of its front")
+            raise UsageError(f"--pick has the equation {variable!r} twice; pick one member of its front")
         picks[variable] = int(number)
     return picks
 
@@ -453,11 +456,11 @@ def render_text(result: Result, *, fronts: bool = False) -> str:
     return "\n".join(blocks)
 
 
-def _picked(equation: Equation, number: int, is_of_group: bool) -> Equation:
+def _pick_member(equation: Equation, number: int, is_of_group: bool) -> Equation:
     front = equation.front
     if not 0 <= number < len(front):
-        there = f"from 0 to {len(front) - 1}" if front else "there are none yet"
-        raise UsageError(f"--pick {equation.variable}={number} is not on the front; choose a number {there}")
+        advice = f"choose a number from 0 to {len(front) - 1}" if front else "the front is empty"
+        raise UsageError(f"--pick {equation.variable}={number} is not on the front; {advice}")
     member = front[number]
     error, most = member.normalized_error, equation.target_error
     taken = ("expression", "complexity", "error", "normalized_error", "r2", "constants")
@@ -495,13 +498,13 @@ def _shared_lines(result: Result) -> list[str]:
 
 def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[str], with_tables: bool) -> str:
     if equation.expression is None:
-        return f"{equation.lhs} = ?\n    nothing found yet"
+        return f"{equation.lhs} = ?\n    no equation found yet"
     lines = [f"{equation.lhs} = {rounded(equation.expression, names)}"]
     constants = None if with_tables else constants_line(equation.constants)
     if with_tables or constants:
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
-    lines += ["    its constants are those of all groups together"] if equation.is_of_all_groups else []
+    lines += ["    its constants are fitted to all groups together"] if equation.is_of_all_groups else []
     lines += units_line(equation.units)
     texts = [rounded(group.expression or "", names) for group in equation.groups]
     lines += groups_table(equation, texts, called)
@@ -516,14 +519,14 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
     if with_tables or equation.verdict != "exact":
         listed = candidates_table(equation.candidates, lambda text: rounded(text, names), most)
         lines += listed
-        lines += ["    constants of candidates are those of all groups together"] if listed and texts else []
+        lines += ["    constants of candidates are fitted to all groups together"] if listed and texts else []
     if with_tables:
         lines += [*_front_lines(equation.front, names), ""]
     return "\n".join(lines)
 
 
 def _written_out(equation: Equation, names: Sequence[str]) -> list[str]:
-    """Return the expression with named constants, if the display has other numbers, such as 1/4 for 4."""
+    """Return the expression as computed if the displayed one has other numbers than its constants: 1/4 for 4."""
     text = equation.expression or ""
     program = from_infix(text, names)
     as_shown = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))
@@ -537,7 +540,9 @@ def _standing(equation: Equation) -> str:
     if equation.why == "known":
         return f"known: error {number_text(equation.normalized_error)} of the target's standard deviation"
     outcome = "converged: " if equation.converged else "not converged: "
-    if equation.converged and equation.verdict == "no model":  # the derivative is fitted, the measurements are not
+    if (
+        equation.converged and equation.verdict == "no model"
+    ):  # the fit to derivatives has converged, but the equation does not describe the measurements
         outcome = ""
     text = f"{outcome}error {number_text(equation.normalized_error)} of the target's standard deviation"
     text += f", size {equation.complexity}, epoch {equation.epoch}"
@@ -548,11 +553,11 @@ def _standing(equation: Equation) -> str:
 
 def _front_lines(front: Sequence[Member], names: Sequence[str]) -> list[str]:
     is_held_out = any(member.holdout_error is not None for member in front)
-    beside = f" {'held out':>10}" if is_held_out else ""
-    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10}{beside} {'R2':>9}  expression"]
+    held_out = f" {'held out':>10}" if is_held_out else ""
+    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10}{held_out} {'R2':>9}  expression"]
     for number, member in enumerate(front):
         mark = "*" if member.selected else " "
-        unseen = f" {number_text(_unseen(member)):>10}" if is_held_out else ""
+        unseen = f" {number_text(_held_out_error(member)):>10}" if is_held_out else ""
         figures = f"{member.complexity:>4} {number_text(member.normalized_error):>10}{unseen}"
         r2 = None if member.r2 is None else round(member.r2, 6)
         figures += f" {number_text(r2, 6):>9}"
@@ -560,8 +565,8 @@ def _front_lines(front: Sequence[Member], names: Sequence[str]) -> list[str]:
     return lines
 
 
-def _unseen(member: Member) -> float | None:
-    """Return the error on held-out rows over the standard deviation of the target on the rows of the search."""
+def _held_out_error(member: Member) -> float | None:
+    """Return the error on held-out rows, relative to the standard deviation of the target on the rows of the search."""
     unseen, error, normalized = member.holdout_error, member.error, member.normalized_error
     return unseen * normalized / error if unseen is not None and error and normalized else None
 

@@ -289,7 +289,7 @@ def _left_side(markup: _Markup, lhs: str, is_name: bool) -> str:
 
 
 def _derivative(lhs: str) -> tuple[int, str] | tuple[int, str, str]:
-    """Return the order of a derivative, its function and its variable; order 0 and the name for other left-hand sides."""
+    """Return the order of a derivative, its function and variable; order 0 and the name for other left-hand sides."""
     for order, pattern in ((2, "d2(.*)/d([^/]*)2"), (1, "d(.*)/d([^/]*)")):
         match = re.fullmatch(pattern, lhs, re.DOTALL)
         if match:

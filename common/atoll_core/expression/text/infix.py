@@ -193,9 +193,8 @@ class _Writer:
             return self._multiplied(left, right)
         if code == op.DIVIDE:
             return self._divided(left, right)
-        if (
-            code == op.BASE_LOG
-        ):  # occurs in derivatives by an exponent, times a power that is 0 where the log is infinite
+        # BASE_LOG occurs in derivatives by an exponent, times a power that is 0 where the log is infinite
+        if code == op.BASE_LOG:
             return self.unary(op.LOG, left)
         return Signed(self.form(Kind.POWER, left, right))
 

@@ -216,6 +216,6 @@ def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]
 
 
 def _flips(terms: Sum, *, wants_flip: bool) -> bool:
-    """Tell whether to write the negative of a sum: all terms are negative, or the other sign is requested and possible."""
+    """Tell whether to write the negative of a sum: all terms are negative, or a flip is wanted and possible."""
     signs = {coefficient > 0.0 for _, coefficient in terms}
     return signs == {False} or (wants_flip and len(signs) == 2)

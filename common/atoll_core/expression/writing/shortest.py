@@ -133,12 +133,12 @@ def best_of(terms: Sum, depth: int) -> Sum:
 
 
 def shortest_over(program: Program, inputs: FloatArray) -> Program:
-    """Return the shortest expression of `program`, or `program` if their values differ over the box of `inputs` (V, R)."""
+    """Return the shortest expression of `program`, or `program` if values differ over the box of `inputs` (V, R)."""
     return shortest_at(program, lambda: points_of(inputs))
 
 
 def shortest_at(program: Program, points: Callable[[], FloatArray]) -> Program:
-    """Return the result of `shortest_over`; `points` returns the result of `points_of`, and is called only if needed."""
+    """Return the result of `shortest_over`; `points` calls `points_of`, and is called only if needed."""
     short = shortest(program)
     return short if short == program or agree(program, short, points()) else program
 

@@ -9,19 +9,21 @@ Letters: K terms, R rows, V variables.
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import lru_cache, partial
 from itertools import combinations, combinations_with_replacement
 from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.description_length import constant_nats_of, structure_length
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import (
     ABS,
     ADD,
+    ARITY,
+    CONSTANT,
     COS,
     DIVIDE,
     EXP,
@@ -146,8 +148,7 @@ def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[
 _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
 _BOTH_SIGNS: Final = tuple(sign * 0.1 * 2.0 ** (step / 2.0) for sign in (1.0, -1.0) for step in range(13))
 """Exponentials have a finer grid: where a variable stays far from 0, many of them fit about as well."""
-_SHIFTS: Final = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-_WIDE_SHIFTS: Final = tuple(0.0125 * 2.0 ** (step / 2.0) for step in range(17))
+_SHIFTS: Final = tuple(0.0125 * 2.0 ** (step / 2.0) for step in range(17))
 _KINKS: Final = tuple(eighth / 8.0 for eighth in range(1, 8))
 """Shares of the range of a variable at which its function has a kink."""
 _EXPONENTS: Final = (-1.5, -0.5, 0.3, 0.7, 1.5, 2.5)
@@ -188,7 +189,6 @@ _OVER_SUM: Final = Function(
     lambda u, c: 1.0 / (u + c),
     lambda u, c: (DIVIDE, 1.0, (ADD, u, c)),
     lambda u, c: -1.0 / (u + c) ** 2,
-    lambda size: [shift * size for shift in _SHIFTS],
     has_pole=True,
 )
 _POWER: Final = Function(
@@ -206,10 +206,9 @@ _OF_ANY: Final = {
     COS: _of_scaled(COS, _RATES, np.cos, lambda u: -np.sin(u)),
     EXP: _EXP,
     TANH: _of_scaled(TANH, _RATES, np.tanh, lambda u: 1.0 - np.tanh(u) ** 2),
-    DIVIDE: _OVER_SUM,
 }
 """By the operator that they need, functions of any argument."""
-_OF_SQUARES: Final = {EXP: _EXP, DIVIDE: _OVER_SUM}
+_OF_SQUARES: Final = {EXP: _EXP}
 _WAVES: Final = {SIN: _plain(SIN, np.sin), COS: _plain(COS, np.cos)}
 _ABS: Final = _plain(ABS, np.abs)
 _OF_POSITIVE: Final = {LOG: _plain(LOG, np.log), SQRT: _plain(SQRT, np.sqrt), POW: _POWER}
@@ -252,12 +251,6 @@ class Shape:
             return np.full_like(values, np.nan)
         return np.asarray(self.product * values)
 
-    def slope(self, constant: float) -> FloatArray:
-        """Return the derivatives (R,) by the inner constant, 0 where there is none."""
-        if self.function is None or self.function.slope is None or self.u is None:
-            return np.zeros_like(self.product)
-        return np.asarray(self.product * self.function.slope(self.u, constant))
-
     def over(self, inputs: FloatArray) -> "Shape":
         """Return the same shape on other rows of the variables, `inputs` (V, R)."""
         product = values_of_products([self.factors], inputs)[0]
@@ -278,16 +271,17 @@ class Shape:
             case function:
                 return (MULTIPLY, product, function) if self.factors else function
 
-    @cached_property
-    def _written(self) -> tuple[float, int]:
-        """The nats of its structure as a term of a sum, and how many constants that has."""
-        program = sum_of([self.expression(1.5)], [2.5])
-        return structure_length(program), len(constant_places(program))
-
     def price(self, rows: float) -> float:
         """Return the nats of the term in a sum over this many rows: its structure, and 1/2 ln N for each constant."""
-        structure, constants = self._written
+        structure, constants = _written(self.expression(1.5))
         return structure + constants * constant_nats_of(rows)
+
+
+@lru_cache(maxsize=20_000)
+def _written(expression: Expression) -> tuple[float, int]:
+    """Return the nats of the structure of a term in a sum, and how many constants that has."""
+    program = sum_of([expression], [2.5])
+    return structure_length(program), len(constant_places(program))
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,11 +295,6 @@ class Atom:
     def values(self) -> FloatArray:
         """The values (R,)."""
         return self.shape.value(self.constant)
-
-    @property
-    def slopes(self) -> FloatArray:
-        """The derivatives (R,) by the inner constant."""
-        return self.shape.slope(self.constant)
 
     def over(self, inputs: FloatArray) -> "Atom":
         """Return the same term on other rows of the variables, `inputs` (V, R)."""
@@ -346,60 +335,53 @@ def powers(inputs: FloatArray, terms: Sequence[Product]) -> list[Shape]:
     return [Shape(*pair) for pair in zip(terms, values_of_products(terms, inputs), strict=True)]
 
 
+def whole_program(program: Program, inputs: FloatArray) -> Atom:
+    """Return a program as a term, with its values at `inputs` (V, R)."""
+    parts: list[Expression] = []
+    for code, left, right, value in program.nodes():
+        arguments = [parts[place] for place in (left, right)[: ARITY[code]]]
+        parts.append(value if code == CONSTANT else (VARIABLE, left) if code == VARIABLE else (code, *arguments))
+    itself = Function(lambda u, _: u, lambda u, _: u)
+    return Atom(Shape((), np.ones(inputs.shape[1]), itself, parts[-1], values_of(program, inputs)))
+
+
 def product_atoms(inputs: FloatArray, terms: Sequence[Product]) -> tuple[Atom, ...]:
     """Return products of the variables `inputs` (V, R) as atoms."""
     return tuple(map(Atom, powers(inputs, terms)))
 
 
-def shapes(
-    inputs: FloatArray,
-    columns: Sequence[int],
-    operators: Collection[int],
-    products: Sequence[Shape],
-    *,
-    has_powers: bool = False,
-) -> Iterator[Shape]:
-    """Yield each of the `products` times each function that the operators (codes) allow.
-
-    Where it `has_powers`, quotients are as in Hill's equation: with powers up to the fourth, and wider grids.
-    """
-    arguments = list(_arguments(inputs, columns, set(operators)))
-    if has_powers and DIVIDE in operators:
-        arguments = [
-            (argument, u, [function for function in functions if function is not _OVER_SUM])
-            for argument, u, functions in arguments
-        ]
-        arguments += [quotient for column in columns for quotient in _quotients(inputs[column], column)]
-    for argument, u, functions in arguments:
-        for product in products:
-            for function in functions:
-                yield Shape(product.factors, product.product, function, argument, u)
-
-
-def dictionary(inputs: FloatArray, columns: Sequence[int], operators: Collection[int]) -> list[Shape]:
-    """Return products of up to two variables with functions, of one or none where there are too many.
+def dictionary(
+    inputs: FloatArray, columns: Sequence[int], operators: Collection[int], most: int = SETTINGS.sparse.most_atoms
+) -> list[Shape]:
+    """Return products of up to two variables with functions, of one or none where there are too many atoms.
 
     Where all functions are too many for two variables, quotients are taken alone: most laws with many variables have
     these.
     """
-    both = _products_with_functions(inputs, columns, operators, 2)
+    both = _products_with_functions(inputs, columns, operators, 2, most)
     if both is not None:
         return both
-    quotients = _products_with_functions(inputs, columns, {DIVIDE} & set(operators), 2)
+    quotients = _products_with_functions(inputs, columns, {DIVIDE} & set(operators), 2, most)
     rest = set(operators) if quotients is None else set(operators) - {DIVIDE}
-    fewer = (_products_with_functions(inputs, columns, rest, degree) for degree in (1, 0))
+    fewer = (_products_with_functions(inputs, columns, rest, degree, most) for degree in (1, 0))
     return [*(quotients or ()), *next((found for found in fewer if found is not None), [])]
 
 
 def _products_with_functions(
-    inputs: FloatArray, columns: Sequence[int], operators: Collection[int], degree: int
+    inputs: FloatArray, columns: Sequence[int], operators: Collection[int], degree: int, most: int
 ) -> list[Shape] | None:
-    """Return products of variables up to a degree with functions, None where there are too many."""
+    """Return products of variables up to a degree with functions, None where there are more atoms than `most`."""
     plain = powers(inputs, products(columns, degree))
-    single = shapes(inputs, columns, operators, plain[:1], has_powers=True)
-    if len(plain) * sum(len(shape.constants()) for shape in single) > SETTINGS.rates.most_atoms:
+    arguments = list(_arguments(inputs, columns, set(operators)))
+    single = [Shape((), plain[0].product, function, argument, u) for argument, u, of in arguments for function in of]
+    if len(plain) * sum(len(shape.constants()) for shape in single) > most:
         return None
-    return list(shapes(inputs, columns, operators, plain, has_powers=True))
+    return [
+        Shape(product.factors, product.product, function, argument, u)
+        for argument, u, functions in arguments
+        for product in plain
+        for function in functions
+    ]
 
 
 def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
@@ -417,7 +399,7 @@ def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, Fl
 
 def _beyond(most: float, size: float) -> Sequence[float]:
     """Return shifts for a variable up to `most`, of the root mean square `size`, whose pole lies beyond it."""
-    return [-(most + shift * size) for shift in _WIDE_SHIFTS if most > 0.0]
+    return [-(most + shift * size) for shift in _SHIFTS if most > 0.0]
 
 
 def _within(u: FloatArray, size: float) -> Sequence[float]:
@@ -428,7 +410,7 @@ def _within(u: FloatArray, size: float) -> Sequence[float]:
 
 def _powers_of_shifts(exponent: int, size: float) -> Sequence[float]:
     """Return shifts for a power of the root mean square `size`."""
-    return [shift**exponent * size for shift in _WIDE_SHIFTS]
+    return [shift**exponent * size for shift in _SHIFTS]
 
 
 def _arguments(
@@ -452,6 +434,7 @@ def _arguments(
         yield (MULTIPLY, leaf, leaf), u * u, allowed(_OF_SQUARES)
         if is_positive and {EXP, DIVIDE} <= operators:
             yield (DIVIDE, 1.0, leaf), 1.0 / u, [_EXP]
+        yield from _quotients(u, column) if DIVIDE in operators else ()
     for first, second in combinations(columns, 2):
         for join, u in ((SUBTRACT, inputs[first] - inputs[second]), (ADD, inputs[first] + inputs[second])):
             if join in operators:

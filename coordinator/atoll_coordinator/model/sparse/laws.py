@@ -18,7 +18,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation, Recording, by_group
 from atoll_coordinator.model.batches import BatchFunction, Spread
-from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
+from atoll_coordinator.model.description_length import constant_nats_of, log, structure_length
 from atoll_coordinator.model.pools import Law, LawsByGroup, may_be_shown
 from atoll_coordinator.model.sparse.atoms import (
     Product,
@@ -27,6 +27,7 @@ from atoll_coordinator.model.sparse.atoms import (
     products,
     products_of,
     values_of_products,
+    whole_program,
 )
 from atoll_coordinator.model.sparse.many_variables import Equation, find_short_laws, window_rows
 from atoll_coordinator.model.sparse.regression import (
@@ -38,7 +39,6 @@ from atoll_coordinator.model.sparse.rows import (
     Measured,
     RateRows,
     Rows,
-    WeakRows,
     half_width,
     measured_of,
     rate_rows,
@@ -47,14 +47,13 @@ from atoll_coordinator.model.sparse.rows import (
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
-from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ADD, BY_NAME, MULTIPLY
 from atoll_core.expression.program import MAX_NODES, Program, constant_places, structure
 from atoll_core.expression.writing.shortest import collected
 
 _DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
 _PROGRAMS_OF_A_BATCH: Final = 16
-"""Programs that are compared with laws: each takes a millisecond or two."""
+"""Programs that are compared with laws: each takes a few milliseconds."""
 
 
 # --------------------------------------------------------------------------------------------- laws of all states
@@ -252,47 +251,51 @@ class _Windows:
     half: int
     largest: tuple[Product, ...]
 
-    def rows(self) -> WeakRows:
-        """Return the rows; there are windows."""
+    def regression(self) -> Regression:
+        """Return the regression by all terms; there are windows."""
         rows = weak_rows(self.measured, self.target, self.half)
         assert rows is not None, "there are windows"
-        return rows
-
-    def regression(self) -> Regression:
-        """Return the regression by all terms."""
-        return Regression(self.rows(), product_atoms(self.measured.values, self.largest))
+        return Regression(rows, product_atoms(self.measured.values, self.largest))
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """The terms that the search of a law begins with."""
-
-    terms: tuple[Product, ...]
-    is_tested: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _Written:
-    """A program without x/x, and the products that it sums up; None where it is no sum of products."""
-
-    program: Program
-    terms: tuple[Product, ...] | None
-
-    @classmethod
-    def of(cls, degree: int, program: Program) -> "_Written":
-        """Return a program as it is written; products are of this degree at most."""
-        written = collected(program)
-        terms = products_of(written, degree)
-        return cls(written, None if terms is None else tuple(terms))
-
-
-def _law(regression: Regression, search: _Search) -> tuple[Law, ...]:
+def _law(regression: Regression, terms: tuple[Product, ...]) -> tuple[Law, ...]:
+    """Return the law that is found from a sum of these products."""
     places = {atom.shape.factors: place for place, atom in enumerate(regression.atoms)}
-    found = regression.search([places[term] for term in search.terms])
+    found = regression.search([places[term] for term in terms])
     if found is None or found.assessment is None:
         return ()
-    probability = found.assessment.probability
-    return (Law(found.sum_of_products(), found.nats, found.excess, search.is_tested, probability=probability),)
+    return (Law(found.sum_of_products(), found.nats, found.excess, True, probability=found.assessment.probability),)
+
+
+_Described = tuple[tuple[Product, ...] | None, float]
+"""The products that a program sums up, or None and the nats of the program."""
+
+
+def _described(regression: Regression, program: Program) -> _Described:
+    """Return the description of a program, without x/x, by the criterion of the sums; infinite nats if it has none.
+
+    Its constants were fitted to derivatives that smoothing has flattened, so one factor of it is fitted to the windows.
+    """
+    written, rows = collected(program), regression.rows
+    terms = products_of(written, SETTINGS.sparse.degree)
+    if terms is not None:
+        return tuple(terms), math.inf
+    if not may_be_shown(written, None):
+        return None, math.inf
+    alone = Regression(rows, [whole_program(written, rows.inputs)])
+    fit = alone.refitted([0], np.ones(len(rows.sides))) if alone.is_solvable else None
+    if fit is None or fit.assessment is None:
+        return None, math.inf
+    constants = max(len(constant_places(written)), 1)
+    return None, fit.assessment.misfit + structure_length(written) + constants * constant_nats_of(rows.independent)
+
+
+_SUMS: Final[BatchFunction[Regression, tuple[Product, ...], tuple[Law, ...]]] = BatchFunction(
+    "sums of products", _Windows, tuple[Product, ...], tuple[Law, ...], _law, _Windows.regression
+)
+_OTHERS: Final[BatchFunction[Regression, Program, _Described]] = BatchFunction(
+    "alternatives to laws", _Windows, Program, _Described, _described, _Windows.regression
+)
 
 
 def _with_noise(
@@ -305,69 +308,26 @@ def _with_noise(
     half = half_width(measured, recording.smoothing[place], len(columns))
     rows = weak_rows(measured, target, half)
     tried = [] if rows is None else list(product_libraries(columns, rows.independent, _DEGREES))
-    if rows is None or not tried:
+    if not tried:
         return
     largest, is_tested = tried[-1]
-    made = spread.map(_WRITTEN, lambda: SETTINGS.sparse.degree, others, _PROGRAMS_OF_A_BATCH)
-    written = [one for one in made if one is not None]
-    own = dict.fromkeys(one.terms for one in written if one.terms and set(one.terms) <= set(largest))
+    windows = _Windows(measured, target, half, tuple(largest))
+    regression = windows.regression()
+
+    made = spread.map(_OTHERS, lambda: regression, others, _PROGRAMS_OF_A_BATCH, parts=lambda: windows)
+    described = [one for one in made if one is not None]
+    own = dict.fromkeys(terms for terms, _ in described if terms and set(terms) <= set(largest))
     begun = dict.fromkeys((*(tuple(terms) for terms, _ in tried), *list(own)[: SETTINGS.effort.beam]))
-    parts = _Windows(measured, target, half, tuple(largest))
-    searches = [_Search(terms, is_tested) for terms in begun]
-    candidates = spread.map(_SUMS, parts.regression, searches, parts=lambda: parts)
+    candidates = spread.map(_SUMS, lambda: regression, list(begun), parts=lambda: windows)
     laws = [law for laws in candidates for law in laws or () if len(law.program) <= MAX_NODES]
     laws.sort(key=lambda law: law.nats)
-    if not laws:
-        return
-    functions = [one.program for one in written if one.terms is None]
-    nats = spread.map(_ALTERNATIVES, lambda: rows, functions, _PROGRAMS_OF_A_BATCH, parts=lambda: parts)
-    alternative = min((one for one in nats if one is not None), default=math.inf)
+    alternative = min((nats for _, nats in described), default=math.inf)
     structures: set[bytes] = set()
     for law in laws:
         key = structure(collected(law.program))
         if key not in structures:
             structures.add(key)
-            yield replace(law, lead=alternative - laws[0].nats)
-
-
-@np.errstate(all="ignore")
-def _nats_of(rows: WeakRows, program: Program) -> float:
-    """Return the nats of another program by the same criterion; infinite where it has no finite value.
-
-    Its constants were fitted to derivatives that smoothing has flattened, so one factor of it is fitted to the windows.
-    """
-    measured = rows.measured
-    steps = np.diag(measured.noise)[:, :, None]
-    values = values_of(program, measured.values)
-    slopes = np.array([
-        (values_of(program, measured.smoothed + step) - values_of(program, measured.smoothed - step)) / (2.0 * size)
-        if size
-        else np.zeros(len(measured.times))
-        for step, size in zip(steps, measured.noise, strict=True)
-    ])  # fmt: skip
-    if not (np.isfinite(values).all() and np.isfinite(slopes).all()):
-        return math.inf
-    constants = len(constant_places(program))
-    integrals, variances, factor = rows.sampled(values[None])[0], rows.variances_of(slopes), 1.0
-    if constants and (variances > 0.0).all():
-        squares = math.fsum((integrals * integrals / variances).tolist())
-        factor = math.fsum((rows.sides * integrals / variances).tolist()) / squares if squares > 0.0 else 1.0
-    variances = rows.variances_of(factor * slopes)
-    if not (variances > 0.0).all():
-        return math.inf
-    nats = rows.by_squares(rows.sides - factor * integrals, variances, 0).misfit + structure_length(program)
-    return nats + constants * constant_nats_of(rows.independent)
-
-
-_WRITTEN: Final[BatchFunction[int, Program, _Written]] = BatchFunction(
-    "products in sums", int, Program, _Written, _Written.of
-)
-_SUMS: Final[BatchFunction[Regression, _Search, tuple[Law, ...]]] = BatchFunction(
-    "sums of products", _Windows, _Search, tuple[Law, ...], _law, _Windows.regression
-)
-_ALTERNATIVES: Final[BatchFunction[WeakRows, Program, float]] = BatchFunction(
-    "alternatives to laws", _Windows, Program, float, lambda rows, program: _nats_of(rows, program), _Windows.rows
-)
+            yield replace(law, is_tested=is_tested, lead=alternative - laws[0].nats)
 
 
 # ---------------------------------------------------------------------------------------------- many variables
@@ -434,7 +394,7 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     weighted, side = values * weights, trusted.sides * weights
     taken: list[int] = []
     chance, before = 2.0 * log(float(len(terms))) / len(side), math.fsum((side * side).tolist())
-    for place, after in islice(selected_forward(weighted, side), 3 * SETTINGS.rates.screened):
+    for place, after in islice(selected_forward(weighted, side), 3 * SETTINGS.sparse.screened):
         if before - after <= chance * before:
             break
         taken.append(place)
@@ -446,7 +406,7 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     kept: list[int] = []
     for index in reversed(eliminated(weighted[taken], side).order):
         new = [variable for variable in dict.fromkeys(terms[taken[index]]) if variable not in kept]
-        if len(kept) + len(new) > SETTINGS.rates.screened:
+        if len(kept) + len(new) > SETTINGS.sparse.screened:
             break
         kept += new
     return tuple(sorted(kept))

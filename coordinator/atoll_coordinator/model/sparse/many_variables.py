@@ -10,7 +10,7 @@ Letters: A atoms, K terms, N rows of a regression, W windows of L rows, R rows o
 """
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -20,18 +20,17 @@ import numpy as np
 from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, predict_left_out
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
-from atoll_coordinator.model.criteria import log
-from atoll_coordinator.model.least_squares import coefficients_of
+from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.pools import Law
-from atoll_coordinator.model.sparse.atoms import Atom, Product, Shape, dictionary, product_atoms, product_libraries
+from atoll_coordinator.model.sparse.atoms import Atom, Product, dictionary, product_atoms, product_libraries
+from atoll_coordinator.model.sparse.pursuit import fitted, further_terms, grid_of, polished
 from atoll_coordinator.model.sparse.regression import Regression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
-    CAUCHY,
-    NORMAL_DEVIATION,
     Assessment,
     Measured,
     Rows,
     WeakRows,
+    assessment_by_scale,
     measured_of,
     window_integrals,
     windows_of,
@@ -48,6 +47,12 @@ _KEPT: Final = 2
 # ------------------------------------------------------------------------------------------------ short windows
 
 _CUBIC, _LINE = 3, 1
+_SMOOTHNESS: Final = 2
+"""Power of the test functions (1 - s^2)^p: the smallest whose slope vanishes at both ends."""
+_WIDER: Final = 1.5
+"""Ratio of each half width tried to the previous one."""
+_RESOLVED: Final = 0.75
+"""Windows get wider as long as, in this share of them, lines between rows are as good as cubics within the noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,33 +82,13 @@ class ShortWindows(WeakRows):
         return np.sqrt(np.maximum(self._own + self.widened(self._target_quadrature) ** 2, 1e-300))
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
-        """Return the assessment with errors of the integration; large residuals count less (Cauchy).
-
-        Where states follow one another, a large multiple of a sum that vanishes along their course explains everything,
-        and so does a sum that no quadrature resolves. Hence 1/2 ln(1 + v/s^2) for errors of columns with variance v,
-        where the sides have the typical square s^2, and the ratio of errors of quadrature of the residual and the side.
-        """
-        variances = np.maximum(self.variances(atoms, coefficients), 1e-300)
+        """Return the assessment by the scale of the residuals, in standard errors with errors of the integration."""
         values = sum(c * atom.values for c, atom in zip(coefficients, atoms, strict=True))
         difference = window_integrals(self.first, self.bump - self.coarse[0], np.asarray(values)[None])[0]
-        quadrature = self.widened(self._target_quadrature - difference) ** 2
-        deviations = np.sqrt(variances + quadrature)
-        scaled = residuals / deviations
-        far = scaled / CAUCHY
-        typical = max(
-            (NORMAL_DEVIATION * float(np.median(np.abs(self.sides)))) ** 2, float(np.median(self._own)), 1e-300
-        )
-        unresolved = (quadrature + variances) / (self.widened(self._target_quadrature) ** 2 + variances)
-        losses = (
-            CAUCHY * CAUCHY * np.log1p(far * far)
-            + np.log1p(np.maximum(variances - self._own, 0.0) / typical)
-            + np.log(np.maximum(unresolved, 1.0))
-        )
-        misfit = 0.5 * self.independent * math.fsum(losses.tolist()) / len(losses)
+        quadrature = self.widened(self._target_quadrature - difference)
+        deviations = np.sqrt(np.maximum(self.variances(atoms, coefficients), 1e-300) + quadrature**2)
         free = max(self.independent - len(atoms), 1.0)  # as for a variance: Rousseeuw & Leroy 1987, section 5.1
-        median = float(np.sort(np.abs(scaled))[len(scaled) // 2])
-        excess = math.sqrt(self.independent / free) * NORMAL_DEVIATION * median
-        return Assessment(1.0 / (deviations * np.sqrt(1.0 + far * far)), misfit, excess)
+        return assessment_by_scale(residuals, deviations, self.independent, math.sqrt(self.independent / free))
 
     def widened(self, errors: FloatArray) -> FloatArray:
         """Return for each window the largest of the `errors` (W,) of it and the windows that it overlaps."""
@@ -130,12 +115,12 @@ def window_rows(recording: Recording, names: Sequence[str], variable: str) -> Sh
         noise[place] = estimate_value_noise(*predict_left_out(signals))
     measured = replace(measured, smoothed=measured.values, noise=noise)
     target = names.index(recording.state_symbols[recording.states.index(variable)])
-    rows, half = None, SETTINGS.windows.least_half
-    widest = max(end - start for start, end in measured.ranges) // SETTINGS.sparse.least_windows
+    rows, half = None, (_CUBIC + 1) // 2
+    widest = max(end - start for start, end in measured.ranges) // SETTINGS.sparse.windows_in_width
     while half <= widest and (wider := _short_windows(measured, target, half)) is not None:
         if rows is not None and not _is_resolved(wider):
             break
-        rows, half = wider, math.ceil(half * SETTINGS.windows.half_ratio)
+        rows, half = wider, math.ceil(half * _WIDER)
     return rows
 
 
@@ -145,7 +130,7 @@ def _is_resolved(rows: ShortWindows) -> bool:
     own = np.outer(measured.noise**2, (rows.slope**2).sum(axis=1))
     pairs = zip(differences, own, strict=True)
     shares = np.array([np.mean(rows.widened(difference) ** 2 <= variance) for difference, variance in pairs])
-    return bool((shares[measured.noise > 0.0] >= SETTINGS.windows.resolved_share).all())
+    return bool((shares[measured.noise > 0.0] >= _RESOLVED).all())
 
 
 def _short_windows(measured: Measured, target: int, half: int) -> ShortWindows | None:
@@ -154,9 +139,9 @@ def _short_windows(measured: Measured, target: int, half: int) -> ShortWindows |
     every = np.array(
         [row for start, end in measured.ranges for row in range(start, end - length + 1, half)], dtype=np.int64
     )
-    if len(every) < SETTINGS.sparse.least_windows:
+    if len(every) < SETTINGS.sparse.windows_in_width:
         return None
-    first = every[thinned_places(len(every), SETTINGS.windows.most)]
+    first = every[thinned_places(len(every), SETTINGS.rows.most)]
     times = measured.times[first[:, None] + np.arange(length)]
     share = min(0.5 * len(every) / len(first), 1.0)
     return windows_of(ShortWindows, measured, target, first, _weights(times, _CUBIC), share, _weights(times, _LINE))
@@ -167,10 +152,10 @@ def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
 
     Between two rows the function is the polynomial of this order through the nearest rows of the window.
     """
-    nodes, shares = np.polynomial.legendre.leggauss(SETTINGS.windows.smoothness + _CUBIC)
+    nodes, shares = np.polynomial.legendre.leggauss(_SMOOTHNESS + _CUBIC)
     middle, width = 0.5 * (times[:, :1] + times[:, -1:]), 0.5 * (times[:, -1:] - times[:, :1])
     bump, slope = np.zeros_like(times), np.zeros_like(times)
-    exponent, length = SETTINGS.windows.smoothness, times.shape[1]
+    exponent, length = _SMOOTHNESS, times.shape[1]
     for gap in range(length - 1):
         low = min(max(gap - order // 2, 0), length - order - 1)
         near = times[:, low : low + order + 1]
@@ -188,140 +173,6 @@ def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
             bump[:, low + place] += (value * basis).sum(axis=1)
             slope[:, low + place] += (change * basis).sum(axis=1)
     return bump, slope
-
-
-# ---------------------------------------------------------------------------------------- functions beside a sum
-
-_NARROWED = 1e-5
-"""Numerics: the logarithm of an inner constant is found to that."""
-_SHARES_OF_STEPS = (1.0, 0.3, 0.1)
-"""Shares of a step that are tried one after another until one makes the description shorter."""
-_BESIDE = 1e-7
-"""Share of a column beyond the terms that is rounding."""
-
-
-def polished(fit: Sum) -> Sum:
-    """Return the sum with its inner constants fitted: steps of all constants together (Gauss and Newton).
-
-    The derivatives of terms by their inner constants are terms themselves here, with errors of their own.
-    """
-    rows, shared = fit.regression.rows, fit.regression.shared
-    inner = [place for place, atom in enumerate(fit.atoms) if atom.shape.has_constant and atom not in shared]
-    for _ in range(SETTINGS.effort.steps if inner else 0):
-        assert fit.assessment is not None
-        atoms = fit.atoms
-        wider = Regression(rows, [*atoms, *(atoms[place].by_constant() for place in inner)])
-        both = wider.refitted(range(len(wider.atoms)), fit.assessment.weights) if wider.is_solvable else None
-        if both is None:
-            break
-        factors, slopes = both.coefficients, iter(both.coefficients[len(atoms) :])
-        steps = {place: next(slopes) / factors[place] if factors[place] else 0.0 for place in inner}
-        better = None
-        for share in _SHARES_OF_STEPS:
-            moved = [atom.moved(share * steps[place]) if place in steps else atom for place, atom in enumerate(atoms)]
-            regression = Regression(rows, moved, shared)
-            if regression.is_solvable:
-                better = regression.refitted(range(len(moved)), fit.assessment.weights)
-            if better is not None and better.nats < fit.nats:
-                break
-        if better is None or not better.nats < fit.nats:
-            break
-        gain, fit = fit.nats - better.nats, better
-        if gain < SETTINGS.selection.least_gain:
-            break
-    return fit
-
-
-class Beside:
-    """The residuals of a sum, and how much of them other terms explain. Rows are weighted by errors and missing terms.
-
-    The variance of the missing terms, the same on all rows, is the one with which the median residual is normal.
-
-    Args:
-        rows: their sides are described.
-        atoms: terms of the sum, on these rows.
-    """
-
-    def __init__(self, rows: Rows, atoms: Sequence[Atom]) -> None:
-        self._rows = rows
-        columns, values, errors = rows.columns(atoms), rows.sides, rows.side_errors
-        missing, weights = float(values.std()), np.ones(len(values))
-        for _ in range(SETTINGS.effort.steps):
-            weights = 1.0 / np.sqrt(errors**2 + missing**2)
-            left = values - coefficients_of(columns * weights, values * weights) @ columns
-            square = (NORMAL_DEVIATION * float(np.median(np.abs(left)))) ** 2 - float(np.median(errors)) ** 2
-            before, missing = missing, math.sqrt(max(square, 0.0))
-            if abs(missing - before) <= 1e-2 * before:
-                break
-        self._weights = weights
-        sizes = np.sqrt(((columns * weights) ** 2).sum(axis=1))[:, None]
-        self._basis = np.linalg.qr((columns * weights / np.where(sizes > 0.0, sizes, 1.0)).T)[0]
-        self._left = self._projected(values[None])[0]
-
-    def _projected(self, values: FloatArray) -> FloatArray:
-        """Return the residuals of weighted `values` (A, N) after projection on the terms."""
-        remainder = values * self._weights
-        for _ in range(2):  # the second time for rounding errors of the first
-            remainder = remainder - (remainder @ self._basis) @ self._basis.T
-        return np.asarray(remainder)
-
-    def gains(self, values: FloatArray) -> FloatArray:
-        """Return the squares (A,) that functions with these `values` (A, R) explain; 0 where one is not finite."""
-        return self.gains_of(self._rows.sampled(values))
-
-    def gains_of(self, columns: FloatArray) -> FloatArray:
-        """Return the same for columns (A, N)."""
-        sizes = np.sqrt(((columns * self._weights) ** 2).sum(axis=1))
-        beside = self._projected(columns)
-        norms = np.sqrt((beside**2).sum(axis=1))
-        gains = np.where(norms > _BESIDE * sizes, (beside @ self._left) / np.maximum(norms, 1e-300), 0.0) ** 2
-        return np.asarray(np.where(np.isfinite(gains) & np.isfinite(sizes), gains, 0.0))
-
-    def narrowed(self, shape: Shape, near: float) -> tuple[float, Atom]:
-        """Return the atom with the best inner constant between the neighbours of `near` in the grid, after its gain."""
-        from scipy.optimize import minimize_scalar
-
-        def gain(constant: float) -> float:
-            with np.errstate(all="ignore"):
-                return float(self.gains(shape.value(constant)[None])[0])
-
-        best = near
-        if shape.has_constant:
-            sizes = sorted(abs(constant) for constant in shape.constants() if (constant > 0.0) == (near > 0.0))
-            place = sizes.index(abs(near))
-            ratio = sizes[max(place, 1)] / sizes[max(place, 1) - 1] if sizes[1:] else 2.0
-            low = sizes[place - 1] if place else sizes[0] / ratio
-            high = sizes[place + 1] if place + 1 < len(sizes) else sizes[-1] * ratio
-            found = minimize_scalar(
-                lambda size: -gain(math.copysign(math.exp(size), near)), bounds=(math.log(low), math.log(high)),
-                method="bounded", options={"xatol": _NARROWED},
-            )  # fmt: skip
-            best = math.copysign(math.exp(found.x), near)
-        return gain(best), Atom(shape, best)
-
-
-def best_atoms(rows: Rows, begun: Sequence[Sequence[Atom]], tried: Sequence[Shape]) -> Iterator[list[list[Atom]]]:
-    """Yield each of the sums `begun` with each of the additional terms that explain most, inner constants fitted.
-
-    A shape may have several constants: local maxima of the explained variance in its grid.
-    """
-    besides = [Beside(rows, atoms) for atoms in begun]
-    ranked: list[list[tuple[float, int, float]]] = [[] for _ in begun]
-    with np.errstate(all="ignore"):
-        for index, shape in enumerate(tried):
-            constants = list(shape.constants())
-            if not constants:
-                continue
-            columns = rows.sampled(np.array([shape.value(constant) for constant in constants]))
-            for beside, ranking in zip(besides, ranked, strict=True):
-                gains = beside.gains_of(columns)
-                around = np.concatenate([[-1.0], gains, [-1.0]])
-                peaks = np.flatnonzero((gains >= around[:-2]) & (gains >= around[2:]))
-                ranking += [(-float(gains[peak]), index, constants[peak]) for peak in peaks]
-    for atoms, beside, ranking in zip(begun, besides, ranked, strict=True):
-        kept = sorted(ranking)[: SETTINGS.effort.kept]
-        found = sorted((beside.narrowed(tried[index], near) for _, index, near in kept), key=lambda pair: -pair[0])
-        yield [[*atoms, atom] for gain, atom in found[: SETTINGS.effort.beam] if gain > 0.0]
 
 
 # ------------------------------------------------------------------------------------------------- the search
@@ -396,15 +247,17 @@ def _with_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[
     rows = equation.rows
     decisive = rows.decisive
     tried = dictionary(decisive.inputs, equation.columns, equation.operators) if sizes else []
-    for _ in range(SETTINGS.sparse.pursued_functions if tried else 0):
+    for _ in range(SETTINGS.sparse.functions if tried else 0):
         if best is None or (rows.is_precise and equation.is_law(best)):
             break
         begun = [[atom.over(decisive.inputs) for atom in best.atoms], [*product_atoms(decisive.inputs, [()])]]
         begun += [[*product_atoms(decisive.inputs, terms)] for terms, _ in sizes[: 1 + rows.is_precise]]
         most = len(decisive.sides) / SETTINGS.sparse.rows_per_term
         fits: list[Sum] = []
-        for longer in best_atoms(decisive, [atoms for atoms in begun if len(atoms) <= most], tried):
-            sums = filter(None, (_fitted(decisive, atoms) for atoms in longer))
+        begun = [atoms for atoms in begun if len(atoms) <= most]
+        grids = (grid_of(decisive, [shape]) for shape in tried)
+        for atoms, further in zip(begun, further_terms(decisive, begun, grids, SETTINGS.effort.beam), strict=True):
+            sums = filter(None, (fitted(decisive, [*atoms, atom]) for _, atom in further))
             fits += map(polished, sorted(sums, key=lambda fit: fit.nats)[:_KEPT])
         library, candidate = product_atoms(rows.inputs, sizes[-1][0]), None
         for fit in sorted(fits, key=lambda fit: fit.nats):
@@ -414,16 +267,10 @@ def _with_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[
             candidate = shortest([candidate, _searched(rows, library, [*plain, *own, atoms[-1]])])
             if rows.is_precise and equation.is_law(candidate):
                 break
-        if candidate is None or not candidate.nats < best.nats - log(float(SETTINGS.rates.most_atoms)):
+        if candidate is None or not candidate.nats < best.nats - log(float(SETTINGS.sparse.most_atoms)):
             break
         best = candidate
     return best
-
-
-def _fitted(rows: Rows, atoms: Sequence[Atom]) -> Sum | None:
-    """Return the sum of all these terms."""
-    regression = Regression(rows, atoms)
-    return regression.refitted(range(len(atoms)), 1.0 / rows.side_errors) if regression.is_solvable else None
 
 
 def _searched(

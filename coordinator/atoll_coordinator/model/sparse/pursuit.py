@@ -1,64 +1,178 @@
-"""Candidates that are sums of a polynomial and of products with functions, by matching pursuit with a beam.
+"""Sums with functions that have a constant inside: which functions are added to a sum, and how constants are fitted.
 
-The products with functions that give the smallest residuals are added to a polynomial (orthogonal matching pursuit,
-Pati et al. 1993), all constants of the best sums are fitted, inner ones too, and the best go on; then the least
-significant terms are removed one after another. With the polynomial there from the beginning, the gain of another term
-does not decide which function is taken. A search that changes one place of an equation at a time reaches such laws only
-through worse ones. Targets are smoothed derivatives, whose errors are not known row by row: rows count alike, and the
-best sums of each length are returned, to be compared along trajectories.
+The terms that explain most of a sum's residuals are added to it (orthogonal matching pursuit, Pati et al. 1993), inner
+constants from a grid; then all constants are fitted together. `many_variables` finds laws in this way. `pursue` finds
+candidates for trajectories: sums with up to two products with functions more than a polynomial, the best ones kept
+after each addition; then terms are eliminated one after another. With the polynomial there from the beginning, the gain
+of another term does not decide which function is taken. A search that changes one place of an equation at a time
+reaches such laws only through worse ones. Targets are smoothed derivatives, whose errors are not known row by row: rows
+count alike, and the best sums of each length are returned, to be compared along trajectories.
 
-Letters: A atoms, K terms, R rows.
+Letters: A atoms, K terms, N rows.
 """
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction
-from atoll_coordinator.model.least_squares import Descent, Solver, coefficients_of, inverse, minimize, solver
-from atoll_coordinator.model.sparse.atoms import Atom, Shape, powers, products, program_of, shapes
+from atoll_coordinator.model.least_squares import coefficients_of
+from atoll_coordinator.model.sparse.atoms import Atom, Shape, dictionary, powers, products
+from atoll_coordinator.model.sparse.regression import Regression, Sum
+from atoll_coordinator.model.sparse.rows import NORMAL_DEVIATION, Rows
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
 from atoll_core.expression.operators import ADD, MULTIPLY
 from atoll_core.expression.program import Program, operators_in
 
+_SHARES_OF_STEPS = (1.0, 0.3, 0.1)
+"""Shares of a step that are tried one after another until one makes the description shorter."""
+_BESIDE = 1e-13
+"""Share of a column's square beyond the terms that is rounding."""
+_NEARLY_ALIKE = 1e-8
+"""Pairs of columns with a smaller squared sine are not tried: rounding would decide."""
+_RANKED_PAIRS: Final = 2000
+"""Pairs that are sorted: one pair of terms has dozens, which differ in inner constants."""
+_MOST_ATOMS: Final = SETTINGS.sparse.most_atoms // 10
+"""Larger dictionaries are not tried, nor pairs of more atoms: a matrix of their gains takes 128 MB. With all operators
+a dictionary of two states has 1,570 atoms, of three states 3,980."""
+
+# --------------------------------------------------------------------------------------------- a sum with constants
+
+
+def fitted(rows: Rows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> Sum | None:
+    """Return the sum of all these terms, inner constants as they are; None where the rows do not determine it."""
+    regression = Regression(rows, atoms, shared)
+    return regression.refitted(range(len(atoms)), 1.0 / rows.side_errors) if regression.is_solvable else None
+
+
+def polished(fit: Sum) -> Sum:
+    """Return the sum with its inner constants fitted: steps of all constants together (Gauss and Newton).
+
+    The derivatives of terms by their inner constants are terms themselves here, with errors of their own.
+    """
+    rows, shared = fit.regression.rows, fit.regression.shared
+    inner = [place for place, atom in enumerate(fit.atoms) if atom.shape.has_constant and atom not in shared]
+    for _ in range(SETTINGS.effort.steps if inner else 0):
+        assert fit.assessment is not None
+        atoms = fit.atoms
+        wider = Regression(rows, [*atoms, *(atoms[place].by_constant() for place in inner)])
+        both = wider.refitted(range(len(wider.atoms)), fit.assessment.weights) if wider.is_solvable else None
+        if both is None:
+            break
+        factors, slopes = both.coefficients, iter(both.coefficients[len(atoms) :])
+        steps = {place: next(slopes) / factors[place] if factors[place] else 0.0 for place in inner}
+        better = None
+        for share in _SHARES_OF_STEPS:
+            moved = [atom.moved(share * steps[place]) if place in steps else atom for place, atom in enumerate(atoms)]
+            regression = Regression(rows, moved, shared)
+            if regression.is_solvable:
+                better = regression.refitted(range(len(moved)), fit.assessment.weights)
+            if better is not None and better.nats <= fit.nats:
+                break
+        if better is None or not better.nats <= fit.nats:
+            break
+        gain, fit = fit.nats - better.nats, better
+        if gain < SETTINGS.selection.least_gain:
+            break
+    return fit
+
+
+# ------------------------------------------------------------------------------------------------ one term more
+
+
+class Beside:
+    """The residuals of a sum, and how much of them other terms explain. Rows are weighted by errors and missing terms.
+
+    The variance of the missing terms, the same on all rows, is the one with which the median residual is normal.
+
+    Args:
+        rows: their sides are described.
+        atoms: terms of the sum, on these rows.
+    """
+
+    def __init__(self, rows: Rows, atoms: Sequence[Atom]) -> None:
+        columns, values, errors = rows.columns(atoms), rows.sides, rows.side_errors
+        missing, weights = float(values.std()), np.ones(len(values))
+        for _ in range(SETTINGS.effort.steps):
+            weights = 1.0 / np.sqrt(errors**2 + missing**2)
+            left = values - coefficients_of(columns * weights, values * weights) @ columns
+            square = (NORMAL_DEVIATION * float(np.median(np.abs(left)))) ** 2 - float(np.median(errors)) ** 2
+            before, missing = missing, math.sqrt(max(square, 0.0))
+            if abs(missing - before) <= 1e-2 * before:
+                break
+        sizes = np.sqrt(((columns * weights) ** 2).sum(axis=1))[:, None]
+        basis = np.linalg.qr((columns * weights / np.where(sizes > 0.0, sizes, 1.0)).T)[0]
+        left = values * weights
+        for _ in range(2):  # the second time for rounding errors of the first
+            left = left - basis @ (basis.T @ left)
+        self._squares, self._basis, self._left = weights**2, weights[:, None] * basis, weights * left
+        self._square = max(float(left @ left), 1e-300)
+
+    def gains(self, columns: FloatArray) -> FloatArray:
+        """Return the share (A,) of the squared residuals that columns (A, N) explain; 0 where that is rounding."""
+        gains = (columns @ self._left / self._norms(columns)) ** 2 / self._square
+        return np.asarray(np.where(np.isfinite(gains), gains, 0.0))
+
+    def gains_of_pairs(self, columns: FloatArray) -> FloatArray:
+        """Return the share (A, A) of the squared residuals that pairs of columns (A, N) explain; 0 if not i < j.
+
+        Parts of columns beyond the terms, of unit length and with the products a and b with the residuals, together
+        explain (a^2 + b^2 - 2 a b c)/(1 - c^2), with c the product of the two.
+        """
+        norms, along = self._norms(columns), columns @ self._basis
+        products = columns @ self._left / norms
+        cosines = ((columns * self._squares) @ columns.T - along @ along.T) / np.outer(norms, norms)
+        free = 1.0 - cosines * cosines
+        gains = (products[:, None] ** 2 + products**2 - 2.0 * np.outer(products, products) * cosines) / free
+        return np.asarray(np.triu(np.where(free > _NEARLY_ALIKE, gains, 0.0), 1) / self._square)
+
+    def _norms(self, columns: FloatArray) -> FloatArray:
+        """Return the lengths (A,) of the parts of columns beyond the terms; infinite where that is rounding."""
+        squares = columns**2 @ self._squares
+        beside = squares - ((columns @ self._basis) ** 2).sum(axis=1)
+        return np.asarray(np.sqrt(np.where(beside > _BESIDE * squares, beside, math.inf)))
+
+
+Grid = tuple[Sequence[Atom], FloatArray]
+"""Terms with inner constants of a grid, and their columns (A, N)."""
+
+
+def grid_of(rows: Rows, tried: Iterable[Shape]) -> Grid:
+    """Return shapes with each of their first guesses for the inner constant, as far as their values are finite."""
+    with np.errstate(all="ignore"):
+        pairs = [(atom, atom.values) for shape in tried for atom in map(partial(Atom, shape), shape.constants())]
+    pairs = [(atom, values) for atom, values in pairs if np.isfinite(values).all()]
+    values = np.array([values for _, values in pairs]).reshape(len(pairs), rows.inputs.shape[1])
+    return [atom for atom, _ in pairs], rows.sampled(values)
+
+
+def further_terms(
+    rows: Rows, begun: Sequence[Sequence[Atom]], grids: Iterable[Grid], count: int
+) -> Iterator[list[tuple[float, Atom]]]:
+    """Yield for each of the sums `begun` the shapes that explain most of its residuals, after the share explained."""
+    besides = [Beside(rows, atoms) for atoms in begun]
+    best: list[dict[Shape, tuple[float, Atom]]] = [{} for _ in begun]
+    for atoms, columns in grids:
+        for beside, found in zip(besides if atoms else (), best, strict=False):
+            gains = beside.gains(columns)
+            for place in np.argsort(-gains, kind="stable").tolist():
+                found.setdefault(atoms[place].shape, (float(gains[place]), atoms[place]))
+    for found in best:
+        yield sorted((pair for pair in found.values() if pair[0] > 0.0), key=lambda pair: -pair[0])[:count]
+
+
+# ------------------------------------------------------------------------------------- candidates for trajectories
+
 _DEGREE: Final = SETTINGS.sparse.degree - 1
 """Highest degree of the polynomial that functions are added to; in products with functions it is one less."""
 
-_ROUNDING: Final = 1e-11
-"""Share of a unit column beyond others that is rounding."""
-_NEARLY_ALIKE: Final = 1e-8
-"""Pairs of atoms with a smaller squared sine are not tried: rounding would decide."""
-_RANKED_PAIRS: Final = 2000
-"""Pairs that are sorted: one pair of terms has dozens, which differ in inner constants."""
-_MOST_PAIRED: Final = 4000
-"""With more atoms no pairs are tried: a matrix of gains takes 128 MB for this many, as with twenty states."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Sum:
-    """A fitted sum: its terms by shape (index), inner constants and coefficients (K,), its `residuals` (R,)."""
-
-    terms: tuple[int, ...]
-    constants: FloatArray
-    coefficients: FloatArray
-    residuals: FloatArray
-
-    @cached_property
-    def square(self) -> float:
-        return float(self.residuals @ self.residuals)
-
-    @property
-    def key(self) -> tuple[int, ...]:
-        return tuple(sorted(self.terms))
-
-    def without(self, place: int) -> tuple[tuple[int, ...], FloatArray]:
-        return self.terms[:place] + self.terms[place + 1 :], np.delete(self.constants, place)
+_Terms = tuple[int, ...]
 
 
 def pursue(
@@ -76,13 +190,12 @@ def pursue(
     """
     if not {ADD, MULTIPLY} <= set(operators) or not columns:
         return []
-    settings = SETTINGS.sparse
-    rows = thinned_places(problem.inputs.shape[1], settings.pursued_rows)
-    inputs = np.ascontiguousarray(problem.inputs[:, rows])
+    places = thinned_places(problem.inputs.shape[1], SETTINGS.sparse.rows)
+    error = problem.target.uncertainty * problem.target.standard_deviation
+    inputs = np.ascontiguousarray(problem.inputs[:, places])
+    rows = Rows(inputs, problem.target.values[places], least=max(len(places) * error * error, 1e-300))
     with np.errstate(all="ignore"):
-        pursuit = _Pursuit(inputs, columns, operators, problem.target.values[rows], frozenset(needed), most)
-        error = problem.target.uncertainty * problem.target.standard_deviation
-        return pursuit.run(len(rows) * error * error)
+        return _Pursuit(rows, columns, operators, frozenset(needed), most).run()
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,260 +214,103 @@ PURSUED: Final[BatchFunction[Problem, Pursuit, tuple[Program, ...]]] = BatchFunc
 )  # fmt: skip
 """The sums with the smallest residuals of a target, by the space of a pursuit."""
 
-_Promise = tuple[float, tuple[int, ...], FloatArray]
-"""A sum that is not fitted yet: about its sum of squared residuals, its terms and inner constants."""
-
-
-def _best(
-    promises: Iterable[Iterable[_Promise]], count: int
-) -> dict[tuple[int, ...], tuple[tuple[int, ...], FloatArray]]:
-    """Return the terms and inner constants of the best promises, by their terms in order."""
-    by_terms: dict[tuple[int, ...], _Promise] = {}
-    for square, terms, constants in (promise for those in promises for promise in those):
-        key = tuple(sorted(terms))
-        if key not in by_terms or square < by_terms[key][0]:
-            by_terms[key] = square, terms, constants
-    best = sorted(by_terms.items(), key=lambda item: item[1][0])[:count]
-    return {key: (terms, constants) for key, (_, terms, constants) in best}
-
 
 class _Pursuit:
     def __init__(
-        self, inputs: FloatArray, columns: Sequence[int], operators: Collection[int], target: FloatArray,
-        needed: frozenset[int], most: float,
-    ) -> None:  # fmt: skip
-        self._target = target
-        self._needed = needed
-        self._plain = powers(inputs, products(columns, _DEGREE))
-        self._shapes = list(self._plain)
-        for degree in range(_DEGREE):
-            plain = [shape for shape in self._plain if len(shape.factors) == degree]
-            candidates = list(shapes(inputs, columns, operators, plain))
-            if degree and len(self._shapes) + len(candidates) > SETTINGS.sparse.most_shapes:
-                break
-            self._shapes += candidates
-        self._most = most
-        self._least = self._remove_expensive()
-        self._atoms, self._columns = self._unit_atoms()
-        self._limit = 0.0
-        self._fits: dict[tuple[int, ...], _Sum | None] = {}
-
-    def _remove_expensive(self) -> float:
-        """Remove the shapes with which no sum is wanted; return the price of the cheapest one that is needed."""
-        prices = [shape.price(len(self._target)) for shape in self._shapes]
-        is_needed = list(map(self._is_needed, self._shapes))
-        least = min((price for price, needed in zip(prices, is_needed, strict=True) if needed), default=math.inf)
-        beside = [price + (0.0 if needed else least) for price, needed in zip(prices, is_needed, strict=True)]
-        kept = [index for index, price in enumerate(beside) if price <= self._most]
-        self._shapes, self._prices = [self._shapes[index] for index in kept], np.array(prices)[kept]
-        self._plain = [shape for shape in self._shapes if shape.function is None]
-        return least if self._needed else 0.0
-
-    def _is_short(self, terms: Sequence[int]) -> bool:
-        """Tell whether a sum may be short enough after elimination of one of its terms."""
-        return float(self._prices[list(terms)].sum()) <= self._most + self._least
+        self, rows: Rows, columns: Sequence[int], operators: Collection[int], needed: frozenset[int], most: float
+    ) -> None:
+        self._rows, self._needed = rows, needed
+        self._sums: dict[_Terms, Sum] = {}
+        tried = powers(rows.inputs, products(columns, _DEGREE))
+        tried += dictionary(rows.inputs, columns, operators, _MOST_ATOMS)
+        self._prices = {shape: shape.price(rows.independent) for shape in tried}
+        needed_prices = [price for shape, price in self._prices.items() if self._is_needed(shape)]
+        beside = min(needed_prices, default=math.inf) if needed else 0.0
+        self._most = most + beside
+        """Price of the longest sum that may be short enough after elimination of one of its terms."""
+        self._tried = [
+            shape
+            for shape, price in self._prices.items()
+            if price + (0.0 if self._is_needed(shape) else beside) <= most
+        ]
+        self._grid = grid_of(rows, self._tried)
 
     def _is_needed(self, shape: Shape) -> bool:
         return not self._needed or not self._needed.isdisjoint(operators_in(shape.expression(1.5)))
 
-    def _unit_atoms(self) -> tuple[list[tuple[int, float]], FloatArray]:
-        """Return shapes (index) with inner constants, and their values as unit columns (A, R)."""
-        atoms, columns = [], []
-        for index, shape in enumerate(self._shapes):
-            for constant in shape.constants():
-                column = shape.value(constant)
-                size = math.sqrt(float(column @ column))
-                if 0.0 < size < math.inf:
-                    atoms.append((index, constant))
-                    columns.append(column / size)
-        return atoms, np.array(columns)
-
-    def run(self, limit: float) -> list[Program]:
-        """Return the best sums; the target's uncertainty alone has the sum of squares `limit`."""
-        if not self._atoms:
-            return []
-        self._limit = limit
-        sums: dict[tuple[int, ...], _Sum] = {}
+    def run(self) -> list[Program]:
+        """Return the best sums of each number of constants."""
         for beginning in self._beginnings():
-            for candidate in self._grown(beginning):
-                remainder: _Sum | None = candidate
-                while remainder is not None:
-                    sums[remainder.key] = remainder
-                    remainder = self._without_least(remainder)
-        kept: dict[int, list[_Sum]] = {}
-        has_needed = [self._is_needed(shape) for shape in self._shapes]
-        wanted = (candidate for candidate in sums.values() if any(has_needed[term] for term in candidate.terms))
-        for candidate in self._sorted(wanted):
-            constants = sum(1 + self._shapes[term].has_constant for term in candidate.terms)
-            if len(kept.setdefault(constants, [])) < SETTINGS.effort.beam:
-                kept[constants].append(candidate)
-        most = SETTINGS.sparse.pursued_constants
-        return [self._program(candidate) for size in sorted(kept) if size <= most for candidate in kept[size]]
+            beam = [beginning]
+            for turn in range(SETTINGS.sparse.functions + (not beginning.kept)):
+                if not (beam and self._is_short(beam[0].atoms)) or self._square(beam[0]) <= self._rows.least:
+                    break
+                beam = self._extended(beam, has_pairs=turn == 1 and not beginning.kept)
+        self._extended(self._polished(fit.atoms for fit in self._shortest(self._sums.values())))
+        by_size: dict[int, list[Sum]] = {}
+        for fit in self._sums.values():
+            if self._is_short(fit.atoms) and any(self._is_needed(atom.shape) for atom in fit.atoms):
+                by_size.setdefault(sum(1 + atom.shape.has_constant for atom in fit.atoms), []).append(fit)
+        sizes = [size for size in sorted(by_size) if size <= SETTINGS.sparse.most_constants]
+        best = (self._polished(fit.atoms for fit in self._shortest(by_size[size], 2)) for size in sizes)
+        return [fit.program() for fits in best for fit in self._shortest(fits)]
 
-    def _beginnings(self) -> Iterator[_Sum]:
-        """Yield nothing, and all polynomials that the rows decide and that are not too large to be eliminated."""
-        yield _Sum((), np.zeros(0), np.zeros(0), self._target)
-        orders = [len(shape.factors) for shape in self._plain]
-        for degree in range(1, max(orders, default=0) + 1):
-            terms = tuple(index for index, order in enumerate(orders) if order <= degree)
-            most = min(SETTINGS.effort.longest_sum, len(self._target) / SETTINGS.sparse.rows_per_term)
-            if len(terms) <= most and self._is_short(terms):
-                polynomial = self._solved(terms, np.ones(len(terms)))
-                if polynomial is not None:
-                    yield polynomial
+    def _beginnings(self) -> Iterator[Sum]:
+        """Yield nothing, and all polynomials that the rows determine and that are not too long to be eliminated."""
+        most = min(SETTINGS.effort.longest_sum, len(self._rows.sides) / SETTINGS.sparse.rows_per_term)
+        plain = [Atom(shape) for shape in self._tried if shape.function is None]
+        for degree in range(-1, _DEGREE + 1):
+            atoms = [atom for atom in plain if len(atom.shape.factors) <= degree]
+            if len(atoms) <= most:
+                yield from self._polished([atoms])
 
-    def _grown(self, beginning: _Sum) -> Iterator[_Sum]:
-        """Yield the best sums with no, one, two ... terms more than the beginning, until the residuals are small."""
-        beam = [beginning]
-        for _ in range(SETTINGS.sparse.pursued_functions + (not beginning.terms)):
-            yield from beam if beam[0].terms else ()
-            if beam[0].square <= self._limit:
-                return
-            beam = self._extended(beam, beginning if beam[0] is not beginning else None)
-            if not beam:
-                return
-        yield from beam
+    def _extended(self, beam: Sequence[Sum], *, has_pairs: bool = False) -> list[Sum]:
+        """Return the best sums with one term more than in the beam, and if it `has_pairs`, of any two terms."""
+        width, grown = SETTINGS.effort.kept, list[tuple[float, tuple[Atom, ...]]]()
+        further = further_terms(self._rows, [fit.atoms for fit in beam], [self._grid], width)
+        for fit, terms in zip(beam, further, strict=True):
+            square = self._square(fit)
+            grown += [(square * (1.0 - share), (*fit.atoms, atom)) for share, atom in terms]
+        if has_pairs and 0 < len(self._grid[0]) <= _MOST_ATOMS:
+            grown += self._pairs()
+        by_terms: dict[_Terms, tuple[Atom, ...]] = {}
+        for _, atoms in sorted(grown, key=lambda pair: pair[0]):
+            if self._is_short(atoms):
+                by_terms.setdefault(_terms(atoms), atoms)
+        return self._shortest(self._polished([*by_terms.values()][:width]))
 
-    def _extended(self, beam: Sequence[_Sum], beginning: _Sum | None) -> list[_Sum]:
-        """Return the best sums with one term more than the sums of the beam, or with two more than the `beginning`."""
-        width = 2 * SETTINGS.effort.beam
-        chosen = _best((self._promises(parent) for parent in beam), width)
-        are_few = len(self._atoms) <= _MOST_PAIRED
-        if are_few and beginning is not None and len(beam[0].terms) == len(beginning.terms) + 1:
-            chosen |= _best([self._pairs(beginning)], width)
-        fits = (self._fitted(*choice) for choice in chosen.values())
-        return self._sorted(fit for fit in fits if fit is not None)[: SETTINGS.effort.beam]
-
-    def _promises(self, parent: _Sum) -> Iterator[_Promise]:
-        """Yield the best further terms, inner constants as they are."""
-        left, rest, norms = self._beside(parent)
-        gains = np.where(norms > _ROUNDING, rest @ left, 0.0) ** 2
-        seen = set[int]()
-        for atom in np.argsort(-gains, kind="stable").tolist():
-            term, constant = self._atoms[atom]
-            is_new = term not in seen and (self._shapes[term].has_constant or term not in parent.terms)
-            if is_new and self._is_short((*parent.terms, term)):
-                seen.add(term)
-                yield float(-gains[atom]) + parent.square, (*parent.terms, term), np.append(parent.constants, constant)
-                if len(seen) >= 2 * SETTINGS.effort.beam:
-                    return
-
-    def _pairs(self, parent: _Sum) -> Iterator[_Promise]:
-        """Yield the best pairs of further terms, inner constants as they are.
-
-        Unit columns u and v, with the products a and b with the residuals, together explain
-        (a^2 + b^2 - 2 a b c)/(1 - c^2), with c the product of the two.
-        """
-        left, rest, norms = self._beside(parent)
-        usable = np.flatnonzero(norms > _ROUNDING)
-        if len(usable) < 2:
-            return
-        unit = rest[usable]
-        products = unit @ left
-        cosines = unit @ unit.T
-        free = 1.0 - cosines * cosines
-        gains = (products[:, None] ** 2 + products**2 - 2.0 * np.outer(products, products) * cosines) / free
-        gains[~(free > _NEARLY_ALIKE)] = 0.0
-        gains = np.triu(gains, 1)
-        count = min(_RANKED_PAIRS, gains.size - 1)
+    def _pairs(self) -> Iterator[tuple[float, tuple[Atom, ...]]]:
+        """Yield the best pairs of terms, after their squared residuals."""
+        atoms, columns = self._grid
+        gains = Beside(self._rows, ()).gains_of_pairs(columns)
+        count, square = min(_RANKED_PAIRS, gains.size), float(self._rows.sides @ self._rows.sides)
         least = -np.partition(-gains, count - 1, axis=None)[count - 1]
         best = np.flatnonzero((gains >= least) & (gains > 0.0))
-        seen = set[tuple[int, int]]()
-        for place in best[np.argsort(-gains.ravel()[best], kind="stable")][:count].tolist():
-            (term, first), (partner, second) = (self._atoms[usable[index]] for index in divmod(place, len(usable)))
-            if (term, partner) not in seen and self._is_short((*parent.terms, term, partner)):
-                seen.add((term, partner))
-                constants = np.append(parent.constants, (first, second))
-                yield parent.square - float(gains.flat[place]), (*parent.terms, term, partner), constants
-                if len(seen) >= 2 * SETTINGS.effort.beam:
-                    return
+        for share, place in zip(gains.flat[best].tolist(), best.tolist(), strict=True):
+            first, second = divmod(place, len(atoms))
+            yield square * (1.0 - share), (atoms[first], atoms[second])
 
-    def _beside(self, parent: _Sum) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the residuals of a sum, the atoms orthogonal to its terms as unit columns (A, R), and their sizes
-        before."""
-        left, rest = self._target, self._columns
-        if parent.terms:
-            columns = self._values(parent.terms, parent.constants)
-            basis = np.linalg.qr((columns / np.sqrt((columns**2).sum(axis=1))[:, None]).T)[0]
-            for _ in range(2):  # the second time for rounding errors of the first
-                left = left - basis @ (basis.T @ left)
-                rest = rest - (rest @ basis) @ basis.T
-        norms = np.sqrt((rest**2).sum(axis=1))
-        return left, rest / np.maximum(norms, _ROUNDING)[:, None], norms
+    def _is_short(self, atoms: Sequence[Atom]) -> bool:
+        return math.fsum(self._prices[atom.shape] for atom in atoms) <= self._most
 
-    def _sorted(self, sums: Iterable[_Sum]) -> list[_Sum]:
-        """Return the sums without repetitions, the shortest description first."""
-        unique = {candidate.key: candidate for candidate in sums}
-        return sorted(unique.values(), key=self._length)
+    def _polished(self, sums: Iterable[Sequence[Atom]]) -> list[Sum]:
+        """Return the sums of these terms, all constants fitted; sums on the way to none of the terms are kept."""
+        fits = [polished(fit) for fit in (fitted(self._rows, atoms) for atoms in sums) if fit is not None]
+        for fit in fits:
+            for shorter in fit.regression.on_the_way(range(len(fit.atoms)), np.ones(len(self._rows.sides))):
+                key = _terms(shorter.atoms)
+                if key not in self._sums or shorter.nats < self._sums[key].nats:
+                    self._sums[key] = shorter
+        return fits
 
-    def _length(self, candidate: _Sum) -> float:
-        return self._misfit(candidate) + float(self._prices[list(candidate.terms)].sum())
+    def _shortest(self, fits: Iterable[Sum], width: int = 1) -> list[Sum]:
+        return sorted(fits, key=lambda fit: fit.nats)[: width * SETTINGS.effort.beam]
 
-    def _misfit(self, candidate: _Sum) -> float:
-        return 0.5 * len(self._target) * math.log(self._counted(candidate))
+    def _square(self, fit: Sum) -> float:
+        residuals = fit.regression.residuals(fit)
+        return float(residuals @ residuals)
 
-    def _counted(self, candidate: _Sum) -> float:
-        """Return the sum of squared residuals, at least the sum by the target's uncertainty."""
-        return max(candidate.square, self._limit, 1e-300)
 
-    def _without_least(self, candidate: _Sum) -> _Sum | None:
-        """Return the sum without its least significant term (Wald's test), None of a single one."""
-        jacobian, count = self._jacobian(candidate), len(candidate.terms)
-        if count < 2 or not np.isfinite(jacobian).all():
-            return None
-        variances = np.diag(inverse(jacobian @ jacobian.T))[:count]
-        gains = candidate.coefficients**2 / np.maximum(variances, 1e-300)
-        return self._fitted(*candidate.without(int(np.argmin(gains))))
-
-    def _values(self, terms: Sequence[int], constants: FloatArray) -> FloatArray:
-        return np.array([self._shapes[term].value(c) for term, c in zip(terms, constants.tolist(), strict=True)])
-
-    def _jacobian(self, candidate: _Sum) -> FloatArray:
-        """Return the derivatives of the sum by its coefficients, then by its inner constants."""
-        slopes = [
-            coefficient * self._shapes[term].slope(constant)
-            for term, constant, coefficient in zip(
-                candidate.terms, candidate.constants.tolist(), candidate.coefficients.tolist(), strict=True
-            )
-            if self._shapes[term].has_constant
-        ]
-        return np.array([*self._values(candidate.terms, candidate.constants), *slopes])
-
-    def _fitted(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
-        """Return the sum of these terms with all constants fitted, None where it has no finite value on some row."""
-        key = tuple(sorted(terms))
-        if key not in self._fits:
-            self._fits[key] = self._fit(terms, constants)
-        return self._fits[key]
-
-    def _fit(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
-        """Return the fitted sum: damped steps of inner constants, coefficients solved for at each."""
-        begun = self._solved(terms, constants)
-        inner = [place for place, term in enumerate(terms) if self._shapes[term].has_constant]
-        if begun is None or not inner:
-            return begun
-
-        def linearise(at: _Sum) -> Solver[FloatArray]:
-            jacobian, unit = self._jacobian(at), len(self._target) / self._counted(at)  # nats for half a square
-            return solver(unit * (jacobian @ jacobian.T), -unit * (jacobian @ at.residuals))
-
-        def move(at: _Sum, step: FloatArray) -> tuple[_Sum, float] | None:
-            moved = at.constants.copy()
-            moved[inner] += step[len(terms) :]
-            following = self._solved(terms, moved)
-            return None if following is None else (following, self._misfit(at) - self._misfit(following))
-
-        return minimize(Descent(begun, linearise, move))
-
-    def _solved(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
-        """Return the sum with the coefficients of least squares at these inner constants."""
-        columns = self._values(terms, constants)
-        sizes = np.sqrt((columns**2).sum(axis=1))
-        if not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
-            return None
-        coefficients = coefficients_of(columns, self._target)
-        return _Sum(terms, constants, coefficients, self._target - coefficients @ columns)
-
-    def _program(self, candidate: _Sum) -> Program:
-        pairs = zip(candidate.terms, candidate.constants.tolist(), strict=True)
-        return program_of([Atom(self._shapes[term], constant) for term, constant in pairs], candidate.coefficients)
+def _terms(atoms: Sequence[Atom]) -> _Terms:
+    """Return what sums with the same terms have in common, whatever their constants."""
+    return tuple(sorted(id(atom.shape) for atom in atoms))

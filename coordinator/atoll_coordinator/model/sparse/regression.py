@@ -32,7 +32,7 @@ from functools import cached_property
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import constant_nats_of, log
+from atoll_coordinator.model.description_length import constant_nats_of, log
 from atoll_coordinator.model.sparse.atoms import Atom, program_of, sum_of
 from atoll_coordinator.model.sparse.kernels.elimination import DEPENDENT, eliminate, windowed_sums
 from atoll_coordinator.model.sparse.rows import Assessment, Errors, Rows
@@ -40,6 +40,8 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program
 
+REWEIGHTINGS = 3
+"""Numerics: fits until the weights of windows settle; each uses the weights of the sum before."""
 _SETTLED = 1e-3
 """Weights have settled when the size of the residuals changes by less than this share."""
 
@@ -76,7 +78,7 @@ def eliminated(
     Products of columns have the mean `errors` (K, K), with the sides (K,); squares never fall when terms are removed.
     """
     count = len(columns)
-    steps = count if steps is None else steps
+    steps = count if steps is None else min(steps, count)
     products, cross = (np.zeros((0, 0)), np.zeros(0)) if errors is None else errors
     order, coefficients = np.zeros(count, np.int64), np.zeros((count, count))
     squares, added = np.zeros((2, count + 1))
@@ -206,7 +208,7 @@ class Regression:
             if whole is None or whole.assessment is None:
                 return None
             weights = whole.assessment.weights
-        for reweighting in range(SETTINGS.sparse.reweightings):
+        for reweighting in range(REWEIGHTINGS):
             found = self._best_sum(begun, weights, is_extended=reweighting > 0)
             assessment = self._assess(found)
             if assessment is None:
@@ -246,7 +248,7 @@ class Regression:
         squares, price = path.squares.tolist(), 0.0
         for step in reversed(range(len(places))):
             price += self._prices[places[path.order[step]]]
-            nats = 0.5 * self.rows.numbers * log(max(squares[step], 1e-300)) + price
+            nats = 0.5 * self.rows.numbers * log(max(squares[step], self.rows.least)) + price
             yield Sum(self, tuple(places[index] for index in path.kept(step)), path.factors(step), nats)
 
     def _best_sum(self, start: Sequence[int], weights: FloatArray, *, is_extended: bool) -> Sum:
@@ -297,6 +299,6 @@ class Regression:
         return products, cross
 
     def _path(self, places: Sequence[int], weights: FloatArray, errors: Errors | None, steps: int) -> Elimination:
-        chosen = np.asarray(places)
+        chosen = np.asarray(places, dtype=np.int64)
         own = None if errors is None else (errors[0][np.ix_(chosen, chosen)], errors[1][chosen])
         return eliminated(self._columns[chosen] * weights, self.rows.sides * weights, own, steps)

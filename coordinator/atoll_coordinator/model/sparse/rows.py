@@ -19,7 +19,7 @@ Letters: K terms, N rows of a regression, W windows of L rows, R rows of all tra
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, TypeVar
 
@@ -28,7 +28,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, make_signal, predict_left_out
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
-from atoll_coordinator.model.criteria import log
+from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.sparse.atoms import Atom, Product
 from atoll_coordinator.model.sparse.kernels.elimination import sum_error_products, windowed_sums
 from atoll_coordinator.model.thinning import thinned_places
@@ -43,6 +43,15 @@ NORMAL_DEVIATION = 1.4826
 """A normal error's standard deviation over its median size."""
 _LEAST_SCALE = 1e-6
 """Guard: smaller residuals, in standard errors, are rounding."""
+_STRETCHES = 20
+"""Stretches of rows that stand for a larger table: a law of a hundred products needs a few hundred windows."""
+_SMOOTHNESS = 4
+"""Numerics: the power of the test functions (1 - s^2)^p; the trapezoidal rule errs by its order in the step."""
+_LEAST_HALF = 5
+"""Numerics: rows of half of the shortest window, of which nine rows count. With the noise `_LEAST_HALF_NOISE`, a share
+of the standard deviation, the errors of a left side by the trapezoidal rule are a tenth of the noise (the transform of
+(1 - s^2)^4 at one wave per row)."""
+_LEAST_HALF_NOISE = 0.01
 
 Errors = tuple[FloatArray, FloatArray]
 """Sums over rows of the covariances of the errors of columns: with each other (K, K), with minus the side's (K,)."""
@@ -66,13 +75,15 @@ class Assessment:
 class Rows:
     """Rows to which a sum of terms is fitted. Columns have no errors, and the variance of residuals is fitted.
 
-    `inputs` (V, R) are the variables where atoms have values, `sides` (N,) the left sides. Fit and weights alternate,
-    at most `turns` times. The residuals of a law are at most `largest_excess` times as large as their errors; if rows
-    are `is_precise`, residuals of other sums are many times as large.
+    `inputs` (V, R) are the variables where atoms have values, `sides` (N,) the left sides. A smaller sum of squared
+    residuals than `least` is no merit. Fit and weights alternate, at most `turns` times. The residuals of a law are at
+    most `largest_excess` times as large as their errors; if rows are `is_precise`, residuals of other sums are many
+    times as large.
     """
 
     inputs: FloatArray
     sides: FloatArray
+    least: float = field(default=1e-300, kw_only=True)
     turns: ClassVar[int] = 1
     largest_excess: ClassVar[float] = SETTINGS.inference.excess
     is_precise: ClassVar[bool] = False
@@ -99,7 +110,7 @@ class Rows:
 
     def columns(self, atoms: Sequence[Atom]) -> FloatArray:
         """Return the columns (K, N) of terms."""
-        return self.sampled(np.array([atom.values for atom in atoms]))
+        return self.sampled(np.array([atom.values for atom in atoms]).reshape(len(atoms), self.inputs.shape[1]))
 
     def sampled(self, values: FloatArray) -> FloatArray:
         """Return the columns (K, N) of functions with these `values` (K, R)."""
@@ -118,7 +129,21 @@ class Rows:
         """Return the assessment of a sum with these `residuals` (N,); None where one of them has no variance."""
         del atoms, coefficients
         square = math.fsum((residuals * residuals).tolist())
-        return Assessment(np.ones(len(residuals)), 0.5 * self.numbers * log(max(square, 1e-300)), math.inf)
+        return Assessment(np.ones(len(residuals)), 0.5 * self.numbers * log(max(square, self.least)), math.inf)
+
+
+def assessment_by_scale(
+    residuals: FloatArray, deviations: FloatArray, numbers: float, widening: float = 1.0
+) -> Assessment:
+    """Return the assessment by the scale of residuals (N,) in their `deviations`, fitted by the median.
+
+    The misfit is `numbers` ln(scale), as with normal errors of unknown variance; large residuals count less (Cauchy's
+    weights). The scale grows by the factor `widening`.
+    """
+    sizes = np.abs(residuals) / deviations
+    scale = max(widening * NORMAL_DEVIATION * float(np.sort(sizes)[len(sizes) // 2]), _LEAST_SCALE)
+    weights = 1.0 / (deviations * np.sqrt(1.0 + (sizes / (CAUCHY * scale)) ** 2))
+    return Assessment(weights, numbers * log(scale), scale)
 
 
 # -------------------------------------------------------------------------------------------------- derivatives
@@ -150,17 +175,14 @@ class RateRows(Rows):
         Errors of interpolation are not normal: where a state changes too fast for the sampling, a few are a hundred
         times as large as the estimate says.
         """
-        count = max(int(SETTINGS.rates.trusted_share * len(self.sides)), 1)
+        count = max(int(SETTINGS.sparse.trusted_share * len(self.sides)), 1)
         rows = self.side_errors <= np.sort(self.side_errors)[count - 1]
         return RateRows(np.ascontiguousarray(self.inputs[:, rows]), self.sides[rows], self.side_errors[rows])
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
-        """Return the assessment by the scale of residuals in standard errors, by the median (Cauchy's weights)."""
+        """Return the assessment by the scale of the residuals; systematic errors count as few numbers."""
         del atoms, coefficients
-        sizes = np.abs(residuals) / self.side_errors
-        scale = max(NORMAL_DEVIATION * float(np.sort(sizes)[len(sizes) // 2]), _LEAST_SCALE)
-        weights = 1.0 / (self.side_errors * np.sqrt(1.0 + (sizes / (CAUCHY * scale)) ** 2))
-        return Assessment(weights, SETTINGS.selection.systematic_numbers * log(scale), scale)
+        return assessment_by_scale(residuals, self.side_errors, SETTINGS.selection.systematic_numbers)
 
 
 def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> RateRows | None:
@@ -255,7 +277,7 @@ def _mean_inputs(part: Trajectory) -> FloatArray:
 def _stretches(lengths: Sequence[int]) -> list[tuple[int, int]]:
     """Return first row and end of the stretches that stand for trajectories with these `lengths`: whole ones if few."""
     parts = -(-sum(lengths) // SETTINGS.common.most_rows)
-    stretch = SETTINGS.sparse.stretch if parts > 1 else max(lengths)
+    stretch = SETTINGS.common.most_rows // _STRETCHES if parts > 1 else max(lengths)
     ends = np.cumsum(lengths).tolist()
     return [
         (first, min(first + stretch, end))
@@ -296,7 +318,7 @@ class WeakRows(Rows):
     bump: FloatArray
     slope: FloatArray
     share: float
-    turns = SETTINGS.sparse.reweightings - 1
+    turns = 2
 
     @property
     def independent(self) -> float:
@@ -367,11 +389,12 @@ class WeakRows(Rows):
         share = len(self.measured.times) / len(self._thinned)
         return share * sums[0, self._thinned], share * sums[1, self._thinned]
 
-    def variances_of(self, slopes: FloatArray) -> FloatArray:
-        """Return the variance (W,) of the residuals of a function with these derivatives (V, R) by the variables.
+    def variances(self, atoms: Sequence[Atom], coefficients: Sequence[float]) -> FloatArray:
+        """Return the variance (W,) of the residuals of a sum.
 
         To first order in the noise. Sums have a fixed order: laws decided by them may end a search.
         """
+        slopes = self._slopes(atoms, coefficients, slice(None))
         squares = self.measured.noise * self.measured.noise
         own = squares[self.target]
         variances = own * self._sums(self.slope * self.slope, np.ones((1, slopes.shape[1])))[0]
@@ -380,32 +403,24 @@ class WeakRows(Rows):
             variances += square * sums
         return np.asarray(variances)
 
-    def variances(self, atoms: Sequence[Atom], coefficients: Sequence[float]) -> FloatArray:
-        """Return the variance (W,) of the residuals of a sum."""
-        return self.variances_of(self._slopes(atoms, coefficients, slice(None)))
-
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment | None:
-        """Return the assessment by the variance of each residual, which depends on the sum."""
-        variances = self.variances(atoms, coefficients)
-        if not (variances > 0.0).all():
-            return None
-        return self.by_squares(residuals, variances, len(atoms))
-
-    def by_squares(self, residuals: FloatArray, variances: FloatArray, fitted: int) -> Assessment:
         """Return minus the log-likelihood of the residuals, each counted by its share in a new one.
 
-        The likelihood is the likelihood of the nearest true states for which the equation holds, to first order: half
-        the square over its variance. The variance depends on the equation, the density of the measurements about these
-        states does not: with its logarithm, sums that vary little with the states would be preferred (errors in
-        variables, functional case: Fuller 1987, section 2.3). Of the degrees of freedom, fitted coefficients are
-        subtracted.
+        The variance of each depends on the sum. The likelihood is the likelihood of the nearest true states for which
+        the equation holds, to first order: half the square over its variance. The variance depends on the equation, the
+        density of the measurements about these states does not: with its logarithm, sums that vary little with the
+        states would be preferred (errors in variables, functional case: Fuller 1987, section 2.3). Of the degrees of
+        freedom, fitted coefficients are subtracted.
         """
         from scipy import special
 
+        variances = self.variances(atoms, coefficients)
+        if not (variances > 0.0).all():
+            return None
         weights = 1.0 / np.sqrt(variances)
         scaled = residuals * weights
         squares = self.independent * math.fsum((scaled * scaled).tolist()) / len(scaled)
-        free = max(self.independent - fitted, 1.0)
+        free = max(self.independent - len(atoms), 1.0)
         return Assessment(weights, 0.5 * squares, math.sqrt(squares / free), float(special.chdtrc(free, squares)))
 
     def _sums(self, weights: FloatArray, values: FloatArray) -> FloatArray:
@@ -455,7 +470,7 @@ def _product(term: Product, powers: Sequence[FloatArray], without: int | None = 
 
 def weak_rows(measured: Measured, target: int, half: int) -> WeakRows | None:
     """Return windows of ``2 half + 1`` rows by the trapezoidal rule; None where trajectories are too short for any."""
-    length, step = 2 * half + 1, max(1, round(half * SETTINGS.sparse.step * 2.0))
+    length, step = 2 * half + 1, max(1, round(2.0 * half / SETTINGS.sparse.windows_in_width))
     first = [row for start, end in measured.ranges for row in range(start, end - length + 1, step)]
     if not first:
         return None
@@ -467,13 +482,14 @@ def weak_rows(measured: Measured, target: int, half: int) -> WeakRows | None:
     weights = np.zeros_like(times)
     weights[:, 1:] += 0.5 * steps
     weights[:, :-1] += 0.5 * steps
-    order = SETTINGS.sparse.smoothness
+    order = _SMOOTHNESS
     inside = np.maximum(1.0 - place * place, 0.0)
     below = np.ones_like(inside)
     for _ in range(order - 1):  # multiplications alone: equal bits on every machine
         below = below * inside
     bump, slope = below * inside, -2.0 * order * place * below / width
-    return windows_of(WeakRows, measured, target, rows, (bump * weights, slope * weights), 2.0 * SETTINGS.sparse.step)
+    share = 2.0 / SETTINGS.sparse.windows_in_width
+    return windows_of(WeakRows, measured, target, rows, (bump * weights, slope * weights), share)
 
 
 def half_width(measured: Measured, smoothing: Smoothing, variables: int) -> int:
@@ -481,14 +497,14 @@ def half_width(measured: Measured, smoothing: Smoothing, variables: int) -> int:
 
     In longer windows, errors of terms that nearly depend on each other are larger compared with their differences; in
     shorter ones errors of the trapezoidal rule, of which the noise should be ten times as large: errors of the left
-    side fall as h^-(p + 1) with the width h (p: `smoothness`), errors by noise as h^-1.5.
+    side fall as h^-(p + 1) with the width h (p: `_SMOOTHNESS`), errors by noise as h^-1.5.
     """
     terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
     most = int(len(measured.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(measured.ranges) + 1))
     longest = max(end - start for start, end in measured.ranges)
-    half = min(smoothing.span // 2 if smoothing.span else most, most, longest // SETTINGS.sparse.least_windows)
-    least, exponent = SETTINGS.sparse.least_half, 2 * SETTINGS.sparse.smoothness - 1
-    share = SETTINGS.sparse.least_half_noise / max(smoothing.relative_noise, SETTINGS.selection.least_noise)
-    while (least / SETTINGS.sparse.least_half) ** exponent < share * share:
+    half = min(smoothing.span // 2 if smoothing.span else most, most, longest // SETTINGS.sparse.windows_in_width)
+    least, exponent = _LEAST_HALF, 2 * _SMOOTHNESS - 1
+    share = _LEAST_HALF_NOISE / max(smoothing.relative_noise, SETTINGS.selection.least_noise)
+    while (least / _LEAST_HALF) ** exponent < share * share:
         least += 1
     return max(half, least)

@@ -45,8 +45,8 @@ def test_factors_of_one_have_names() -> None:
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
-        ("x*y", "'x\\*y' stands in several equations"),
-        ("c9", "no parameter 'c9'; the model has c1 = 3 of x, .*and can vary x:x"),
+        ("x*y", "'x\\*y' occurs in several equations"),
+        ("c9", "no parameter 'c9'; the model has c1 = 3 of x, .*you can also vary x:x"),
         ("y:cos(x)", "no parameter"),
         ("", "no parameter"),
     ],

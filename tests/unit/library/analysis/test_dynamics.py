@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll.analysis.dynamics import MeasuredTrajectory, compared, measured_trajectories, motion
+from atoll.analysis.dynamics import MeasuredTrajectory, compare, measured_trajectories, motion
 from atoll.api.model import Model
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
@@ -87,6 +87,6 @@ def test_amplitudes_are_compared_over_the_measured_times() -> None:
     times = np.array([0.0, 0.01, 0.1, 0.3, 0.6, 1.0, 4.0])
     decay = flow(x="-x")
     measured = MeasuredTrajectory("1", times, np.exp(-times)[:, None])
-    (comparison,) = compared(decay, box((0.0, 1.0)), (), [measured], 10.0, has_family=False)
+    (comparison,) = compare(decay, box((0.0, 1.0)), (), [measured], 10.0, has_family=False)
     assert comparison.has_same_amplitudes
     assert comparison.end is not None

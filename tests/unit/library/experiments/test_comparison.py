@@ -28,7 +28,7 @@ def decay(text: str = "-0.5*x", value: float = -0.5, **changes: Any) -> dict[str
     [
         (0.0, "A and B describe the data equally well."),
         (0.5, "The data do not decide between A and B: A is 1.6 times as probable as B (62 to 38 %), if one of"),
-        (-2.0, "The data favour, without deciding for it, B: B is 7.4 times as probable as A (88 to 12 %), if"),
+        (-2.0, "The data favour B, but do not decide: B is 7.4 times as probable as A (88 to 12 %), if"),
         (5.0, "The data decide for A: A is 100 times as probable as B, if one of them is right."),
         (1e82, "The data decide for A: A is more than a million times as probable as B, if one of them is right."),
         (-np.inf, "The data decide for B: B is more than a million times as probable as A, if one of them is right."),
@@ -116,7 +116,7 @@ def test_regressions_are_compared_on_the_rows_that_they_list() -> None:
     ("other", "sentence"),
     [
         (result({"y": "-y"}), "A has equations of dx/dt and B of dy/dt; compare models of the same quantities"),
-        (result({"x": "-x*u"}, ("u",)), "the equation of dx/dt has u, which the data of the other model lack"),
+        (result({"x": "-x*u"}, ("u",)), "the equation of dx/dt has u, but the data of the other model do not"),
         (process_result(), "compare models of the same quantities"),
     ],
 )

@@ -63,7 +63,7 @@ def test_candidates_are_told_apart_where_they_differ() -> None:
     assert apart.min(initial=np.inf) >= 0.25 * 19.9
     assert "experiment 1: x = " in str(suggestions)
     assert suggestions.verdict.startswith("The data ")
-    assert "; which of the two is right is known then with " in str(suggestions)
+    assert "; decides between the two with " in str(suggestions)
     assert "nats of" not in str(suggestions)
 
 
@@ -125,20 +125,20 @@ def test_a_candidate_that_the_data_have_excluded_is_said_to_be() -> None:
     data = measured({"x": "-0.5*x"}, [(times, {"x": x})], 1e-5)
     suggestions = suggest(Result.of(data), DesignRequest({}, rivals=[{"x": "-0.2"}]))
     assert suggestions.purpose == "precision"
-    assert suggestions.reason == "the data have excluded all but one of 2 candidates already"
+    assert suggestions.reason == "the data already exclude all but one of 2 candidates"
 
 
 def test_a_model_without_constants_and_candidates_is_refused() -> None:
     known = measured({"x": "-x"}, [(TIMES, {"x": 2.0 * np.exp(-TIMES) + 0.01 * NOISE})], 0.01)
     known["equations"][0]["origin"] = "known"
-    with pytest.raises(UsageError, match="no experiment tells more"):
+    with pytest.raises(UsageError, match="an experiment gives no information"):
         suggest(Result.of(known), DesignRequest({}))
 
 
 def test_candidates_that_foretell_the_same_are_not_told_apart() -> None:
     suggestions = suggest(Result.of(FOUND), DesignRequest({"x": (0.01, 0.02)}))
     assert suggestions.purpose == "precision"
-    assert suggestions.reason == "all 2 candidates predict the same within the bounds"
+    assert suggestions.reason == "all 2 candidates predict the same outcomes within the bounds"
 
 
 def test_rivals_that_are_given_are_candidates() -> None:
@@ -200,13 +200,13 @@ def test_an_input_that_is_the_time_goes_on_and_is_not_chosen() -> None:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"cost": "money"}, "the cost is trajectory, duration or samples, but 'money'"),
+        ({"cost": "money"}, "the cost must be trajectory, duration or samples, but 'money'"),
         ({"duration": -1.0}, "duration of an experiment must be above 0"),
         ({"samples": 1}, "2 to 2000 samples, but 1"),
-        ({"count": 0}, "1 to 20 experiments"),
-        ({"bounds": {"z": (0.0, 1.0)}}, "there is no 'z' to bound; an experiment has x"),
+        ({"count": 0}, "count of suggestions must be 1 to 20"),
+        ({"bounds": {"z": (0.0, 1.0)}}, "the bounds have 'z', but an experiment has x"),
         ({"bounds": {"x": (2.0, 1.0)}}, "not an interval; give LOWER:UPPER"),
-        ({"rivals": [{"z": "1"}]}, "a rival names 'z'"),
+        ({"rivals": [{"z": "1"}]}, "an alternative model has an equation of 'z'"),
     ],
 )
 def test_what_does_not_fit_is_a_sentence(changes: dict[str, Any], sentence: str) -> None:

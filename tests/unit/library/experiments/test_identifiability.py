@@ -47,7 +47,7 @@ def test_of_a_decay_one_combination_is_determined(text: str, relation: str) -> N
     identified = of_decay(text)
     assert [constant.verdict for constant in identified.constants] == ["structurally non-identifiable"] * 2
     assert [relation.words for relation in identified.sloppy] == [
-        f"only {relation} is determined, not c1 and c2 by themselves"
+        f"only {relation} is determined, not c1 and c2 separately"
     ]
     assert relation in str(identified)
 
@@ -61,7 +61,7 @@ def test_saturation_that_was_not_reached_is_open_to_one_side() -> None:
     assert 0.0 < half.interval[0] < half.estimate
     assert half.deviances[-1] < identified.quantile**2
     assert half.sentence.endswith(f"open above: at least {half.interval[0]:.4g}")
-    assert identified.sloppy[0].words == "only c1/c2 is determined, not c1 and c2 by themselves"
+    assert identified.sloppy[0].words == "only c1/c2 is determined, not c1 and c2 separately"
 
 
 def test_a_minus_in_the_text_turns_an_interval_round() -> None:
@@ -112,7 +112,7 @@ def test_an_interval_of_the_model_is_by_its_profile_where_that_is_asked_for() ->
     assert model.conf_int(method="profile") == {"c1": model.profile()["c1"].interval}
     assert model.conf_int(0.5, "profile")["c1"] != model.conf_int(0.95, "profile")["c1"]
     given = {"t": TIMES, "x": DECAY}
-    assert model.identifiability(data=given).source == "the data that were given"
+    assert model.identifiability(data=given).source == "the given data"
     with pytest.raises(UsageError, match="'stderr' or 'profile'"):
         model.conf_int(method="bayes")  # type: ignore[arg-type]
 

@@ -126,8 +126,8 @@ def test_recorded_inputs_are_held_as_simulations_have_them() -> None:
     late = np.linspace(0.0, 3.0, 9)
     assert difference(run_python(exported.to_python(t=3.0))["simulate"](times=late), exported, t=late) < 1e-8
     for name in ("c", "julia", "matlab", "modelica", "sbml"):
-        assert "held at 0" not in exported.export(name)
-    assert "held at 0, since no value is given: u" in exported.to_python({"x": 1.0})
+        assert "set to 0" not in exported.export(name)
+    assert "set to 0, because no value is given: u" in exported.to_python({"x": 1.0})
     assert (
         difference(readers.read_modelica(recorded([2.0] * 9).to_modelica()).simulate(TIMES), recorded([2.0] * 9)) < 1e-8
     )
@@ -152,9 +152,9 @@ def test_held_inputs_are_tables_of_constant_pieces() -> None:
 
 def test_a_format_without_tables_says_that_a_recorded_input_is_not_held() -> None:
     text = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5]).to_xppaut()
-    assert "held at 0, not as recorded, since XPPAUT has no tables: u" in text
+    assert "set to 0, and not to the recorded values, because XPPAUT has no tables: u" in text
     text = recorded([2.0] * 9).to_xppaut()
-    assert "held at 0" not in text
+    assert "set to 0" not in text
     assert "par u=2.0" in text
 
 
@@ -223,7 +223,7 @@ def test_a_process_keeps_its_noise_or_is_refused() -> None:
     assert "wiener w1\nwiener w2\n" in exported.to_xppaut()
     assert "@brownians w1 w2" in exported.to_julia()
     for name in ("c", "matlab", "modelica", "sbml"):
-        with pytest.raises(UsageError, match="cannot hold the noise of a process; python, julia and xppaut can"):
+        with pytest.raises(UsageError, match="cannot express the noise of a process; python, julia and xppaut can"):
             exported.export(name)
 
 
@@ -265,15 +265,15 @@ def test_where_a_solution_ends_the_module_says_so() -> None:
 
 def test_what_a_format_cannot_hold_is_refused_in_a_sentence() -> None:
     contents = decay()
-    with pytest.raises(UsageError, match="XPPAUT cannot hold the table of the input 'u'; give one number"):
+    with pytest.raises(UsageError, match="XPPAUT has no tables, but the input 'u' changes; give one number"):
         contents.to_xppaut(t=TIMES, u={"u": TIMES})
-    with pytest.raises(UsageError, match="is a function, which no export can hold"):
+    with pytest.raises(UsageError, match="is a function, which cannot be exported"):
         contents.to_c(u={"u": np.sin})
     with pytest.raises(UsageError, match="2 values for 9 times"):
         contents.to_c(u={"u": [1.0, 2.0]})
-    with pytest.raises(UsageError, match="characters, XPPAUT reads 900"):
+    with pytest.raises(UsageError, match="characters, but XPPAUT reads at most 900"):
         model({"x": " + ".join(f"{0.1 + number!r}*sin(cos(tanh(x)))" for number in range(60))}).to_xppaut()
-    with pytest.raises(UsageError, match="no export format; choose one of python, c"):
+    with pytest.raises(UsageError, match="not an export format; choose one of python, c"):
         contents.export("fortran")
 
 

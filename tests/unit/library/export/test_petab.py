@@ -119,11 +119,11 @@ def test_the_time_as_an_input_goes_on_from_where_a_trajectory_begins(tmp_path: P
 
 
 def test_what_petab_cannot_hold_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="holds no measurements of trajectories; give them as data"):
+    with pytest.raises(UsageError, match="has no measurements of trajectories; give them as data"):
         decay().to_petab(tmp_path)
-    with pytest.raises(UsageError, match="cannot hold the noise of a process"):
+    with pytest.raises(UsageError, match="cannot express the noise of a process"):
         process().to_petab(tmp_path)
-    with pytest.raises(UsageError, match="the input 'u' changes along trajectory 1; PEtab holds inputs that stay"):
+    with pytest.raises(UsageError, match="the input 'u' changes along trajectory 1; PEtab needs constant inputs"):
         measured((1.0, 2.0, 2.0)).to_petab(tmp_path)
     with pytest.raises(UsageError, match="the input 'u' is not known along trajectory 1"):
         decay().to_petab(tmp_path, [{"t": TIMES, "x": TIMES}])

@@ -83,7 +83,7 @@ def test_what_repeats_a_run_is_not_the_clock() -> None:
     )
     contents["equations"][0] |= {"why": "max-time", "epoch": 12}
     assert any(
-        "--max-epochs x=12 in place of --max-time" in text
+        "--max-epochs x=12 instead of --max-time" in text
         for text in read([origin(Findings(Result.of(contents), None))]).texts
     )
 
@@ -140,10 +140,10 @@ def test_constants_are_called_as_those_of_the_model() -> None:
     page = read(constants(Findings(Result.of(contents), None)))
     names = [name for name, param in Model(contents).params.items() if param.stderr is not None]
     assert [text for text in page.texts if text in Model(contents).params] == names
-    assert f"{names[0]} and {names[1]} are hardly distinguished: correlation -0.99." in page.texts
+    assert f"{names[0]} and {names[1]} are strongly correlated: correlation -0.99." in page.texts
 
 
-SURE = "which of the two is right is known then with more than 99.9 % certainty"
+SURE = "decides between the two with more than 99.9 % certainty"
 
 
 def test_the_next_experiment_stands_with_the_candidates() -> None:
@@ -191,7 +191,10 @@ def test_constants_of_each_group_are_listed() -> None:
     assert read.texts[read.texts.index("a") : place + 2].count("2.5") == 1
     assert "3.5" in read.texts[place : place + 4]
     assert "0.25" in read.texts[place : place + 6]
-    assert any("differ between the groups a, <b>; coordinator report --group NAME" in text for text in read.texts)
+    assert any(
+        "differ between the groups a, <b>; analyse one with coordinator report --group NAME" in text
+        for text in read.texts
+    )
     assert any("means over them; the groups are a, <b>." in text for text in read.texts)
 
 
@@ -220,9 +223,9 @@ def test_dynamics_of_equations_that_do_not_fit_are_said_to_be_so() -> None:
     contents = dynamics()
     contents["equations"][1]["verdict"] = "no model"
     analysis = Model(contents).analyse()
-    assert str(analysis).startswith("The verdict on dy/dt is no model:")
+    assert str(analysis).startswith('The verdict on dy/dt is "no model":')
     section = to_text(section_of_dynamics(Findings(Result.of(contents), Model(contents), analysis))[0])
-    assert section.index("The verdict on dy/dt is no model:") < section.index("<svg")
+    assert section.index('The verdict on dy/dt is "no model":') < section.index("<svg")
 
 
 def test_a_page_lists_of_the_dynamics_what_the_text_lists() -> None:
@@ -305,8 +308,8 @@ def test_a_page_begins_with_what_was_found_for_people_who_do_not_know_the_terms(
     page = read([overview(Findings(Result.of(contents), None))])
     assert page.texts[:2] == [
         "Found",
-        "Atoll looked in 3 rows of a.csv for equations that say how fast x and y change. dx/dt is the change of x per "
-        "unit of t. Do not rely on predictions of the equation of dy/dt yet: another equation may be the right one. "
+        "Atoll searched in 3 rows of a.csv for equations that describe how fast x and y change. dx/dt is the change of "
+        "x per unit of t. Do not rely on predictions of the equation of dy/dt yet: another equation may be right. "
         "Within the measured range, predictions of the equation of dx/dt can be trusted.",
     ]
 

@@ -62,7 +62,7 @@ def test_a_worker_answers_as_a_saved_result_does(question: Question) -> None:
 
 def test_what_does_not_fit_the_result_is_refused_in_a_sentence() -> None:
     question = encode_value(AnalyseDynamics(box={"z": (0.0, 1.0)}))
-    with pytest.raises(RefusedError, match="there is no state 'z'"):
+    with pytest.raises(RefusedError, match="the box has 'z'"):
         answered(analyse("analyse", RESULT.to_json().encode(), question, None))
 
 

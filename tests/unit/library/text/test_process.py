@@ -13,5 +13,5 @@ def test_a_density_that_nobody_sought_is_not_said_to_be_none() -> None:
     }
     (held,) = process_lines(Result.of(result({"x": "-x"}, process=process, system={"inputs": ["u"]})))
     (alone,) = process_lines(Result.of(result({"x": "-x"}, process=process, system={"inputs": []})))
-    assert held == "stationary density: not sought: there are inputs"
-    assert alone == "stationary density: none that simulations settle into"
+    assert held == "stationary density: not computed: there are inputs"
+    assert alone == "stationary density: none: simulations do not become stationary"

@@ -76,7 +76,7 @@ def test_units_and_bounds_stand_beside_constants() -> None:
     line = "constants: 3 (2.981 ± 0.018) 1/h, 2 (2.00 ± 0.10), 0.5 (at its bound, 0.48 to 0.5)"
     assert constants_line(given) == line
     assert constants_table(given)[1].split()[:2] == ["3", "1/h"]
-    assert constants_table(given)[3].endswith("on its bound")
+    assert constants_table(given)[3].endswith("at its bound")
 
 
 def test_constants_known_but_for_rounding_need_no_line() -> None:
@@ -142,7 +142,7 @@ def test_the_summary_is_two_lines_and_exact_models_need_none() -> None:
         "simulation: R2 at least 0.9700 on 2 trajectories, 0.9000 on 1 held out",
     ]
     broken = summary(result(trajectory("1", 0.99, None), trajectory("2", 0.5, 0.5)))
-    assert broken == ["simulation: R2 at least 0.5000 on 1 trajectory, 1 not to the end"]
+    assert broken == ["simulation: R2 at least 0.5000 on 1 trajectory, 1 ended early"]
     assert summary(result(*several, verdict="exact", noise={"x": CLEAN})) == []
     assert summary(result(trajectory("1"))) == []
 

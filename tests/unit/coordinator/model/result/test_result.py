@@ -347,7 +347,7 @@ def test_picking_what_is_not_there_is_refused(picks):
 
 @pytest.mark.parametrize("text", ["x", "x=", "x=two", "=1", "x=-1"])
 def test_malformed_picks_are_refused(text):
-    with pytest.raises(UsageError, match="--pick wants"):
+    with pytest.raises(UsageError, match="--pick must be"):
         parse_picks([text])
 
 

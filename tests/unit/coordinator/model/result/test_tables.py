@@ -148,7 +148,7 @@ def test_what_residuals_say_of_errors_is_listed_and_told_in_words():
     )
     line, *_ = noise_lines(whole({"x": sensor}))
     assert "80 % of their variance grows with the value squared" in line
-    assert "50 % of the errors' variance of neighbouring rows goes together over about 6 rows" in line
+    assert "50 % of the error variance is correlated over about 6 rows" in line
     line, *_ = noise_lines(whole({"x": solver}))
     assert "errors accumulate along trajectories, like integration errors of a solver: 0.0002 within 10 rows" in line
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.description_length import constant_nats_of, structure_length
 from atoll_coordinator.model.sparse.atoms import (
     dictionary,
     libraries,
@@ -13,7 +13,6 @@ from atoll_coordinator.model.sparse.atoms import (
     product_of,
     products,
     products_of,
-    shapes,
     sum_of,
 )
 from atoll_coordinator.settings import SETTINGS
@@ -61,8 +60,8 @@ INPUTS = np.random.default_rng(0).uniform(0.5, 2.0, (2, 20))
 def test_a_term_costs_what_it_is_written_as(product, quotient, text):
     (shape,) = powers(INPUTS, [product])
     if quotient is not None:  # 1/x, 1/(c + x)
-        allowed = [of for of in shapes(INPUTS, (0,), {BY_NAME["/"].code}, [shape]) if of.argument == (0, 0)]
-        (shape,) = (of for of in allowed if of.has_constant == bool(quotient))
+        allowed = [of for of in dictionary(INPUTS, (0, 1), {BY_NAME["/"].code}) if of.argument == (0, 0)]
+        shape = next(of for of in allowed if of.factors == product and of.has_constant == bool(quotient))
     program = from_infix(text, ("x", "y"))
     expected = structure_length(program) + len(constant_places(program)) * constant_nats_of(100)
     assert shape.price(100) == pytest.approx(expected)

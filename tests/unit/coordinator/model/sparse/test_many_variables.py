@@ -78,7 +78,7 @@ def test_laws_with_a_flux_in_common_are_found_at_one_percent_of_noise():
     known_laws = equations()
     laws = find_short_laws(known_laws)
     states = np.random.default_rng(1).uniform(0.1, 3.0, (2, 50))
-    for place, (name, constants) in enumerate(zip(STATES, (3, 3), strict=True)):
+    for place, (name, constants) in enumerate(zip(STATES, (3, 4), strict=True)):
         (law,) = laws[name]
         assert len(constant_places(law.program)) == constants
         assert law.excess <= 1.25

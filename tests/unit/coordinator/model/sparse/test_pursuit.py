@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.description_length import constant_nats_of, structure_length
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem, Target
@@ -58,7 +58,7 @@ def test_only_operators_and_variables_that_are_allowed_are_used():
 def test_sums_are_few_and_finite():
     problem, _ = problem_of("1.0/(x - 0.25) + 0.1*y", 0.01)
     programs = pursue(problem, (0, 1), ALL)
-    assert 0 < len(programs) <= SETTINGS.effort.beam * SETTINGS.sparse.pursued_constants
+    assert 0 < len(programs) <= SETTINGS.effort.beam * SETTINGS.sparse.most_constants
     for program in programs:
         assert np.isfinite(values_of(program, problem.inputs)).all()
 

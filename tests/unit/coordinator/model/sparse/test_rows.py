@@ -80,7 +80,7 @@ def test_weights_integrate_cubics_times_the_test_function():
         return 1.0 + t - 4.0 * t**2 + 7.0 * t**3
 
     def test(t):
-        return (1.0 - ((t - 0.25) / 0.25) ** 2) ** SETTINGS.windows.smoothness
+        return (1.0 - ((t - 0.25) / 0.25) ** 2) ** 2
 
     assert (bump @ function(times[0]))[0] == pytest.approx(quad(lambda t: test(t) * function(t), 0.0, 0.5)[0])
     by_parts = quad(lambda t: test(t) * (1.0 - 8.0 * t + 21.0 * t**2), 0.0, 0.5)[0]
@@ -114,7 +114,7 @@ def test_so_many_windows_stand_for_all_and_begin_early_and_late():
     numbers = np.arange(float(runs * rows))[None]
     ranges = tuple((rows * run, rows * (run + 1)) for run in range(runs))
     windows = _short_windows(Measured(numbers[0], ranges, numbers, numbers, np.zeros(1)), 0, 2)
-    assert SETTINGS.windows.most <= len(windows.first) < 2 * SETTINGS.windows.most
+    assert SETTINGS.rows.most <= len(windows.first) < 2 * SETTINGS.rows.most
     assert windows.share == 1.0
     assert set((windows.first % rows).tolist()) == set(range(0, 16, 2))
 

@@ -3,7 +3,7 @@
 import pytest
 
 from atoll_coordinator.service.search import pull_budget as module
-from atoll_coordinator.service.search.archipelago import Archipelago
+from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
 from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.ending import SearchLimits, Stagnation
@@ -40,6 +40,25 @@ def archipelago(variable: str, workers: int) -> Archipelago:
 def reply(coordinator: PullBudget, made: Archipelago, worker: str, pull: PullStates) -> None:
     pieces = split_states(pull.islands, pull.offset, lambda island: IslandState.of(STATE))
     coordinator.add_states(made, worker, pull, States(pieces=pieces))
+
+
+def complete(coordinator: PullBudget, made: Archipelago) -> Checkpoint:
+    """Pull all states of an archipelago and return its checkpoint."""
+    while pulls := coordinator.next_pulls(made):
+        for worker, pull in pulls:
+            reply(coordinator, made, worker, pull)
+    checkpoint = coordinator.take_complete_checkpoint(made)
+    assert checkpoint is not None
+    return checkpoint
+
+
+def test_states_count_from_their_arrival_until_they_are_written() -> None:
+    coordinator, made = PullBudget(), archipelago("x", 3)
+    checkpoint = complete(coordinator, made)
+    assert coordinator.held_bytes == checkpoint.size == 3 * len(STATE)
+    assert coordinator.take_complete_checkpoint(made) is None
+    coordinator.mark_written(checkpoint)
+    assert coordinator.held_bytes == 0
 
 
 def test_without_memory_the_checkpoint_that_was_begun_first_goes_on_alone(monkeypatch: pytest.MonkeyPatch) -> None:

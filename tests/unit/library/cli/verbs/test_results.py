@@ -44,7 +44,7 @@ def test_dates_in_a_file_are_counted_in_the_unit_of_the_model(driven: Path, caps
 
 def test_an_input_that_nothing_gives_is_named(driven: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", str(driven / "result.json"), "--initial", "x=1"]) == 2
-    assert "the input 'u', of which nothing is given; give a number, such as --hold u=1," in capsys.readouterr().err
+    assert "the input 'u', but no values of it are given; give a number, such as --hold u=1," in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("simulation", [None, {"trajectories": [{"name": "1", "start": {"x": 2.0}, "times": [0, 1]}]}])
@@ -113,13 +113,13 @@ def test_paths_of_a_process_are_written_as_bounds_or_each(tmp_path: Path, capsys
     assert main([*words, "--paths", "2", "--json", "--each-path"]) == 0
     assert len(json.loads(capsys.readouterr().out)["states"]["x"]) == 2
     assert main(words) == 0
-    assert "the drift was simulated, without the noise of the process; --paths" in capsys.readouterr().err
+    assert "the drift was simulated without the noise of the process; --paths" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("changes", "words", "sentence"),
     [
-        ({"data": None}, ["--initial", "x=1"], "nothing tells how long to simulate; give --until"),
+        ({"data": None}, ["--initial", "x=1"], "the last time of the simulation is not known; give --until"),
         ({"data": None}, ["--until", "3"], "no fitted initial state; give one, such as --initial x=1"),
         (
             {"equations": [{"groups": [{"group": "a", "expression": "2*x"}]}], "groups": [{"group": "a"}]},
@@ -194,7 +194,7 @@ def test_identifiability_is_that_of_the_measurements(tmp_path: Path, capsys: pyt
     (tmp_path / "a.csv").write_text("t,x\n" + "\n".join(f"{t},{x}" for t, x in zip(times, decay, strict=True)))
     assert main([*asked, "--identifiability", "--data", str(tmp_path / "a.csv")]) == 0
     said = capsys.readouterr().out
-    assert "identifiability (95 % profile likelihood; the data that were given):" in said
+    assert "identifiability (95 % profile likelihood; the given data):" in said
     assert main([*asked, "--data", str(tmp_path / "a.csv")]) == 2
     assert "--data was given without --identifiability" in capsys.readouterr().err
     assert main([*asked, "--json"]) == 0
@@ -224,7 +224,7 @@ def test_text_names_candidates_bounds_and_experiments(found: Path, capsys: pytes
     words = ["suggest", str(found), "--data", str(found / "a.csv"), "--rival", "dx=-x + 0.1*x**2", "--cost", "samples"]
     assert main(words) == 0
     said = capsys.readouterr().out
-    assert said.startswith("candidates, their constants fitted again (the data that were given):")
+    assert said.startswith("candidates, with constants fitted again (the given data):")
     assert re.search(r"\(given, Δ description length [\d.e+-]+\)  dx/dt = ", said)
     assert "(of the data, smoothed)" in said
     assert "experiment 1: x = " in said
@@ -318,7 +318,7 @@ def test_a_result_is_compared_with_its_candidate(decaying: Path, capsys: pytest.
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ((":1", "{}"), "A is ':1', but a result was expected, such as runs/JOB:1"),
+        ((":1", "{}"), "A is ':1', but the name of a result was expected, such as runs/JOB:1"),
         (("{}", ":2"), "has no candidate 2: it has candidates 1 to 1"),
         (("{}", "{}/nothing"), "cannot be read"),
     ],
@@ -359,7 +359,7 @@ def test_an_input_of_which_nothing_is_given_is_said_to_be_held(
     exportable: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["export", str(exportable), "--format", "python"]) == 0
-    assert "held at 0, since no value is given: u;" in capsys.readouterr().err
+    assert "set to 0, because no value is given: u;" in capsys.readouterr().err
     assert main(["export", str(exportable), "--format", "python", "--hold", "u=0"]) == 0
     assert capsys.readouterr().err == ""
 
@@ -382,7 +382,7 @@ def test_what_needs_no_model_is_written_of_a_result_without_one(
     assert Result.load(json.loads(exported(capsys, str(exportable), "--format", "json"))) == Result.load(exportable)
     assert exported(capsys, str(exportable), "--format", "csv").splitlines()[1].endswith("-0.75*x")
     assert main(["export", str(exportable), "--format", "c"]) == 2
-    assert "has not found every equation" in capsys.readouterr().err
+    assert "lacks an equation" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -415,30 +415,35 @@ def noisy(tmp_path: Path) -> Path:
     [
         ("driven", "simulate", "--initial x=a", "must be a finite number"),
         ("driven", "simulate", "--initial nothing.csv", "is neither"),
-        ("driven", "simulate", "--initial y=1", "names 'y'"),
+        ("driven", "simulate", "--initial y=1", "state has 'y'"),
         ("driven", "simulate", "--until -1", "must be after the first time"),
         ("driven", "simulate", "--step 0", "must be above 0"),
         ("saved", "analyse", "--box x=3", "--box x wants LOWER:UPPER"),
         ("saved", "analyse", "--box x=3:1", "wants LOWER below UPPER"),
         ("saved", "analyse", "--box x=0:inf", "must be a finite number"),
-        ("saved", "analyse", "--box z=0:1", "no state 'z'"),
+        ("saved", "analyse", "--box z=0:1", "the box has 'z'"),
         ("saved", "analyse", "--box x=0:1,x=0:2", "names 'x' twice"),
         ("saved", "analyse", "--hold v=1", "no input 'v'"),
         ("saved", "analyse", "--parameter c9 --range 0:1", "no parameter 'c9'; the model has c1 = 0.5 of x"),
         ("saved", "analyse", "--parameter c1", "without --range"),
-        ("found", "suggest", "--box z=0:1", "there is no 'z' to bound"),
+        ("found", "suggest", "--box z=0:1", "the bounds have 'z'"),
         ("found", "suggest", "--box x=1", "--box x wants LOWER:UPPER"),
-        ("found", "suggest", "--cost money", "the cost is trajectory, duration or samples"),
+        ("found", "suggest", "--cost money", "the cost must be trajectory, duration or samples"),
         ("found", "suggest", "--samples 2.5", "--samples must be a whole number"),
         ("found", "suggest", "--duration soon", "--duration must be a finite number"),
         ("found", "suggest", "--rival x", "--rival wants dx=EXPR"),
         ("found", "suggest", "--rival ;", "--rival wants dx=EXPR, but got nothing"),
         ("found", "suggest", "--rival dx=z", "z"),
         ("exportable", "export", "--format petab", "petab is a folder of several files; name it with -o FOLDER"),
-        ("exportable", "export", "--format c --candidate 2", "--candidate 2 is not there: the result has 1 candidates"),
+        (
+            "exportable",
+            "export",
+            "--format c --candidate 2",
+            "--candidate 2 does not exist; the result has 1 candidates",
+        ),
         ("exportable", "export", "--format c --candidate 1 --pick x=0", "both choose equations"),
         ("exportable", "export", "--format c --hold v=1", "--hold names 'v'; the inputs are u"),
-        ("exportable", "export", "--format c --data a.csv", "--data belongs to --format petab"),
+        ("exportable", "export", "--format c --data a.csv", "--data was given without --format petab"),
         ("exportable", "export", "--format fortran", "but 'fortran' was given"),
         ("noisy", "simulate", "--seed 1", "--seed needs --paths"),
         ("noisy", "simulate", "--each-path", "--each-path needs --paths"),
