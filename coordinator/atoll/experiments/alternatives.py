@@ -36,9 +36,9 @@ _LONGEST: Final = 10.0
 """Largest Δ description length of a candidate that is fitted again."""
 _FIRST_SHARE: Final = 0.1
 """Initial value of a constant in a denominator, divided by the mean of the other part of the denominator."""
-_SAME: Final = 1e-3
+_EQUAL_MISFIT: Final = 1e-3
 """Largest difference of misfits, in nats, between two forms of the same function."""
-_WANTED: Final = ("shown", "given")
+_ALWAYS_KEPT: Final = ("shown", "given")
 """Origins of systems that are always kept, even with a bad fit."""
 
 
@@ -69,7 +69,7 @@ def alternatives_of(
     measured = shown.measured
     fits: list[tuple[FittedEquations, str]] = [(shown, "shown")]
     for texts in given:
-        equations = _given(shown.equations, texts)
+        equations = _replace_equations(shown.equations, texts)
         fitted = fit_equations(measured, equations)
         if fitted is None:
             named = ", ".join(texts.values())
@@ -86,11 +86,11 @@ def _weigh(fits: Sequence[tuple[FittedEquations, str]]) -> tuple[WeightedSystem,
     lengths = [_half_akaike(fitted) for fitted, _ in fits]
     least = min(lengths)
     kept: list[tuple[float, FittedEquations, str]] = []
-    ordered = sorted(zip(lengths, fits, strict=True), key=lambda entry: (entry[1][1] not in _WANTED, entry[0]))
+    ordered = sorted(zip(lengths, fits, strict=True), key=lambda entry: (entry[1][1] not in _ALWAYS_KEPT, entry[0]))
     for nats, (fitted, origin) in ordered:
         is_plausible = nats - least <= -math.log(_LEAST_WEIGHT) and len(kept) < MOST_SYSTEMS
-        is_new = all(abs(fitted.misfit - other.misfit) > _SAME for _, other, _ in kept)
-        if origin in _WANTED or (is_plausible and is_new):
+        is_new = all(abs(fitted.misfit - other.misfit) > _EQUAL_MISFIT for _, other, _ in kept)
+        if origin in _ALWAYS_KEPT or (is_plausible and is_new):
             kept.append((nats, fitted, origin))
     kept.sort(key=lambda rival: rival[0])
     weights = np.exp([least - nats for nats, *_ in kept])
@@ -123,7 +123,7 @@ def _half_akaike(fitted: FittedEquations) -> float:
     return half_akaike(fitted.misfit, count, float(fitted.measured.independent.sum()))
 
 
-def _given(shown: EquationSet, texts: Mapping[str, str]) -> EquationSet:
+def _replace_equations(shown: EquationSet, texts: Mapping[str, str]) -> EquationSet:
     for name, text in texts.items():
         if name not in shown.variables:
             known = f"the model has equations of {', '.join(shown.variables)}"

@@ -49,7 +49,8 @@ class OnData:
     """The fits of both models to the same data; `source` names the data.
 
     `nats` is the logarithm of the odds for A, from the fits alone. `longer` is the description length of B minus the
-    description length of A in nats, which includes the lengths of the equations; it is None for equations without time.
+    description length of A in nats. Description lengths include the lengths of the equations; they are not known for
+    equations without time, and `longer` is then None.
     """
 
     source: str
@@ -149,7 +150,7 @@ def compare(
 
 
 def _forms(first: ModelCore, second: ModelCore) -> dict[str, str]:
-    """Return for each equation whether both models have the same form, and the difference of its constants."""
+    """Return for each equation whether both models have the same form, and how much its constants differ."""
     others = {equation.lhs: equation for equation in second.equations}
     forms = {}
     for equation in first.equations:

@@ -1,9 +1,9 @@
 """Fit the equations of a result again, with all constants free, to its trajectories or to data files.
 
-A result lists at most some of its measured rows, so fits use the listed rows and count all rows. The measurement errors
-are estimated from the residuals of the first fit and are constant in all later fits; deviances of later fits are
-therefore comparable. Equations are fitted to whole trajectories; if the residuals exceed the noise, they are fitted to
-shorter pieces. A coefficient of 1 that the text does not show is a free constant too.
+A result may list only some of its measured rows. Fits use the listed rows, and errors take all rows into account. The
+measurement errors are estimated from the residuals of the first fit and are constant in all later fits. Therefore the
+deviances of later fits are comparable. Equations are fitted to whole trajectories. If the residuals exceed the noise,
+they are fitted to shorter pieces. A coefficient of 1 that the text does not show is a free constant too.
 
 Doubtful: pieces hide errors that grow over long times. Correlated errors enter only as a smaller number of independent
 rows.
@@ -77,7 +77,7 @@ class FitData:
 
 
 def measured_of(result: Result, table: Table | None = None) -> FitData:
-    """Return the measurements of a result, or those in a table, which is read with the settings of the job.
+    """Return the measurements of a result, or the measurements in `table`, which is read with the settings of the job.
 
     Raises:
         UsageError: the states were not measured over time, or the result has no measurements.

@@ -44,7 +44,7 @@ GivenInputs = _InputsByName | npt.ArrayLike | _TimeFunction | None
 ROWS: Final = 501
 """Number of times of a simulation if the user gives only the last time."""
 
-_SLACK: Final = 1e-9
+_TIME_ROUNDING: Final = 1e-9
 """Largest rounding error of the last time, as a share of a step."""
 
 
@@ -76,7 +76,7 @@ def interval(given: object, what: str) -> tuple[float, float]:
     if bounds.shape != (2,):
         raise UsageError(f"{what} must be two numbers, such as (0.0, 1.0), but {shown(given)} was given")
     if not (np.isfinite(bounds).all() and bounds[0] < bounds[1]):
-        raise UsageError(f"{what} must have a lower bound, then an upper one, but {shown(given)} was given")
+        raise UsageError(f"{what} must be a finite lower bound and a larger upper bound, but {shown(given)} was given")
     return float(bounds[0]), float(bounds[1])
 
 
@@ -262,7 +262,7 @@ def measured_conditions(model: "ModelCore", part: Recorded | Simulated) -> Initi
 
 
 def start_of(model: "ModelCore", x0: Given | None) -> FloatArray:
-    """Return a given initial state (D,), by default the measured one; raises UsageError."""
+    """Return the given initial state (D,), by default the measured initial state; raises UsageError."""
     given = initial_conditions(model).start if x0 is None else x0
     if x0 is None and not given:
         example = model.states[0]
@@ -289,7 +289,7 @@ def start_of(model: "ModelCore", x0: Given | None) -> FloatArray:
 
 
 def times_of(model: "ModelCore", t: npt.ArrayLike | float | None) -> FloatArray:
-    """Return given times (N,), by default the measured ones; raises UsageError."""
+    """Return the given times (N,), by default the measured times; raises UsageError."""
     first = initial_conditions(model).times
     if t is None:
         if not len(first):
@@ -492,4 +492,6 @@ def times_until(model: "ModelCore", start: FileStart, end: float | None, step: f
     if step <= 0.0 or (last - first) / step > MOST_NUMBERS:
         limits = f"above 0 and give at most {MOST_NUMBERS} times"
         raise UsageError("%s must be %s, but %s was given", Field("step"), limits, f"{step:g}")
-    return np.asarray(first + step * np.arange(math.floor((last - first) / step + _SLACK) + 1), dtype=np.float64)
+    return np.asarray(
+        first + step * np.arange(math.floor((last - first) / step + _TIME_ROUNDING) + 1), dtype=np.float64
+    )

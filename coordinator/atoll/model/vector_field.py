@@ -1,8 +1,8 @@
 """The right-hand sides of a model as functions of numbers, with their derivatives, and the joint errors of constants.
 
-Values agree with the values of the search up to rounding, because this module uses the functions of the C library.
-Sine and cosine are also defined for large arguments, for which the search has no values. Letters: D states, U inputs, P
-parameters of a field, K constants with known joint covariance, N points.
+Values can differ from the values of the search by rounding errors, because this module uses the functions of the C
+library. Sine and cosine are also defined for large arguments, for which the search has no values. Letters: D states, U
+inputs, P parameters of a field, K constants with known joint covariance, N points.
 """
 
 import itertools
