@@ -313,12 +313,12 @@ def continue_curve(curve: Curve[PointT], start: FloatArray, direction: FloatArra
         if not curve.limits[0] <= after.z[-1] <= curve.limits[1]:
             limit = curve.limits[0] if after.z[-1] < curve.limits[0] else curve.limits[1]
             share = (limit - last.z[-1]) / (after.z[-1] - last.z[-1])
-            final = _between(curve, last, after, share, np.append(np.zeros(len(last.z) - 1), 1.0))
+            final = _correct_between(curve, last, after, share, np.append(np.zeros(len(last.z) - 1), 1.0))
             if final is not None:
-                special += _special_between(curve, last, final)
+                special += _find_special_points(curve, last, final)
                 points.append(final)
             return CurveSide(points, special, "end of the range")
-        special += _special_between(curve, last, after)
+        special += _find_special_points(curve, last, after)
         points.append(curve.adapt(after))
         if len(points) > 10 and len(after.z) == len(start) and _length(after.z - start) < 0.5 * length:
             return CurveSide(points, special, "closed")
@@ -330,7 +330,7 @@ def _length(step: FloatArray) -> float:
     return float(np.sqrt(step @ step))
 
 
-def _special_between(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
+def _find_special_points(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
     """Return the special points between two points, each with its kind: there a test changes its sign.
 
     At a branch point the test for a fold may also change its sign, but this is not a fold.
@@ -351,10 +351,10 @@ def _locate(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> P
     low_value, high_value = first.tests[kind], second.tests[kind]
     for _ in range(_EVALUATIONS):
         share = (low * high_value - high * low_value) / (high_value - low_value)
-        point = _between(curve, first, second, share, first.tangent)
+        point = _correct_between(curve, first, second, share, first.tangent)
         if point is None:  # the matrix of Newton steps is singular at a branch point: move aside
             share += _DETOUR * (high - share)
-            point = _between(curve, first, second, share, first.tangent)
+            point = _correct_between(curve, first, second, share, first.tangent)
         if point is None or not np.isfinite(point.tests[kind]):
             break
         value = point.tests[kind]
@@ -370,7 +370,9 @@ def _locate(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> P
     return best
 
 
-def _between(curve: Curve[PointT], first: PointT, second: PointT, share: float, across: FloatArray) -> PointT | None:
+def _correct_between(
+    curve: Curve[PointT], first: PointT, second: PointT, share: float, across: FloatArray
+) -> PointT | None:
     z = curve.correct(first.z + share * (second.z - first.z), across)
     return None if z is None else curve.curve_point(z, first.tangent)
 

@@ -399,7 +399,7 @@ class _CycleCurve:
         states = np.concatenate([change.mesh_states.ravel(), change.nodes.ravel()]) * self._weights
         return np.append(states, [change.log_period, change.parameter])
 
-    def _linearised(self, z: FloatArray) -> Linearised | None:
+    def _linearise(self, z: FloatArray) -> Linearised | None:
         flow, orbit, widths = self.parameter.at(self.flow, self.value(z)), self._orbit(z), self.box.widths
         x = orbit.nodes.reshape(-1, self._shape[2]) * widths
         by_states = flow.jacobian(x) * widths / widths[:, None]
@@ -412,7 +412,7 @@ class _CycleCurve:
         for _ in range(_MOST_NEWTON_STEPS):
             if abs(guess[-2] - z[-2]) > 1.0:
                 return None
-            linearised = self._linearised(guess)
+            linearised = self._linearise(guess)
             if linearised is None:
                 return None
             missed = float((self._phase.nodes * (self._orbit(guess).nodes - self._reference)).sum())
@@ -430,7 +430,7 @@ class _CycleCurve:
         return guess if np.abs(step).max() < 1e-7 else None
 
     def curve_point(self, z: FloatArray, before: FloatArray) -> _CycleOnCurve | None:
-        linearised = self._linearised(z)
+        linearised = self._linearise(z)
         if linearised is None:
             return None
         rows = (self._phase, self._row(before))

@@ -109,11 +109,11 @@ def measured_trajectories(result: Result, field: VectorField) -> tuple[MeasuredT
 
     For equations of second order, velocities are finite differences of the positions.
     """
-    known = (_measured(result, field, part) for part in result.simulated)
+    known = (_read_trajectory(result, field, part) for part in result.simulated)
     return tuple(trajectory for trajectory in known if trajectory is not None)
 
 
-def _measured(result: Result, field: VectorField, part: Simulated) -> MeasuredTrajectory | None:
+def _read_trajectory(result: Result, field: VectorField, part: Simulated) -> MeasuredTrajectory | None:
     """Return one trajectory; None if a state is unknown or fewer than 4 rows are known."""
     columns, half = [result.columns_by_symbol[name] for name in field.states], len(field.states) // 2
     known, values = part.times, part.values or {}
@@ -181,7 +181,7 @@ def compare(
     comparisons = []
     for trajectory, reaches, end in zip(trajectories, reached.tolist(), ends, strict=True):
         times = np.union1d(np.linspace(0.0, trajectory.times[-1], ROWS), trajectory.times)
-        states = _simulated(flow, trajectory, times, box)
+        states = _simulate(flow, trajectory, times, box)
         with np.errstate(invalid="ignore"):
             is_bounded = bool((box.excursions(states) < UNBOUNDED).all())
         known = np.isfinite(states).all(axis=1)
@@ -199,7 +199,7 @@ def compare(
     return tuple(comparisons)
 
 
-def _simulated(flow: Flow, trajectory: MeasuredTrajectory, times: FloatArray, box: Box) -> FloatArray:
+def _simulate(flow: Flow, trajectory: MeasuredTrajectory, times: FloatArray, box: Box) -> FloatArray:
     """Return the simulated states (n, D) from the initial state of a trajectory, with its recorded inputs if any."""
     recorded = trajectory.inputs
     if recorded is None:

@@ -304,15 +304,15 @@ class IntegrationBatch:
         with np.errstate(all="ignore"):
             inverse = np.linalg.inv((2.0 / size)[:, None, None] * np.eye(state.shape[1]) - slopes)
 
-            def solved(right: FloatArray) -> FloatArray:
+            def solve(right: FloatArray) -> FloatArray:
                 return np.asarray((inverse @ right[:, :, None])[:, :, 0])
 
             per_step, rate = 1.0 / size[:, None], rates(state)
-            first = solved(rate)
-            second = solved(rate + 4.0 * per_step * first)
-            third = solved(rates(state + 2.0 * first) + per_step * (first - second))
+            first = solve(rate)
+            second = solve(rate + 4.0 * per_step * first)
+            third = solve(rates(state + 2.0 * first) + per_step * (first - second))
             after = state + 2.0 * first + third
-            fourth = solved(rates(after) + per_step * (first - second - 8.0 / 3.0 * third))
+            fourth = solve(rates(after) + per_step * (first - second - 8.0 / 3.0 * third))
             after = after + fourth
             allowed = rtol * (scale + np.maximum(np.abs(state), np.abs(after)))
         self._accept(rows, size, until, after, fourth / allowed, 1.0 / 3.0)

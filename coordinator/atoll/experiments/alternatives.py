@@ -129,7 +129,7 @@ def _replace_equations(shown: EquationSet, texts: Mapping[str, str]) -> Equation
             known = f"the model has equations of {', '.join(shown.variables)}"
             raise UsageError(f"an alternative model has an equation of '{name}', but {known}")
         place = shown.variables.index(name)
-        shown = replace(shown, fixed=shown.fixed - {place}).exchanged(place, from_infix(text, shown.names))
+        shown = replace(shown, fixed=shown.fixed - {place}).with_equation(place, from_infix(text, shown.names))
     return shown
 
 
@@ -149,11 +149,11 @@ def _systems(result: Result, measured: FitData, shown: EquationSet) -> Iterator[
             (place, program, "denominator") for program in without_poles(shown.programs[place], shown, measured)
         ]
     for place, program, origin in options:
-        yield shown.exchanged(place, program), origin
+        yield shown.with_equation(place, program), origin
     pairs = (pair for pair in combinations(options, 2) if pair[0][0] != pair[1][0])
     for (place, first, origin), (other, second, other_origin) in islice(pairs, max(_MOST_FITTED - len(options), 0)):
         origins = " and ".join(sorted({origin, other_origin}))
-        yield shown.exchanged(place, first).exchanged(other, second), origins
+        yield shown.with_equation(place, first).with_equation(other, second), origins
 
 
 def without_poles(program: Program, equations: EquationSet, measured: FitData) -> Iterator[Program]:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from atoll.experiments.alternatives import half_akaike, weigh_pair
-from atoll.experiments.fits import FittedEquations, equations_of, fit_equations, fit_shown, measured_of
+from atoll.experiments.fits import FittedEquations, equations_of, fit_displayed, fit_equations, measured_of
 from atoll.experiments.suggestion import equations_text, which_of_two
 from atoll.model.core import ModelCore
 from atoll.model.equations import Parameter
@@ -193,13 +193,13 @@ def most_errors(count: int) -> float:
 
 def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
     _require_columns(holder, other)
-    shown = fit_shown(measured_of(holder, table), holder)
+    shown = fit_displayed(measured_of(holder, table), holder)
     texts = {equation.variable: equation.expression or "" for equation in other.equations}
     equations = equations_of(holder)
     for place, (variable, entry) in enumerate(zip(equations.variables, holder.equations, strict=True)):
         program = from_infix(texts[variable], equations.names)
         if program != from_infix(entry.expression or "", equations.names):
-            equations = equations.exchanged(place, program)
+            equations = equations.with_equation(place, program)
     fitted = fit_equations(shown.measured, equations, shown.fit.starts)
     if fitted is None:
         raise UsageError(

@@ -163,7 +163,7 @@ FARTHEST: Final = 500.0
 is negligible, and larger distances occur only far outside of the data."""
 
 
-def needed(lengths: Sequence[float]) -> FloatArray:
+def useful_evidence(lengths: Sequence[float]) -> FloatArray:
     """Return the useful evidence (C, C), in nats, for candidate i against j, from the C description lengths so far.
 
     This evidence makes the description of i distinctly shorter than the description of j. Two standard deviations are
@@ -255,7 +255,7 @@ def with_trajectory(measurements: Measurements, design: Design, values: FloatArr
     inputs, slopes = design.courses()
     ones = np.ones_like(values)
 
-    def joined(left: FloatArray, right: FloatArray) -> FloatArray:
+    def join(left: FloatArray, right: FloatArray) -> FloatArray:
         return np.ascontiguousarray(np.concatenate([left, right], axis=1))
 
     inverse, resting = measurements.inverse_variances, measurements.resting
@@ -264,13 +264,13 @@ def with_trajectory(measurements: Measurements, design: Design, values: FloatArr
         bounds=np.concatenate([measurements.bounds, [[count, count + rows]]]),
         owners=np.append(measurements.owners, len(measurements.names)),
         times=np.concatenate([measurements.times, design.times]),
-        measured=joined(measurements.measured, values),
-        weights=joined(measurements.weights, ones),
-        smoothed=joined(measurements.smoothed, states),
-        inputs=joined(measurements.inputs, inputs),
-        input_slopes=joined(measurements.input_slopes, slopes),
+        measured=join(measurements.measured, values),
+        weights=join(measurements.weights, ones),
+        smoothed=join(measurements.smoothed, states),
+        inputs=join(measurements.inputs, inputs),
+        input_slopes=join(measurements.input_slopes, slopes),
         names=(*measurements.names, "experiment"),
-        inverse_variances=None if inverse is None else joined(inverse, ones),
+        inverse_variances=None if inverse is None else join(inverse, ones),
         resting=None if resting is None else np.concatenate([resting, ones == 0.0], axis=1),
     )
 

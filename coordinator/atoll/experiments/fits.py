@@ -71,7 +71,7 @@ class FitData:
         """The largest number of rows that are simulated from one initial state."""
         return int(np.diff(self.measurements.bounds, axis=1).max())
 
-    def shortened(self, piece: int) -> "FitData":
+    def with_piece(self, piece: int) -> "FitData":
         """Return the same trajectories, with at most `piece` rows simulated from one initial state."""
         return replace(self, measurements=measurements_of(self.recording, self.modelled, piece=piece))
 
@@ -214,7 +214,7 @@ def _prepare_recording(result: Result, table: Table) -> Recording:
         config = config.model_copy(update={"data": settings})
     recording = prepare(table, config).recording
     if recording is None or set(recording.states) != set(result.columns.states):
-        raise UsageError(f"the data do not have the states {', '.join(result.columns.states)} measured in time")
+        raise UsageError(f"the data must have measurements of {', '.join(result.columns.states)} over time")
     return recording if group is None or column is not None else _trajectory_of_group(recording, group)
 
 
@@ -304,7 +304,7 @@ class EquationSet:
             for place, program in enumerate(self.programs)
         )
 
-    def exchanged(self, place: int, program: Program) -> "EquationSet":
+    def with_equation(self, place: int, program: Program) -> "EquationSet":
         """Return the same set with another equation at index `place`, which has no bounds."""
         bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
         programs = (*self.programs[:place], program, *self.programs[place + 1 :])
@@ -428,7 +428,7 @@ def fit_equations(
     return _fit(measured, equations, starts) or _fit(measured, written, starts)
 
 
-def fit_shown(measured: FitData, result: Result) -> FittedEquations:
+def fit_displayed(measured: FitData, result: Result) -> FittedEquations:
     """Fit the equations of a result again; raises AtollError if they cannot be simulated.
 
     If the residuals of whole trajectories exceed the noise, the equations are fitted to shorter pieces.
@@ -440,7 +440,7 @@ def fit_shown(measured: FitData, result: Result) -> FittedEquations:
     for rows in (None, *reversed(SETTINGS.shooting.lengths[1:])):
         if rows is not None and 2 * rows > measured.longest:
             continue
-        data = measured if rows is None else measured.shortened(rows)
+        data = measured if rows is None else measured.with_piece(rows)
         fitted = fit_equations(data, equations, starts_of(result, data))
         if fitted is not None and np.all(fitted.errors.sigmas <= most):
             return fitted

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from atoll.experiments.fits import FittedEquations, FreeConstant, constants_of, equations_of, fit_shown, measured_of
+from atoll.experiments.fits import FittedEquations, FreeConstant, constants_of, equations_of, fit_displayed, measured_of
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, covariance
@@ -275,7 +275,7 @@ class _ProfileSide:
                 return points[1:], points[-1].value, True
             points.append(point)
             if point.root >= self._quantile:
-                inside, end = self._crossing(points)
+                inside, end = self._locate_end(points)
                 return [*points[1:-1], *inside, point], end, False
             if abs(point.value - start.value) >= FARTHEST * self._size:
                 break
@@ -296,7 +296,7 @@ class _ProfileSide:
         lower, upper, last = self._lower.copy(), self._upper.copy(), points[-1].fit
         lower[self._index] = upper[self._index] = value
         held = replace(self._fitted.fit.system, lower=lower, upper=upper)
-        for constants, starts in (self._extrapolated(points, value), (last.system.values, last.starts)):
+        for constants, starts in (self._extrapolate(points, value), (last.system.values, last.starts)):
             fit = self._fitted.refit(held.with_values(constants), starts)
             if fit is not None:
                 deviance = self._fitted.deviance(fit)
@@ -304,7 +304,7 @@ class _ProfileSide:
                 return _ProfilePoint(value, root, fit)
         return None
 
-    def _extrapolated(self, points: list[_ProfilePoint], value: float) -> tuple[FloatArray, FloatArray]:
+    def _extrapolate(self, points: list[_ProfilePoint], value: float) -> tuple[FloatArray, FloatArray]:
         """Return constants (P,) and initial states (G, D), extrapolated linearly from the last two points."""
         last = points[-1]
         constants, starts = last.fit.system.values, last.fit.starts
@@ -318,7 +318,7 @@ class _ProfileSide:
         moved = constants + share * (constants - before.fit.system.values)
         return moved, starts + share * (starts - before.fit.starts)
 
-    def _crossing(self, points: list[_ProfilePoint]) -> tuple[list[_ProfilePoint], float]:
+    def _locate_end(self, points: list[_ProfilePoint]) -> tuple[list[_ProfilePoint], float]:
         """Return further points between the last two, and the value where the root of the deviance is the quantile."""
         *before, inside, outside = points
         points_between = list[_ProfilePoint]()
@@ -489,7 +489,7 @@ def identify(
     measured, equations = measured_of(result, table), equations_of(result)
     if not constants_of(equations, result):
         raise UsageError("the model has no fitted constants, so there is nothing to profile")
-    fitted = fit_shown(measured, result)
+    fitted = fit_displayed(measured, result)
     constants = constants_of(fitted.equations, result)
     count = len(constants)
     if count > MOST_CONSTANTS:
@@ -534,7 +534,7 @@ class _Parts:
     def profiler(self) -> "_Profiler":
         result = Result.of(json.loads(self.result))
         table = None if self.table is None else Table.from_bytes(self.table)
-        profiler = _Profiler(fit_shown(measured_of(result, table), result), self.quantile, result, table)
+        profiler = _Profiler(fit_displayed(measured_of(result, table), result), self.quantile, result, table)
         for values in self.restarts:
             profiler = profiler.from_values(values) or profiler
         return profiler

@@ -33,11 +33,11 @@ from atoll.experiments.designs import (
     distance_after,
     distances_of,
     expected_gain,
-    needed,
     precision,
     space_of,
+    useful_evidence,
 )
-from atoll.experiments.fits import FittedEquations, constants_of, fit_shown, measured_of
+from atoll.experiments.fits import FittedEquations, constants_of, fit_displayed, measured_of
 from atoll.model.equations import outside_sentence
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.result.result import Result
@@ -329,7 +329,7 @@ def suggest(result: Result, request: DesignRequest, table: Table | None = None) 
             within the bounds, or there is only one candidate and it has no constants.
     """
     request.check()
-    shown = fit_shown(measured_of(result, table), result)
+    shown = fit_displayed(measured_of(result, table), result)
     space = space_of(result, shown.measured, request)
     # users may call an equation x, dx, or dx/dt as in the result
     sides = {equation.lhs: equation.variable for equation in result.equations}
@@ -409,7 +409,7 @@ class _Suggester:
         self._predictors = [DesignPredictor(known.fitted, space.widths, limits, self._sigmas) for known in systems]
         self._shown_predictor = DesignPredictor(shown, space.widths, limits, self._sigmas)
         self._weights = [known.weight for known in systems]
-        self._useful_evidence = needed([known.length for known in systems])
+        self._useful_evidence = useful_evidence([known.length for known in systems])
 
     def suggestions(self) -> Suggestions:
         count, seed = self._request.count, self._request.seed

@@ -147,14 +147,14 @@ def rows_of(model: "ModelCore", part: Columns) -> tuple[FloatArray, dict[str, Fl
     times = column(part, model.time)
     measured = [name for name in model.states if name not in positions or has(part, columns[name])]
     values = {name: column(part, columns[name]) for name in measured}
-    stacked([times, *values.values()])
+    stack_columns([times, *values.values()])
     start = {}
     for name in model.states:
         if name in values:
             start[name] = float(values[name][0]) if len(times) else np.nan
             continue
         position = column(part, columns[positions[name]])
-        stacked([times, position])
+        stack_columns([times, position])
         if len(times) < 3:
             needed = f"the velocity of {positions[name]!r} is estimated from 3 or more rows"
             raise UsageError(f"{needed}, but the data have {len(times)}")
@@ -169,11 +169,11 @@ def points_of(model: "ModelCore", given: object, names: Sequence[str]) -> FloatA
     """Return rows (N, len(names)) from an array or from columns by name."""
     if has_columns(given):
         columns = model.result.columns_by_symbol
-        return stacked([column(given, columns.get(name, name), name) for name in names]).T
+        return stack_columns([column(given, columns.get(name, name), name) for name in names]).T
     rows = numbers(given, f"rows of {', '.join(names)}")
     rows = rows[:, np.newaxis] if rows.ndim == 1 and len(names) == 1 else np.atleast_2d(rows)
     if rows.ndim != 2 or rows.shape[1] != len(names):
-        raise UsageError(f"rows of {len(names)} numbers ({', '.join(names)}) are expected, found {rows.shape}")
+        raise UsageError(f"rows have the shape {rows.shape}, expected (N, {len(names)}): {', '.join(names)}")
     return rows
 
 
@@ -196,7 +196,7 @@ def column(given: Columns, *names: str) -> FloatArray:
     return numbers(values, f"column {name!r}")
 
 
-def stacked(columns: Sequence[FloatArray]) -> FloatArray:
+def stack_columns(columns: Sequence[FloatArray]) -> FloatArray:
     """Return columns (N,) as one array (K, N); raises UsageError if their lengths differ."""
     shapes = {values.shape for values in columns}
     if len(shapes) > 1 or any(values.ndim != 1 for values in columns):
@@ -387,10 +387,10 @@ def inputs_along(
             columns = f"one row per time, one column for each of {', '.join(model.inputs)}"
             raise UsageError(f"inputs have the shape {values.shape}, expected {shape}: {columns}")
         given = dict(zip(model.inputs, values.T, strict=True))
-    return InputFunctions([_input(model, name, given, times, recorded.get(name)) for name in model.inputs])
+    return InputFunctions([_input_function(model, name, given, times, recorded.get(name)) for name in model.inputs])
 
 
-def _input(
+def _input_function(
     model: "ModelCore", name: str, given: _InputsByName, times: FloatArray, recorded: InputCurve | None
 ) -> Callable[[float], float]:
     column = model.result.columns_by_symbol[name]

@@ -203,7 +203,7 @@ def simulate(
     return Simulation(field.states, t, states, status, sentence, spread, states - half, states + half)
 
 
-def followed_sizes(
+def state_sizes(
     field: VectorField, x0: FloatArray, t: FloatArray, inputs: Inputs | None = None, most: int = MOST_EVALUATIONS
 ) -> FloatArray:
     """Return the size (D,) of each state, above 0, for the absolute tolerances of a solver.

@@ -312,14 +312,14 @@ def correlation_lines(result: Result) -> list[str]:
     constants = {equation.variable: equation.constants for equation in result.equations}
     names = constant_names(result) if result.correlations else {}
 
-    def named(place: Place) -> str:
+    def name_of(place: Place) -> str:
         variable, number = place.variable, place.constant or 0
         name, value = names[variable][number], number_text(constants[variable][number].value, 6)
         return f"{value} of {variable}" + (f" ({name})" if name != value else "")
 
     pairs = sorted(result.correlations, key=lambda pair: -abs(pair.value or 0.0))
     return [
-        f"strongly correlated: {named(pair.first)} and {named(pair.second)}, correlation {pair.value:.3f}"
+        f"strongly correlated: {name_of(pair.first)} and {name_of(pair.second)}, correlation {pair.value:.3f}"
         for pair in pairs[:MOST_LINES]
         if pair.value is not None
     ]
