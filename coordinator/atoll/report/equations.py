@@ -390,7 +390,7 @@ def origin(findings: Findings) -> Element:
         epochs = ",".join(f"{equation.variable}={equation.epoch}" for equation in by_clock)
         promise = (
             "A search was cancelled or reached its time limit, so another run may end at another epoch. The same data, "
-            f"settings and seed with --max-epochs {epochs} instead of --max-time give the same digest on any number of workers "
-            "and machines."
+            f"settings and seed with --max-epochs {epochs} instead of --max-time give the same digest on any number of "
+            "workers and machines."
         )
     return section("origin", "How to repeat this", paragraph(promise), facts(entries))
