@@ -1,5 +1,5 @@
-"""How fast the kernels are: ``python -m benchmarks.kernels``.
+"""Speed of the kernels: ``python -m benchmarks.kernels``.
 
-``corpus`` holds the operation lists that are timed, ``loops`` the timed loops, ``speeds`` the measuring;
-``elementary`` measures accuracy and speed of sin, cos, exp, log, tanh and pow.
+``corpus`` loads the operation lists. ``loops`` has the loops that are timed, and ``speeds`` times them. ``elementary``
+measures accuracy and speed of sin, cos, exp, log, tanh and pow.
 """

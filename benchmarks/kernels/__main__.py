@@ -1,14 +1,14 @@
-"""How fast the kernels evaluate: on a committed corpus, by number of rows, per operator.
+"""Speed of evaluation in the kernels: on a committed corpus, by number of rows, and by operator.
 
 ``python -m benchmarks.kernels`` measures, on one thread,
 
 * the corpus (``benchmarks.kernels.corpus``): 1,000 offspring of ``paper`` searches on 16 rows, from operation list to
   fitness, one list after the other;
-* the same lists on more rows, and with the gradient by every constant;
+* the same lists on more rows, and with the gradient with respect to every constant;
 * every operator by itself, forward and with gradient.
 
-A point evaluation is one value of one list at one row; a node evaluation is one live node at one row. Every figure is
-that of the fastest of several repetitions.
+A point evaluation is one value of one list at one row. A node evaluation is one live node at one row. Every figure
+comes from the fastest of several repetitions.
 """
 
 import sys
@@ -41,7 +41,7 @@ BY_OPERATOR: Final = Columns("operator | rows | G nodes/s={nodes:G.2f} | with gr
 
 
 def corpus_text(size: int, mean: float, measured: Speed) -> str:
-    """Return sentences on the speed at the corpus itself."""
+    """Return two lines about the speed on the corpus; `size` lists with `mean` live nodes."""
     goals = f"goals {GOAL_POINTS / 1e6:.0f} M and {GOAL_NODES / 1e9:.1f} G"
     return (
         f"corpus: {size} lists, mean live size {mean:.2f}, {measured.rows} rows, from list to fitness, one thread:\n"

@@ -1,9 +1,9 @@
 """The corpus on which the speed of evaluation is measured: 1,000 offspring of searches with preset ``paper``.
 
-Offspring as crossover and mutation make them, from the populations at generations 100, 200, ..., 1000 of all eight
-islands of each of the 14 Strogatz label files; whole operation lists, dead nodes included, and 16 rows of each file.
-The file stays as it is, so that speeds measured at different times can be compared; what made it was removed after
-revision ff1aeaaf (``git show ff1aeaaf:benchmarks/kernels/corpus.py``).
+The offspring come from crossover and mutation of the populations at generations 100, 200, ..., 1000 of all eight
+islands of each of the 14 Strogatz label files. The corpus has their whole operation lists, dead nodes included, and 16
+rows of each file. The file is never changed, so that speeds measured at different times can be compared. The program
+that wrote it was removed after revision ff1aeaaf (``git show ff1aeaaf:benchmarks/kernels/corpus.py``).
 """
 
 from dataclasses import dataclass, fields
@@ -22,11 +22,11 @@ CORPUS: Final = Path(__file__).parent / "data" / "corpus.npz"
 
 @dataclass(frozen=True, eq=False)
 class Corpus:
-    """Operation lists of P individuals, in the order of the files that they come from, and rows of those files.
+    """Operation lists of P individuals, in the order of their label files, and rows of these F files.
 
-    `code`, `left`, `right` (P, L) and `constants` (P, L) are as in `atoll_island_worker.evolution.structures.Lists`;
-    `origin` (P,) is an index into `names`, `generation` (P,) that of the parents. `inputs` (F, V, 16) and `target` (F,
-    16) are evenly spaced rows of the F files.
+    `code`, `left`, `right` and `constants` (P, L) are as in `atoll_island_worker.evolution.structures.Lists`. `origin`
+    (P,) is the index of the file in `names` (F,). `generation` (P,) is the generation of the parents. `inputs`
+    (F, V, 16) and `target` (F, 16) are evenly spaced rows of the files.
     """
 
     names: npt.NDArray[np.str_]
@@ -49,7 +49,7 @@ class Corpus:
 
 
 def load_corpus(path: Path = CORPUS) -> Corpus:
-    """Return the corpus in `path`; raises DataError when there is none."""
+    """Return the corpus in the file `path`; raises DataError if the file is no corpus."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             return Corpus(**{field.name: arrays[field.name] for field in fields(Corpus)})

@@ -1,8 +1,8 @@
 """Accuracy and speed of the strict elementary functions: ``python -m benchmarks.kernels.elementary [POINTS]``.
 
-Accuracy in units of the last place against mpmath, largest and mean. Speed in millions of values per second of one
-core, in loops of 16 rows (a fitness predictor) and of 4096, beside a bare multiply-add and a polynomial of 44
-operations, about as many as sin has.
+Accuracy: largest and mean error against mpmath, in units of the last place. Speed: millions of values per second on one
+core, in loops over 16 rows (as in a fitness predictor) and over 4096 rows. For comparison, the program also times a
+single multiply-add and a polynomial of 44 operations; sin has about as many operations.
 """
 
 import sys
@@ -26,14 +26,14 @@ def _four_steps(value: float, x: float) -> float:
 
 @kernel
 def multiply_add_into(out: Floats, x: Floats) -> None:
-    """Write x * 0.5 + 0.25 into out."""
+    """Write x * 0.5 + 0.25 into `out`; both are (R,)."""
     for row in range(x.shape[0]):
         out[row] = x[row] * 0.5 + 0.25
 
 
 @kernel
 def polynomial_into(out: Floats, x: Floats) -> None:
-    """Write the sum of three polynomials into out: 44 operations in two long chains and a short one."""
+    """Write the sum of three polynomials into `out` (R,): 44 operations in two long chains and a short one."""
     for row in range(x.shape[0]):
         r = x[row]
         first = _four_steps(_four_steps(r, r), r)
@@ -42,7 +42,7 @@ def polynomial_into(out: Floats, x: Floats) -> None:
 
 
 def ranges(points: int) -> dict[str, dict[str, tuple[Floats, ...]]]:
-    """Return, for each function, named sets of arguments."""
+    """Return named sets of `points` arguments for each function; for pow each set has x and y."""
 
     def uniform(low: float, high: float) -> Floats:
         return np.random.default_rng(3).uniform(low, high, points)
@@ -81,7 +81,7 @@ def ranges(points: int) -> dict[str, dict[str, tuple[Floats, ...]]]:
 
 
 def repeated(loop: Callable[..., None]) -> Callable[..., None]:
-    """Return a kernel that runs `loop` many times, so that the call from the interpreter does not count."""
+    """Return a kernel that runs `loop` many times, so that the time of the call from Python is negligible."""
 
     @kernel
     def run(times: int, out: Floats, x: Floats) -> None:
@@ -97,7 +97,7 @@ def repeated(loop: Callable[..., None]) -> Callable[..., None]:
 
 
 def millions_per_second(loop: Callable[..., None], rows: int) -> float:
-    """Return the rate of the fastest repetition."""
+    """Return the millions of values per second in the fastest repetition."""
     x = np.random.default_rng(6).uniform(0.1, 3.0, rows)
     out, run, times = np.empty(rows), repeated(loop), VALUES_PER_REPETITION // rows
     run(1, out, x)
@@ -110,7 +110,7 @@ def millions_per_second(loop: Callable[..., None], rows: int) -> float:
 
 
 def print_accuracy(points: int) -> None:
-    """Print a line for each function and range."""
+    """Print a line for each function and each set of arguments."""
     print(f"{'function':9}{'arguments':29}{'largest':>9}{'mean':>8}   (ulp, {points} points)")
     for name, sets in ranges(points).items():
         for region, arguments in sets.items():

@@ -1,8 +1,8 @@
-"""The compiled loops that ``benchmarks.kernels`` times, and their plain numpy counterpart.
+"""The compiled loops that ``benchmarks.kernels`` times.
 
-`measure_into` is what the benchmark of the corpus measures: everything from operation lists to fitness, one list after
-the other, as the search does. Each loop has a twin that repeats it many times, so that a call from the interpreter does
-not count.
+The benchmark of the corpus times `measure_into`: all work from operation lists to fitness, one list after the other, as
+in the search. For each loop there is a second kernel that repeats it many times, so that the time of the call from
+Python is negligible.
 """
 
 from typing import Final, NamedTuple
@@ -22,22 +22,22 @@ _ONE: Final = np.int64(1)
 
 
 class Room(NamedTuple):
-    """Scratch of the loops."""
+    """Scratch arrays of the loops."""
 
     tape: Tape
     work: Work
     result: Floats
-    """(2,) the errors of one individual."""
+    """(2,) mean absolute and mean squared error of one individual."""
 
 
 def room_for(nodes: int, rows: Rows) -> Room:
-    """Return scratch for lists of `nodes` nodes on `rows`."""
+    """Return scratch arrays for lists of `nodes` nodes on `rows`."""
     return Room(empty_tape(nodes), empty_work(nodes, rows.length), np.zeros(2))
 
 
 @inlined
 def _evaluate(count: int, rows: Rows, room: Room) -> None:
-    """Evaluate all of the tape's nodes."""
+    """Evaluate the first `count` nodes of the tape on all `rows`."""
     tape = room.tape
     forward(
         count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, rows.inputs, rows.waves, rows.length,
@@ -47,7 +47,7 @@ def _evaluate(count: int, rows: Rows, room: Room) -> None:
 
 @inlined
 def _error(lists: Lists, p: int, count: int, rows: Rows, room: Room) -> float:
-    """Return the mean absolute error of the list that stands on the tape, evaluated."""
+    """Return the mean absolute error of list `p`, whose `count` nodes are on the tape and have been evaluated."""
     room.work.terms[0] = count - 1
     residual_of(_ONE, rows, room.work, lists.scale[p])
     errors(rows, room.work, room.result)
@@ -56,7 +56,7 @@ def _error(lists: Lists, p: int, count: int, rows: Rows, room: Room) -> float:
 
 @kernel
 def measure_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Write the mean absolute error of each list on `rows`: find its live nodes, evaluate them, compare."""
+    """Write the mean absolute error of each list on `rows`: find its live nodes, evaluate them, subtract the target."""
     for p in range(fitness.shape[0]):
         count = compile_tape(lists, p, room.tape)
         _evaluate(count, rows, room)
@@ -65,14 +65,14 @@ def measure_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
 
 @kernel
 def measure_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Do `measure_into` so many times."""
+    """Call `measure_into` as often as `times` says."""
     for _ in range(times):
         measure_into(fitness, lists, rows, room)
 
 
 @inlined
 def _sweep(count: int, tape: Tape, rows: Rows, work: Work) -> None:
-    """Carry the adjoint 1 of the last node down to all that `tape.depends` marks, over all rows."""
+    """Propagate the adjoint 1 of the last node to all nodes marked in `tape.depends`, over all rows."""
     for start in range(_ZERO, rows.length, LANES):
         for i in range(count):
             if tape.depends[i]:
@@ -85,7 +85,7 @@ def _sweep(count: int, tape: Tape, rows: Rows, work: Work) -> None:
 
 @kernel
 def differentiate_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Do what `measure_into` does and a reverse sweep to every live constant of each list."""
+    """Do the same as `measure_into`, and a reverse sweep to every live constant of each list."""
     tape = room.tape
     for p in range(fitness.shape[0]):
         count = compile_tape(lists, p, tape)
@@ -101,30 +101,30 @@ def differentiate_into(fitness: Floats, lists: Lists, rows: Rows, room: Room) ->
 
 @kernel
 def differentiate_repeatedly(times: int, fitness: Floats, lists: Lists, rows: Rows, room: Room) -> None:
-    """Do `differentiate_into` so many times."""
+    """Call `differentiate_into` as often as `times` says."""
     for _ in range(times):
         differentiate_into(fitness, lists, rows, room)
 
 
 @kernel
 def forward_repeatedly(times: int, count: int, rows: Rows, room: Room) -> None:
-    """Evaluate the first `count` nodes of the tape so many times."""
+    """Evaluate the first `count` nodes of the tape as often as `times` says."""
     for _ in range(times):
         _evaluate(count, rows, room)
 
 
 @kernel
 def gradient_repeatedly(times: int, count: int, rows: Rows, room: Room) -> None:
-    """Evaluate the tape and sweep back over it so many times."""
+    """Evaluate the first `count` nodes of the tape and sweep back over them, as often as `times` says."""
     for _ in range(times):
         _evaluate(count, rows, room)
         _sweep(count, room.tape, rows, room.work)
 
 
 def operator_tape(code: int, nodes: int, tape: Tape) -> int:
-    """Write two variables and then `nodes` nodes that apply `code` to them onto `tape`; return its length.
+    """Write two variables and then `nodes` nodes that apply operator `code` to them onto `tape`; return its length.
 
-    All are marked as depending on what is fitted, so that a reverse sweep has work at each.
+    All nodes are marked as dependent on fitted constants, so that a reverse sweep visits each of them.
     """
     count = 2 + nodes
     tape.code[:2], tape.code[2:count] = VARIABLE, code

@@ -1,6 +1,6 @@
-"""Measuring how fast kernels evaluate; ``benchmarks.kernels`` says what and prints it.
+"""Measure the speed of evaluation in the kernels; ``benchmarks.kernels`` chooses the measurements and prints them.
 
-Seconds are those that this thread had a core, so that other programs on the machine disturb little.
+All times are CPU seconds of this thread, so that other programs on the machine have little influence.
 """
 
 import time
@@ -28,12 +28,12 @@ from benchmarks.kernels.loops import (
 
 OPERATOR_NODES: Final = 30
 _LEAST_S: Final = 0.01
-"""Duration of one repetition, at least."""
+"""Shortest duration of one repetition."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The lists of the corpus that come from one file, on some rows; `live` (P,) are their sizes without dead nodes."""
+    """The lists of the corpus that come from one file, and its rows; `live` (P,) are their sizes without dead nodes."""
 
     lists: Lists
     rows: Rows
@@ -42,18 +42,18 @@ class Part:
 
     @property
     def nodes(self) -> float:
-        """Node evaluations of one pass."""
+        """Node evaluations in one pass over the lists."""
         return float(self.live.sum()) * self.rows.length
 
     @property
     def points(self) -> float:
-        """Point evaluations of one pass."""
+        """Point evaluations in one pass over the lists."""
         return float(len(self.live)) * self.rows.length
 
 
 @dataclass(frozen=True)
 class Speed:
-    """Evaluations a second of all lists on so many rows, measured one list after the other."""
+    """Evaluations per second of all lists, one list after the other, on this number of `rows`."""
 
     rows: int
     points: float
@@ -64,7 +64,7 @@ class Speed:
 
 @dataclass(frozen=True)
 class OperatorSpeed:
-    """Node evaluations a second of one operator on so many rows."""
+    """Node evaluations per second of one operator on this number of `rows`."""
 
     operator: str
     rows: int
@@ -73,7 +73,7 @@ class OperatorSpeed:
 
 
 def fastest(call: Callable[[int], object], repetitions: int) -> float:
-    """Return the seconds that one time takes when ``call(times)`` does something `times` times, once compiled."""
+    """Return the seconds of one iteration, where ``call(times)`` does `times` iterations; compilation not included."""
     call(1)
     times = 1
     while (seconds := _timed(call, times)) < _LEAST_S:
@@ -88,7 +88,7 @@ def _timed(call: Callable[[int], object], times: int) -> float:
 
 
 def parts_of(corpus: Corpus, rows: int) -> list[Part]:
-    """Return the corpus by file, each on its rows repeated until there are `rows`."""
+    """Return the corpus by file; the 16 rows of each file are repeated until there are `rows` rows."""
     parts = []
     for file in range(len(corpus.names)):
         lists = corpus.lists_of(file)
@@ -112,7 +112,7 @@ def _passes(loop: Callable[..., None], part: Part) -> Callable[[int], None]:
 
 
 def speed(parts: Sequence[Part], repetitions: int) -> Speed:
-    """Measure all lists on the rows of `parts`."""
+    """Return the speed of all lists on the rows of `parts`, without and with gradient."""
     points, nodes = sum(part.points for part in parts), sum(part.nodes for part in parts)
     forward, gradient = (seconds(loop, parts, repetitions) for loop in (measure_repeatedly, differentiate_repeatedly))
     return Speed(parts[0].rows.length, points / forward, nodes / forward, points / gradient, nodes / gradient)

@@ -18,21 +18,21 @@ TLS_OPTIONS: Final = {
     "--tls-cert": ("ATOLL_TLS_CERT", "our certificate"),
     "--tls-key": ("ATOLL_TLS_KEY", "the certificate's private key, unencrypted"),
 }
-"""The option of each file, the environment variable in its place, and the file (all PEM)."""
+"""By option: the environment variable that replaces it, and the content of the file (all files are PEM)."""
 
 _UNITS: Final = {"": 1.0, "ms": 1e-3, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 
 class Parser(argparse.ArgumentParser):
-    """Raises UsageError where argparse would print its usage and exit; options are not abbreviated."""
+    """Raises UsageError where argparse would print its usage and exit; abbreviated options are refused."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings)
 
-    def parse_args(  # type: ignore[override]  # of the overloads this one is used
+    def parse_args(  # type: ignore[override]  # only this overload is used
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> argparse.Namespace:
-        """Parse the words; raises UsageError, for an unknown option with a similar one."""
+        """Parse the words of a command line; raises UsageError, which suggests an option similar to an unknown one."""
         options, left = self.parse_known_args(args, namespace or argparse.Namespace())
         if left:
             used = self._used(options)
@@ -71,7 +71,7 @@ def unwritable(error: OSError) -> AtollError:
 
 
 def _reworded(message: str) -> tuple[str, str]:
-    """Return argparse's message in the order found, expected; and a suggestion."""
+    """Return argparse's message in our order (what was found, what was expected), and a suggestion or ""."""
     choice = re.fullmatch(r"argument (.+): invalid choice: (.+) \(choose from (.+)\)", message)
     if choice:
         known = [word.strip("' ") for word in choice[3].split(",")]
@@ -109,7 +109,7 @@ def duration(text: str) -> float:
 
 
 def seconds(text: str) -> float:
-    """Return a number of seconds, at least 0; raises ArgumentTypeError."""
+    """Return the number of seconds in `text`, at least 0; raises ArgumentTypeError."""
     try:
         number = float(text)
     except ValueError:

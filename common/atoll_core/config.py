@@ -18,7 +18,8 @@ Agreement = Literal["difference", "relative"]
 BASE_OPERATORS: Final = ("+", "-", "*", "/", "sin", "cos")
 """Operators with which a search begins."""
 FURTHER_OPERATORS: Final = ("exp", "log", "sqrt", "abs", "tanh", "pow")
-"""Also tried where no operators are named and `BASE_OPERATORS` may not give the shortest description."""
+"""Operators that are tried, too, if the user names no operators and `BASE_OPERATORS` may not give the shortest
+description."""
 
 PAPER_TERMINALS = 7
 TERMINALS_BEYOND_VARIABLES = 5

@@ -1,4 +1,4 @@
-"""The one tree of errors. Every message is one sentence: what was found, what was expected, what to do."""
+"""The tree of all errors. Every message is one sentence: what was found, what was expected, what to do."""
 
 import errno
 from typing import Final, NamedTuple
@@ -13,12 +13,12 @@ _PASSING: Final = frozenset({
 
 
 def may_pass(error: OSError) -> bool:
-    """Tell whether an operation may succeed later with the same options, as after a full disk."""
+    """Tell whether an operation may succeed later with the same options, as when a full disk has room again."""
     return error.errno in _PASSING
 
 
 class Field(NamedTuple):
-    """An option, perhaps with a value: `order=2` in Python is ``--order 2`` on the command line."""
+    """An option, with or without a value: `order=2` in Python is ``--order 2`` on the command line."""
 
     name: str
     value: object = None
@@ -45,9 +45,10 @@ class AtollError(Exception):
     exit_code = 1
 
     def __init__(self, sentence: str = "", *parts: object, python: str = "", command: str = "") -> None:
-        """Take the sentence, or its beginning and its ends for Python and for the command line.
+        """Take the whole sentence, or its beginning with different ends: `python` and `command` (for the command line).
 
-        `parts` replace ``%s`` in it; a `Field` is written as each side writes it.
+        `parts` replace ``%s`` in `sentence`; a `Field` is written as a keyword in Python and as an option on the
+        command line.
         """
         self.fields = tuple(part.name for part in parts if isinstance(part, Field))
         in_python = on_command_line = sentence
@@ -89,7 +90,7 @@ class RefusedError(AtollError):
 
 
 class UnknownJobError(RefusedError):
-    """Raised when there is no such job, or none that this user may see."""
+    """Raised when there is no such job, or when this user may not see it."""
 
 
 class TableMissingError(RefusedError):
@@ -105,10 +106,10 @@ class RemoteProtocolError(AtollError):
 
 
 class StoreError(AtollError):
-    """Raised when the coordinator's store cannot be opened, read or written, perhaps only now: a full disk."""
+    """Raised when the coordinator's store cannot be opened, read or written, perhaps for a short time (full disk)."""
 
 
 class WrongStoreError(StoreError):
-    """Raised when a path is no store, no store of this version, or exists already: name something else."""
+    """Raised when a path is no store, no store of this version, or exists already: name another path."""
 
     exit_code = 2

@@ -37,7 +37,7 @@ def about(**values: object) -> Iterator[None]:
 
 
 def fields(**values: object) -> dict[str, object]:
-    """Return the fields of a line, without those that are None, as a log call takes them (`extra`)."""
+    """Return the fields of a line as the argument `extra` of a log call; fields with the value None are left out."""
     return {_KEY: _without_none(values)}
 
 
@@ -115,7 +115,7 @@ def _time(record: logging.LogRecord) -> str:
 
 
 def _quoted(value: object) -> str:
-    """Return a value as text that a space or line end cannot break out of."""
+    """Return a value as text, quoted if it has spaces, quotes, = or characters that cannot be printed."""
     text = f"{value:.3f}" if isinstance(value, float) else without_secrets(str(value))
     is_plain = text.isprintable() and text and not set(text) & set(" \"'=")
     return text if is_plain else json.dumps(text, ensure_ascii=False)

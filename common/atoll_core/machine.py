@@ -28,7 +28,7 @@ _VARIABLES: Final[Mapping[str, tuple[str, str | None]]] = {
     "lsf": ("LSB_JOBID", None),
     "sge": ("JOB_ID", "SGE_ROOT"),
 }
-"""The variable with the id, and another one that must be set for it to have this meaning."""
+"""By batch system: the variable with the job's id, and another variable that must be set, too (None: no other)."""
 
 _IN_NAME: Final = re.compile(rf"-(?:{'|'.join(_VARIABLES)})([0-9]+)-")
 
@@ -43,7 +43,7 @@ def batch_job(environment: Mapping[str, str]) -> str:
 
 
 def job_of(worker: str) -> str | None:
-    """Return the number of the batch job in a worker's name, where ``coordinator adapt`` looks for it; None without."""
+    """Return the number of the batch job in a worker's name, None without one; ``coordinator adapt`` needs it."""
     found = _IN_NAME.search(worker)
     return found[1] if found else None
 
@@ -70,7 +70,7 @@ def affinity() -> int:
 
 
 def cgroup_quota(own: Path = _OWN_CGROUP, root: Path = _CGROUPS) -> float | None:
-    """Return the smallest CPU quota, in cores, of this process's control group and those above it; None without one."""
+    """Return the smallest CPU quota, in cores, of this process's control group and its parents; None without one."""
     quotas = []
     for folder in _folders(own, root):
         version_2 = _read(folder / "cpu.max").split()
@@ -107,7 +107,7 @@ _MOUNTS: Final = Path("/proc/self/mounts")
 
 
 def file_system(place: Path, mounts: Path = _MOUNTS) -> str | None:
-    """Return the kind of file system of an existing or future `place`; None if unknown (known only on Linux)."""
+    """Return the kind of file system of an existing or future `place`, such as ``nfs``; None if unknown (not Linux)."""
     kinds = {}
     with contextlib.suppress(OSError):
         for line in mounts.read_text("utf-8", "replace").splitlines():
@@ -161,12 +161,13 @@ CORE_TYPES: Final[Mapping[str, str]] = {"x86_64": "Nehalem", "amd64": "Nehalem"}
 
 
 def use_common_instructions(environment: MutableMapping[str, str], machine: str | None = None) -> None:
-    """Make numpy's and scipy's linear algebra use the same instructions on all processors of a kind; before importing.
+    """Make numpy's and scipy's linear algebra use the same instructions on all processors of a kind.
 
-    OpenBLAS has kernels for each processor, which add in different orders. The kernels of the oldest processor that
-    numpy supports run on all later ones; matrices here are small, so that newer kernels would save little. One thread,
-    because the order of additions depends on the number of threads. Variables that the user has set stay as they are.
-    `machine` is the kind of processor as in `platform.machine` (default: this machine's).
+    Call it before importing numpy. OpenBLAS has kernels for each processor, which add in different orders. The kernels
+    of the oldest processor that numpy supports run on all later ones; matrices here are small, so that newer kernels
+    would save little time. OpenBLAS gets one thread, because the order of additions depends on the number of threads.
+    Variables that the user has set stay as they are. `machine` is the kind of processor as in `platform.machine`
+    (default: this machine's).
     """
     core = CORE_TYPES.get((machine or platform.machine()).lower())
     if core is not None:
@@ -180,7 +181,7 @@ _STATM: Final = Path("/proc/self/statm")
 
 
 def memory_bytes() -> int:
-    """Return the memory that this process uses in bytes; where that is not known (not Linux), its maximum so far."""
+    """Return the memory that this process uses now, in bytes; its maximum so far if that is not known (not Linux)."""
     try:
         return int(_STATM.read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError):

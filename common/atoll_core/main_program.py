@@ -1,4 +1,4 @@
-"""Start and end of both programs: standard streams, errors as sentences. Few imports."""
+"""Start and end of both programs: standard streams, exit codes, error messages. Few imports."""
 
 import contextlib
 import importlib
@@ -30,7 +30,7 @@ def run_program(module: str) -> NoReturn:
 
 
 def exit_code_of(work: Callable[[], int], complain: Callable[[str], object]) -> int:
-    """Do `work` and return its exit code, or call `complain` with the sentence of an error and return its exit code."""
+    """Do `work` and return its exit code; for an error, call `complain` with its sentence and return its exit code."""
     from atoll_core.errors import AtollError
 
     try:

@@ -10,7 +10,7 @@ from typing import Final
 from atoll_core.errors import UsageError
 
 _LIKENESS: Final = 0.6
-"""Least share of characters that two similar names have in common, in order, as `difflib` measures it."""
+"""Smallest share of characters that two similar names have in common, in order, as `difflib` measures it."""
 
 
 def similar_file(path: Path) -> str:
@@ -33,10 +33,10 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 _LONGEST: Final = 40
-"""Characters of a value that a sentence shows."""
+"""Largest number of characters of a value in a sentence."""
 _MOST_LINES: Final = 20
 _WIDEST: Final = 160
-"""Most lines, and most characters of a line, of a value in a notebook."""
+"""Largest number of lines, and of characters in a line, of a value in a notebook."""
 
 
 _SPECIAL: Final = re.compile(r"[^\x20-\x7e\t\n\r]|\r(?!\n)")

@@ -77,7 +77,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def raising_interrupts() -> AbstractContextManager[None]:
-    """Return a context that raises KeyboardInterrupt for Ctrl-C, SIGTERM and hang-up alike, also in the background."""
+    """Return a context that raises KeyboardInterrupt for Ctrl-C, SIGTERM and hang-up, also in the background."""
     return handling(dict.fromkeys((signal.SIGINT, *termination_signals()), _interrupt))
 
 

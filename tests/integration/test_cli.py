@@ -121,7 +121,7 @@ def test_a_worker_that_dies_is_said_and_started_again_as_long_as_somebody_watche
         _, err = finish(process)
         assert until(lambda: not workers_of(tmp_path))
     assert process.returncode == 1
-    assert "the process that watches over the workers has ended" in err
+    assert "the supervisor process of the workers has ended" in err
 
 
 def test_nobody_at_the_address_is_exit_code_3_within_seconds(tmp_path: Path) -> None:

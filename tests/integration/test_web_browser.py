@@ -57,7 +57,7 @@ def test_a_file_is_dropped_corrected_watched_and_reported(stage: Stage) -> None:
         tab.get_by_text("cordoned").first.wait_for()
         tab.get_by_role("link", name="Coordinator").click()
         tab.get_by_role("button", name="Pause the queue").click()
-        tab.get_by_role("button", name="Let the queue go on").wait_for()
+        tab.get_by_role("button", name="Resume the queue").wait_for()
         check(tab, "light")
 
 
@@ -118,7 +118,7 @@ def test_a_death_and_its_recovery_are_seen_and_another_job_is_cancelled(stage: S
             stage.page.ask("POST", f"jobs/{again}/cancel")
             tab.goto(f"{stage.page.base}/#/jobs/other")
             tab.get_by_role("button", name="Cancel").click()
-            tab.get_by_role("button", name="Yes, end it").click()
+            tab.get_by_role("button", name="Yes, cancel it").click()
             tab.get_by_text("cancelled").first.wait_for()
             stage.page.ask("POST", "jobs/long/cancel")
             tab.goto(f"{stage.page.base}/#/compare?a=long&b=other")
@@ -153,5 +153,5 @@ def test_without_a_token_the_page_only_looks(stage: Stage) -> None:
         tab = stage.browser.new_context().new_page()
         stage.tabs.append(tab)
         tab.goto(f"{stage.page.base}/#/jobs/j1")
-        tab.get_by_text("looking only", exact=False).first.wait_for()
+        tab.get_by_text("read only", exact=False).first.wait_for()
         assert tab.get_by_role("button", name="Cancel").count() == 0

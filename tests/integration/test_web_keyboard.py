@@ -158,7 +158,7 @@ def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stag
         assert keys.press("Enter")["text"] == "No"  # type: ignore[index]
         assert keys.press("Escape")["text"] == "Cancel"  # type: ignore[index]
         keys.press("Enter")
-        keys.to("Yes, end it", "Shift+Tab")
+        keys.to("Yes, cancel it", "Shift+Tab")
         tab.keyboard.press("Space")
         tab.get_by_role("link", name="Submit again").wait_for()
         until(lambda: stage.page.state("long") == "cancelled")

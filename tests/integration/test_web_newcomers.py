@@ -114,8 +114,8 @@ def test_errors_have_buttons_that_mend_them_and_sites_their_names(stage: Stage) 
         assert tab.get_by_text("No file chosen").count() == 0
         tab.get_by_text("data", exact=False).filter(has_text="options").first.click()
         tab.get_by_text("Constants may differ between runs").wait_for()
-        tab.get_by_label("Trajectories held out to judge by").fill("2")
-        mending.get_by_role("button", name="Take back “Trajectories held out to judge by”").click()
+        tab.get_by_label("Held-out trajectories, to test the model").fill("2")
+        mending.get_by_role("button", name="Remove “Held-out trajectories, to test the model”").click()
         tab.get_by_text("Nordmoor, Nordmoor").wait_for()
         mending.wait_for(state="hidden")
         expected(stage, 422)
@@ -178,10 +178,10 @@ def test_who_has_no_token_gives_it_in_a_field(stage: Stage) -> None:
         assert tab.get_by_text("Loading…").count() == 0
         check(tab)
         tab.get_by_label("Token").fill("another-wrong-token")
-        tab.get_by_role("button", name="Go on").click()
+        tab.get_by_role("button", name="Continue").click()
         tab.get_by_text("This token is not known", exact=False).wait_for()
         tab.get_by_label("Token").fill(f"{stage.page.base}/?token={TOKEN}")
-        tab.get_by_role("button", name="Go on").click()
+        tab.get_by_role("button", name="Continue").click()
         tab.get_by_text("signed in").wait_for()
         tab.get_by_role("heading", name="No jobs yet").wait_for()
         expected(stage, 401)
@@ -197,7 +197,7 @@ def test_a_view_that_could_not_be_loaded_comes_by_itself(stage: Stage) -> None:
         tab.get_by_text("The service does not answer", exact=False).first.wait_for()
         assert tab.get_by_text("Loading…").count() == 0
         tab.unroute_all()
-        tab.get_by_text("takes up jobs").wait_for()
+        tab.get_by_text("starts jobs").wait_for()
         tab.get_by_text("The page shows the last known state", exact=False).wait_for(state="detached")
 
 
@@ -278,7 +278,7 @@ def test_the_manager_of_a_lab_with_certificates_a_page_and_a_killed_coordinator(
             tab.goto(page.base)
             tab.get_by_role("heading", name="Enter the token").wait_for()  # no jobs, and no eternal "Loading…"
             tab.get_by_label("Token").fill(token)
-            tab.get_by_role("button", name="Go on").click()
+            tab.get_by_role("button", name="Continue").click()
             tab.get_by_text("ann").first.wait_for()
             page.submit("overnight", target_error="1e-300", max_epochs="100000")
             tab.get_by_text("overnight").first.wait_for()
@@ -293,7 +293,7 @@ def test_the_manager_of_a_lab_with_certificates_a_page_and_a_killed_coordinator(
                 )
                 tab.get_by_text("running").first.wait_for()
                 tab.get_by_role("button", name="Cancel").click()
-                tab.get_by_role("button", name="Yes, end it").click()
+                tab.get_by_role("button", name="Yes, cancel it").click()
                 tab.get_by_text("cancelled").first.wait_for(timeout=2 * LIMIT_MS)
                 tab.get_by_role("link", name="Workers").click()
                 tab.get_by_text("worker-joined").first.wait_for()

@@ -16,7 +16,7 @@ WALL_CLOCKS = {
 FOR_PEOPLE = {
     "common/atoll_core/logs.py": {"_time"},
     "common/atoll_core/wire/security/credentials.py": {"load"},
-    "coordinator/atoll/cli/doctor.py": {"_greeted", "check_certificates"},
+    "coordinator/atoll/cli/doctor.py": {"_greeting_findings", "check_certificates"},
     "coordinator/atoll_coordinator/service/tasks/background.py": {"iso_now"},
     "island_worker/atoll_island_worker/job_logs.py": {"line_of"},
 }

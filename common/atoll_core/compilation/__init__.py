@@ -1,1 +1,1 @@
-"""Kernels as machine code: `jit` compiles them, `cache` says where they are kept and compiles them once a machine."""
+"""Kernels as machine code: `jit` compiles them. `cache` chooses their folder and compiles them once per machine."""

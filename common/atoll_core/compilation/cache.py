@@ -1,16 +1,15 @@
-"""Compiling the kernels of a package once per machine, where the compiled kernels are kept, and how progress is shown.
+"""Compile the kernels of a package once per machine; choose the folder of the compiled kernels; show the progress.
 
-There is one folder per package and digest of all source text that is compiled into its kernels. Checkouts, wheels and
-copies with equal sources therefore share machine code, machine code of other sources is never loaded, and a change of
-one program's kernels keeps the other's compiled. A marker file says that all kernels of the package have been compiled,
-one for each kind of processor and compiler. If several processes find nothing compiled, one compiles while the others
-wait and then load.
+There is one folder for each package and each digest of all source text that is compiled into its kernels. Checkouts,
+wheels and copies with equal sources therefore share machine code. Machine code of other sources is never loaded. A
+change in the kernels of one program leaves the kernels of the other program compiled. A marker file for each kind of
+processor and compiler says that all kernels of the package have been compiled. If several processes find nothing
+compiled, one process compiles. The others wait and then load.
 """
 
 import contextlib
 import functools
 import hashlib
-import importlib
 import os
 import platform
 import re
@@ -39,12 +38,18 @@ _COMPILED_IN: Final = {
 }
 """Other files whose constants and types are compiled into the kernels."""
 
+on_ready: Final[list[Callable[[], None]]] = []
+"""Callbacks that `jit` calls after each kernel that was compiled, or loaded from the cache."""
+
 _CPU_INFO: Final = Path("/proc/cpuinfo")
 _SETTINGS: Final = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCHECK")
 
 
 def packages_compiled_into(package: str) -> tuple[str, ...]:
-    """Return the packages whose kernels may be compiled into the kernels of `package`; all for tests and the like."""
+    """Return the packages whose kernels may be compiled into the kernels of `package`.
+
+    For a package that is not in `ALL`, such as the tests, these are all packages in `ALL`.
+    """
     return tuple(dict.fromkeys(("atoll_core", package))) if package in ALL else ALL
 
 
@@ -71,7 +76,7 @@ def _folder(package: str) -> Path:
 
 
 def cache_directory(package: str) -> Path:
-    """Return where the compiled kernels of a package lie: ``ATOLL_KERNEL_CACHE``, else the user's cache directory."""
+    """Return the folder of a package's compiled kernels, in ``ATOLL_KERNEL_CACHE`` or the user's cache directory."""
     chosen = os.environ.get("ATOLL_KERNEL_CACHE")
     base = Path(chosen) if chosen else user_folder("XDG_CACHE_HOME", ".cache") / "atoll"
     return base / f"{package}-{_digest(package)}"
@@ -83,27 +88,27 @@ def _digest(package: str) -> str:
 
 
 def is_compiled(package: str) -> bool:
-    """Return whether the kernels of a package have been compiled for this machine, and so need only be loaded."""
+    """Return whether the kernels of a package have been compiled for this machine, so that they are only loaded."""
     return marker(package).exists()
 
 
 def marker(package: str) -> Path:
-    """Return the file that is there once the kernels of a package have been compiled for this machine."""
+    """Return the file that exists if all kernels of a package have been compiled for this machine."""
     return cache_directory(package) / f"ready-{_machine()}"
 
 
 def _machine() -> str:
-    """Return a name for everything, apart from the text of the kernels, by which numba finds its machine code."""
+    """Return a digest of all facts, except the source text of the kernels, by which numba finds its machine code."""
     parts = [platform.python_version(), platform.machine(), _processor()]
     parts += [version(name) for name in ("numba", "llvmlite", "numpy")]
     parts += [f"{name}={os.environ.get(name, '')}" for name in _SETTINGS]
-    if sys.flags.optimize >= 2:  # without docstrings bytecode is another, by which numba finds its machine code
+    if sys.flags.optimize >= 2:  # numba finds its machine code by the bytecode, which differs without docstrings
         parts.append("without docstrings")
     return hashlib.blake2b("\n".join(parts).encode(), digest_size=8).hexdigest()
 
 
 def _processor() -> str:
-    """Return the kind of processor that is compiled for: this machine's, unless another was chosen."""
+    """Return the kind of processor that numba compiles for: this machine's, unless the environment sets another."""
     if os.environ.get("NUMBA_CPU_NAME") and "NUMBA_CPU_FEATURES" in os.environ:
         return "chosen"  # its name and features are among the settings
     with contextlib.suppress(OSError):
@@ -116,25 +121,25 @@ _COUNT: Final = re.compile(r"(\d+) of (\d+) compiled")
 
 
 def sentence_of(done: int, kernels: int) -> str:
-    """Return the sentence for `done` of `kernels`."""
+    """Return the progress message for `done` compiled kernels of all `kernels`."""
     return f"compiling kernels, only once on this machine: {done} of {kernels} compiled"
 
 
 def count_of(sentence: str) -> tuple[int, int] | None:
-    """Return the numbers of compiled kernels and of all kernels that a sentence names; None when it names no count."""
+    """Return the numbers of compiled kernels and of all kernels in a progress message; None if it has no numbers."""
     match = _COUNT.search(sentence)
     return (int(match[1]), int(match[2])) if match else None
 
 
 class WarmUpDisplay:
-    """Shows the sentences of warm-ups on stderr: bars on a terminal, else only the first and the last of a count."""
+    """Shows the messages of warm-ups on stderr: progress bars on a terminal, else the first and the last count only."""
 
     def __init__(self) -> None:
         self._bars: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
 
     def __call__(self, sentence: str, of: str = "") -> None:
-        """Show a sentence; `of` names one of several warm-ups."""
+        """Show a message; `of` names one of several warm-ups."""
         done, kernels = count_of(sentence) or (0, 0)
         if kernels and sys.stderr.isatty():
             self._draw(done, kernels, of)
@@ -157,24 +162,18 @@ class WarmUpDisplay:
             self._tasks.clear()
 
 
-_ADVICE: Final = "install a version from 0.63 to 0.68"
-
 Report = Callable[[str], None]
 
 
 def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, report: Report) -> None:
-    """Compile or load all kernels of `package`, which `exercise` runs. Does nothing with ``NUMBA_DISABLE_JIT``.
+    """Compile or load all kernels of `package` by running `exercise`. Do nothing with ``NUMBA_DISABLE_JIT``.
 
-    `exercise` compiles or loads this number of `kernels`, each with the types of its arguments in use. `report` is
-    called with a sentence before the first compilation and after each kernel, or when this process waits. Raises
-    AtollError where the cache of compiled kernels cannot be written, or this numba lacks a part that `jit` builds on.
+    `exercise` calls every kernel with the types of arguments that the program uses. Numba then compiles or loads as
+    many functions as `kernels` says. `report` is called with a message before the first compilation and after each
+    kernel, or if this process waits. Raises AtollError if the cache of compiled kernels cannot be written.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
-    try:
-        importlib.import_module("atoll_core.compilation.jit")
-    except (AttributeError, ImportError) as error:
-        raise AtollError(f"kernels cannot be compiled with numba {version('numba')} ({error}); {_ADVICE}") from error
     if not is_compiled(package):  # otherwise a read-only folder is enough
         with _locked(_make(cache_directory(package)) / "lock", report):
             if not is_compiled(package):
@@ -200,15 +199,13 @@ def _make(directory: Path) -> Path:
 
 @contextlib.contextmanager
 def _counted(kernels: int, report: Report) -> Iterator[None]:
-    """Report how many kernels are compiled, at the beginning, after each, and at the end."""
-    from atoll_core.compilation.jit import on_ready
-
+    """Report how many kernels are compiled: at the beginning, after each kernel, and at the end."""
     done = 0
 
     def count() -> None:
         nonlocal done
         done += 1
-        if done < kernels:  # the last is reported below, since some may have been ready before
+        if done < kernels:  # the last count is reported below, since some kernels may have been ready before
             report(sentence_of(done, kernels))
 
     report(sentence_of(0, kernels))
@@ -222,7 +219,7 @@ def _counted(kernels: int, report: Report) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _locked(path: Path, report: Report) -> Iterator[None]:
-    """Hold the machine's one lock on compiling; the system gives it back should the holder die."""
+    """Hold the lock file at `path`, so that one process compiles; the system frees the lock when a process dies."""
     import fcntl
 
     with path.open("w") as file:

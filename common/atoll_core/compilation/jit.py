@@ -1,56 +1,60 @@
-"""The one place where numba is chosen and configured: strict IEEE arithmetic, cached machine code, no GIL.
+"""The only module that imports and configures numba: strict IEEE arithmetic, cached machine code, no GIL.
 
-No fast-math and no contraction, so that one seed gives one answer on every processor (ADR 0002). Kernels stay in the
-subset of Python that also runs interpreted (``NUMBA_DISABLE_JIT=1``), which the oracles and the coverage run use.
-Machine code is found by the text of its sources, wherever these lie (ADR 0011); numba's caches of other programs in
-the same process are left alone.
+Fast-math and contraction are off, so that one seed gives one answer on every processor (ADR 0002). Kernels use the
+subset of Python that also runs interpreted (``NUMBA_DISABLE_JIT=1``); the oracles and the coverage run use this mode.
+Machine code is found by the text of its sources and not by their folder (ADR 0011). Numba's caches for other programs
+in the same process are not changed.
 """
 
 import functools
 import hashlib
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
-import numba
-import numba._dispatcher
-import numba.core.caching
-import numba.core.ccallback
-import numba.core.cgutils
-import numba.core.compiler
-import numba.core.dispatcher
-import numba.core.registry
-import numba.core.runtime
-import numba.core.sigutils
-import numba.extending
+from atoll_core.compilation.cache import cache_directory, on_ready
+from atoll_core.errors import AtollError
 
-from atoll_core.compilation.cache import cache_directory
+try:
+    import numba
+    import numba._dispatcher
+    import numba.core.ccallback
+    import numba.core.cgutils
+    import numba.core.compiler
+    import numba.core.runtime
+    import numba.core.sigutils
+    import numba.extending
+    from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+    from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]  # numba has no types
+    from numba.core.registry import CPUDispatcher
+except ImportError as error:
+    raise AtollError(
+        f"kernels cannot be compiled with numba {version('numba')} ({error}); install a version from 0.63 to 0.68"
+    ) from error
 
 IS_COMPILED = not numba.config.DISABLE_JIT
-"""Whether kernels are machine code; else they run as the Python they are."""
+"""Whether kernels are compiled to machine code; else they run as interpreted Python."""
 
 types = numba.types
 cgutils = numba.core.cgutils
 intrinsic: Callable[[Callable[..., Any]], Any] = numba.extending.intrinsic
 
 _entry_points: Final[dict[tuple[Any, ...], Callable[..., Any]]] = {}
-"""By kernel and the fingerprints of its arguments' types."""
-
-on_ready: Final[list[Callable[[], None]]] = []
-"""Functions that are called whenever a kernel has been compiled, or loaded from the cache."""
+"""Machine code by kernel and the fingerprints of its arguments' types."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _STRICT: Final = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
 _BARE: Final = {**_STRICT, "_nrt": False}
-"""Without numba's run-time counting of references: kernels make no arrays, and the count of an array handed on, an
-atomic instruction, took more time than the work."""
+"""Without numba's reference counting at run time. Kernels allocate no arrays, and each array that was passed on cost
+an atomic instruction, which took more time than the work itself."""
 
 
 def kernel(function: F) -> F:
     """Compile `function` on first call: strict arithmetic, numpy's division rules, GIL released, cached on disk.
 
-    It must not make arrays: what it needs is handed to it.
+    The function must not allocate arrays: the caller passes scratch arrays as arguments.
     """
     return cast(F, _Kernel(function, _BARE)) if IS_COMPILED else function
 
@@ -58,9 +62,10 @@ def kernel(function: F) -> F:
 def entry_point(function: F, *arguments: object) -> F:
     """Return the machine code of a kernel for arguments of the types of `arguments`; interpreted: the kernel itself.
 
-    It does not look at types again, which for the hundred arrays of an island takes as long as a generation. Whoever
-    calls it answers for them. Types that were there before are known by their fingerprints, as they are when numba
-    calls a kernel itself: that takes 0.05 ms, and numba's `typeof` 3 ms, for each kernel of each island.
+    The machine code does not check the types of its arguments, because for the hundred arrays of an island this check
+    takes as long as a generation. The caller must pass arguments of the same types. Types that occurred before are
+    recognised by their fingerprints, as in numba's own calls. This takes 0.05 ms for each kernel of each island;
+    numba's `typeof` takes 3 ms.
     """
     if not IS_COMPILED:
         return function
@@ -71,17 +76,17 @@ def entry_point(function: F, *arguments: object) -> F:
 
 
 def allocating_kernel(function: F) -> F:
-    """Compile `function` as `kernel` does; it may make arrays."""
+    """Compile `function` as `kernel` does; the function may allocate arrays."""
     return cast(F, _Kernel(function, _STRICT)) if IS_COMPILED else function
 
 
 def inlined(function: F) -> F:
-    """Compile `function` into its callers, whatever its size: loops over it can then be vectorised."""
+    """Compile `function` into its callers, whatever its size, so that loops that call it can be vectorised."""
     return cast(F, _Kernel(function, {**_BARE, "forceinline": True})) if IS_COMPILED else function
 
 
 def callback(signature: str, function: F) -> Any:
-    """Compile `function` apart from its callers, which reach it by its ``address``: once, not in each of them."""
+    """Compile `function` once, instead of again in each caller; callers call it at the ``address`` of the result."""
     options = {"nopython": True, "error_model": "numpy", "fastmath": False}
     result = numba.core.ccallback.CFunc(function, numba.core.sigutils.normalize_signature(signature), {}, options)
     result._cache = _Cache(function)
@@ -89,14 +94,14 @@ def callback(signature: str, function: F) -> Any:
     return result
 
 
-class _CalleeCompiler(numba.core.dispatcher._FunctionCompiler):  # type: ignore[misc]  # numba has no types
+class _CalleeCompiler(_FunctionCompiler):  # type: ignore[misc]  # numba has no types
     def _customize_flags(self, flags: Any) -> Any:
         flags.no_compile = flags.no_cpython_wrapper = True
         return flags
 
 
-class _Callee(numba.core.registry.CPUDispatcher):  # type: ignore[misc]
-    """A function as its compiled callers see it: optimised, to be linked into them, and never made machine code."""
+class _Callee(CPUDispatcher):  # type: ignore[misc]
+    """A function for its compiled callers: optimised LLVM code that is linked into them, no machine code of its own."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         super().__init__(function, targetoptions=options)
@@ -112,11 +117,13 @@ class _Callee(numba.core.registry.CPUDispatcher):  # type: ignore[misc]
         return self.overloads[numba.core.sigutils.normalize_signature(signature)[0]].library
 
 
-class _Kernel(numba.core.registry.CPUDispatcher):  # type: ignore[misc]
-    """A function to be called from Python, and from other kernels: two thirds of numba's own time to compile both ways.
+class _Kernel(CPUDispatcher):  # type: ignore[misc]
+    """A function that Python and other kernels can call.
 
-    What another kernel calls is compiled for it alone, once for each type of arguments whatever constants they are, and
-    neither wrapped for Python nor cached: it is part of the caller's machine code.
+    For calls from other kernels the function is compiled once for each combination of argument types; constants do not
+    make a type of their own. The result is not wrapped for Python and not cached, because it becomes part of the
+    caller's machine code. Compiling a function for both kinds of calls takes two thirds of the time that numba's own
+    dispatcher takes.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
@@ -131,8 +138,8 @@ class _Kernel(numba.core.registry.CPUDispatcher):  # type: ignore[misc]
         return self._callee.get_overload(signature)
 
 
-class _Locator(numba.core.caching._CacheLocator):  # type: ignore[misc]
-    """The place of one function's machine code: a file in its package's folder, named by module and line."""
+class _Locator(_CacheLocator):  # type: ignore[misc]
+    """The place of one function's machine code: a file in the folder of its package, named by module and line."""
 
     def __init__(self, function: Callable[..., Any], file: str) -> None:
         self._package, _, self._module = function.__module__.partition(".")
@@ -143,7 +150,7 @@ class _Locator(numba.core.caching._CacheLocator):  # type: ignore[misc]
         return str(cache_directory(self._package))
 
     def get_source_stamp(self) -> str:
-        """Return a digest of the file, for what is not in a folder of kernels, such as tests."""
+        """Return a digest of the source file, for functions that are not in a folder ``kernels``, such as tests."""
         return _digest(self._py_file)
 
     def get_disambiguator(self) -> str:
@@ -159,18 +166,18 @@ def _digest(file: str) -> str:
     return hashlib.blake2b(Path(file).read_bytes(), digest_size=8).hexdigest()
 
 
-class _Results(numba.core.caching.CompileResultCacheImpl):  # type: ignore[misc]
+class _Results(CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Locator,)
 
 
-class _Cache(numba.core.caching.FunctionCache):  # type: ignore[misc]
+class _Cache(FunctionCache):  # type: ignore[misc]
     _impl_class = _Results
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return what has been compiled before, None if it has not been.
+        """Return the cached compilation, None if there is none.
 
-        Machine code needs numba's run-time system, but none of what numba knows of Python and numpy, which takes as
-        long to load as all kernels: that is left to compiling.
+        Machine code needs numba's run-time system only. Numba's knowledge about Python and numpy takes as long to load
+        as all kernels, so it is loaded (`refresh`) only if the function must be compiled.
         """
         numba.core.runtime.rtsys.initialize(target)
         with self._guard_against_spurious_io_errors():

@@ -110,7 +110,7 @@ class Dataset:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Keep which warnings are notes: the bytes of a dataset do not hold it."""
+        """Store which warnings are notes: the bytes of a dataset do not contain this distinction."""
         object.__setattr__(self, "notes", tuple(dict.fromkeys((*self.notes, *notes_of(self.warnings)))))
 
     @property

@@ -21,7 +21,7 @@ from atoll_core.wire.codec import BROKEN, decode_arrays, encode_arrays
 
 S = TypeVar("S", bound=np.generic)
 MANY = 5
-"""Most rows that a message names before their total number."""
+"""Largest number of rows that a message lists; then it gives their total number."""
 MIDNIGHT: Final = "midnight"
 
 

@@ -1,7 +1,8 @@
 """Derivatives of programs, as programs: reverse-mode differentiation with the table of operators.
 
-The partial derivatives of the table are called with nodes of a program under construction, on which arithmetic adds
-further nodes. Derivatives by constants are derivatives by variables in their places, see `with_variables`.
+The partial derivatives of the table are called with nodes of a program under construction; arithmetic on these nodes
+adds further nodes. For derivatives with respect to constants, replace the constants by variables first, see
+`with_variables`.
 """
 
 from collections.abc import Callable
@@ -15,10 +16,10 @@ from atoll_core.expression.program import Program, ProgramBuilder, constant_plac
 
 
 def derivative(program: Program, variable: int) -> Program:
-    """Return the derivative by the input variable of this index, the constant 0 where the program does not contain it.
+    """Return the derivative with respect to the input variable of this index; 0 if the program does not contain it.
 
-    It may contain `PARTIAL_OPERATORS`, and more nodes than a message allows. It has no finite value where a partial
-    derivative in the table of operators has none.
+    The derivative may contain `PARTIAL_OPERATORS`, and more nodes than a message allows. It has no finite value where a
+    partial derivative in the table of operators has none.
     """
     draft = _DerivativeDraft()
     output = draft.copy(program.nodes())[-1]
@@ -48,7 +49,10 @@ def with_variables(program: Program, first: int) -> Program:
 
 
 class _DerivativeDraft(ProgramBuilder):
-    """A program under construction without factors of one and double signs, constants folded: equal to the bit."""
+    """A program under construction without factors of one, double signs and operators on constants.
+
+    Every bit of the values stays the same.
+    """
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
         (kind, inner, _, value), (other_kind, other_inner, _, other_value) = self.nodes[left], self.nodes[right]
@@ -74,13 +78,13 @@ class _DerivativeDraft(ProgramBuilder):
 
 @dataclass(frozen=True)
 class _Part:
-    """A node of a draft, on which arithmetic adds nodes."""
+    """A node of a draft; arithmetic on it adds nodes to the draft."""
 
     draft: _DerivativeDraft
     place: int
 
     def under(self, code: int, *others: "_Part | float") -> "_Part":
-        """Return an operator on this part and others."""
+        """Return operator `code` applied to this part and others."""
         places = [part.place if isinstance(part, _Part) else self.draft.constant(part) for part in others]
         return _Part(self.draft, self.draft.operate(code, self.place, *places))
 
@@ -108,7 +112,7 @@ _OPERATORS: Final = {**definitions(_FUNCTIONS), **partial_definitions(_FUNCTIONS
 
 
 def _share(part: _Part, partial: Partial, a: _Part, b: _Part, v: _Part) -> _Part:
-    """Return the contribution of the derivative by an operator's value, `part`, to the one by an argument."""
+    """Return the adjoint of an operator, `part`, times a partial derivative: a part of the adjoint of an argument."""
     for factor in partial.factors:
         part = part * factor(a, b, v)
     if partial.divisor is not None:

@@ -1,4 +1,4 @@
-"""Values of programs and their derivatives by their constants: on all rows at once by numpy, or as a Python function.
+"""Values of programs and their derivatives with respect to constants: by numpy on all rows, or as a Python function.
 
 For use after the search, where the last bit does not matter; the search uses `atoll_core.expression.kernels.tape`.
 Letters: N nodes, R rows, K constants.
@@ -44,7 +44,7 @@ DEFINITIONS: Final = {**definitions(NUMPY), **partial_definitions(NUMPY)}
 
 
 def value_of(code: int, left: float, right: float) -> float:
-    """Return the value of one operator; NaN or infinity where it has none."""
+    """Return the value of operator `code`; NaN or infinity if it has no finite value."""
     with np.errstate(all="ignore"):
         return float(DEFINITIONS[code].value(np.array([left]), np.array([right]))[0])
 

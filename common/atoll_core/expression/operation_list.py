@@ -131,7 +131,7 @@ class _Rewriting(ProgramBuilder):
 
     def _negated(self, node: int) -> int | None:
         value = self._value(node)
-        if value is not None:  # a new constant, which is fitted apart from equal ones
+        if value is not None:  # a new constant, which is fitted separately from equal ones
             return self.append(op.CONSTANT, value=-value)
         if op.NEGATE in self._operators:
             return self.add(op.NEGATE, node)

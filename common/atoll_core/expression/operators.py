@@ -1,7 +1,7 @@
-"""The one table of operators: code, arity, text, value and derivatives. Whatever treats operators derives from it.
+"""The only table of operators: code, arity, text, value and derivatives. All modules that treat operators use it.
 
-No operator is protected: where the mathematics has no finite value, neither has the program. What is printed is what
-was computed.
+No operator is protected: where an expression has no finite value, its program has none. A printed equation is exactly
+the equation that was computed.
 """
 
 from collections.abc import Callable
@@ -29,15 +29,15 @@ SIGN: Final = 17
 BASE_LOG: Final = 18
 
 TRIGONOMETRIC_LIMIT: Final = 1e5
-"""|x| above this in sin or cos counts as not finite (NaN)."""
+"""sin(x) and cos(x) are NaN for |x| above this."""
 
 
 @dataclass(frozen=True)
 class Operator:
     """One operator: its `code` in programs, its `name` in options, its number of arguments.
 
-    `text` is how expressions write it, a sign between two arguments or the name of a function of one; empty where they
-    use other operators.
+    `text` is its form in expressions: a sign between two arguments, or the name of a function of one argument. It is
+    empty if expressions use other operators instead.
     """
 
     code: int
@@ -65,25 +65,26 @@ OPERATORS: Final = (
     Operator(SQUARE, "square", 1),
     Operator(NEGATE, "neg", 1),
 )
-"""Indexed by code."""
+"""All operators of programs; the index of an operator is its code."""
 
 PARTIAL_OPERATORS: Final = (Operator(SIGN, "sign", 1, "sign"), Operator(BASE_LOG, "base log", 2))
-"""What derivatives need besides `OPERATORS`, with the next codes: nothing searches for them or sends them."""
+"""Further operators, which occur only in derivatives; their codes follow the codes of `OPERATORS`. The search does not
+use them, and messages do not contain them."""
 
 ARITY: Final = tuple(operator.arity for operator in (*OPERATORS, *PARTIAL_OPERATORS))
 BY_NAME: Final = {operator.name: operator for operator in OPERATORS if operator.arity > 0}
 """The operators a user can select with ``--operators``."""
 FUNCTIONS: Final = {operator.code: operator.text for operator in OPERATORS if operator.arity == 1 and operator.text}
-"""Operators that are written as a call, and the name that our parser, sympy and Python read alike."""
+"""By code: the names of operators that are written as a call; our parser, sympy and Python use the same names."""
 
 
 class Functions(NamedTuple):
-    """What operators are made of besides + - * /: the functions of one number, or of arrays, of some library.
+    """The functions of some library, of numbers or of arrays; operators are made of them and of + - * /.
 
     ``sin(x)`` and ``cos(x)`` are NaN where |x| is above `TRIGONOMETRIC_LIMIT`; ``log(0)`` is minus infinity;
     ``power(x, y)`` is defined for x > 0, x = 0 <= y, and x < 0 with integer y, and NaN elsewhere; ``sign(x)`` is -1, 0
-    or 1; ``base_log(x, v)`` is log x, and 0 where x and v = x**y are 0: the derivative by y is v times this, and 0**y
-    is 0 for all y > 0.
+    or 1. ``base_log(x, v)`` is log x, but 0 where x and v = x**y are 0. The derivative of x**y with respect to y is v
+    times ``base_log(x, v)``; at x = 0 it is 0, since 0**y is 0 for all y > 0.
     """
 
     sin: Callable[[Any], Any]
@@ -99,11 +100,11 @@ class Functions(NamedTuple):
 
 
 PartialFactor = Callable[[Any, Any, Any], Any]
-"""A number made of an operator's arguments and its value."""
+"""A function (a, b, v) of an operator's arguments a and b and its value v."""
 
 
 class Partial(NamedTuple):
-    """The partial derivative by one argument: ``sign * factors[0] * ... / divisor``, 0 by sign 0."""
+    """The partial derivative with respect to one argument: ``sign * factors[0] * ... / divisor``; 0 for sign 0."""
 
     sign: int = 1
     factors: tuple[PartialFactor, ...] = ()
@@ -111,7 +112,10 @@ class Partial(NamedTuple):
 
 
 class Definition(NamedTuple):
-    """What an operator computes from its arguments (of one, the second means nothing), and its partial derivatives."""
+    """The value of an operator as a function of two arguments, and its partial derivatives.
+
+    An operator with one argument ignores the second.
+    """
 
     value: Callable[[Any, Any], Any]
     left: Partial
@@ -121,9 +125,9 @@ class Definition(NamedTuple):
 def definitions(functions: Functions) -> dict[int, Definition]:
     """Return the definition of every operator, by code, made of these `functions`.
 
-    This is the one place where an operator gets its meaning. The kernels of the search, numpy's evaluation, the
-    trajectory fits and the folding of constants differ in the functions they use, and in the order in which they
-    multiply a partial derivative with what they carry.
+    Operators are defined only here. The kernels of the search, numpy's evaluation, the trajectory fits and the folding
+    of constants differ in the functions that they use, and in the order in which they multiply an adjoint by the parts
+    of a partial derivative.
     """
     sin, cos, exp, log, sqrt, magnitude, tanh, power, sign, base_log = functions
     return {
@@ -150,7 +154,7 @@ def definitions(functions: Functions) -> dict[int, Definition]:
 
 
 def partial_definitions(functions: Functions) -> dict[int, Definition]:
-    """Return the definitions of `PARTIAL_OPERATORS`, whose partial derivatives are those of second derivatives."""
+    """Return the definitions of `PARTIAL_OPERATORS`; second derivatives need their partial derivatives."""
     return {
         SIGN: Definition(lambda a, b: functions.sign(a), Partial(0)),
         BASE_LOG: Definition(lambda a, b: functions.base_log(a, b), Partial(1, (), _a), Partial(0)),

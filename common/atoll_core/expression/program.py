@@ -117,7 +117,7 @@ def structure(program: Program) -> bytes:
 
 
 def check_program_bytes(data: bytes, variables: int) -> None:
-    """Check canonical bytes as `Program.from_bytes` does without making a program, in a tenth of the time.
+    """Check canonical bytes as `Program.from_bytes` does, but without making a program, in a tenth of the time.
 
     Raises:
         RemoteProtocolError: they are not a program over `variables` inputs.
@@ -152,14 +152,14 @@ class ProgramBuilder:
         self._places: dict[Hashable, int] = {}
 
     def add(self, code: int, left: int = 0, right: int = 0, value: float = 0.0) -> int:
-        """Return the index of a node, of an earlier one if it is equal (see `key`)."""
+        """Return the index of a node; if an earlier node is equal (see `key`), its index."""
         key = self.key(code, left, right, value)
         if key not in self._places:
             self._places[key] = self.append(code, left, right, value)
         return self._places[key]
 
     def key(self, code: int, left: int, right: int, value: float) -> Hashable:
-        """Return the key by which nodes are equal; constants are equal in all bits."""
+        """Return a key that is equal for equal nodes; equal constants have the same bits."""
         return code, left, right, value.hex()
 
     def append(self, code: int, left: int = 0, right: int = 0, value: float = 0.0) -> int:

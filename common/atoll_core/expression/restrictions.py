@@ -38,7 +38,7 @@ ROUNDING: Final = 1e-9
 
 _FIRST: Final = 0.0101
 _STEP: Final = 0.0007
-"""Numbers without special meaning: no integers, halves or multiples of an eighth of a turn."""
+"""Constants for `_roles_of`: numbers that no rewriting treats specially, as integers, halves or multiples of pi/4."""
 
 Scope = Literal["every", "inner", "term"]
 _COMPARISON: Final = re.compile(r"<=|>=|<|>")
@@ -163,7 +163,8 @@ class EquationBounds:
     def _roles_of(self, program: Program) -> tuple[Role, ...] | None:
         """Return the roles of the constants of a laid-out program, None for other programs.
 
-        Only its structure decides: it is expanded to itself when its constants are small numbers without meaning.
+        Only the structure of the program decides: with the constants `_FIRST`, `_FIRST + _STEP`, ... it must be equal
+        to its own expansion.
         """
         numbers = {place: _FIRST + _STEP * number for number, place in enumerate(constant_places(program))}
         return _roles(self.bounds, with_constants(program, numbers))

@@ -1,4 +1,4 @@
-"""Coefficients of one that are not written, made explicit: without them, standard errors would be too small.
+"""Make coefficients of one, which are not written, explicit: without them, standard errors would be too small.
 
 In ``3*x - x**2`` the coefficient 1 of x**2 was estimated from the data just like the 3 of x. Standard errors are
 therefore computed for all coefficients together: each term of a sum has one, and so has a product outside of a sum.

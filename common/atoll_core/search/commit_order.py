@@ -2,11 +2,12 @@
 
 A *slice* is `stride` generations of an island between two updates of its front, fewer at an epoch's end. An island can
 reach the target only at the end of a slice. The search of an archipelago ends with the first slice in the commit order
-that reached the target; later slices do not count. Since the commit order does not depend on the order of computing,
-the end depends on the islands alone, never on which worker computed them when.
+that reached the target; later slices do not count. The commit order does not depend on the order of computing. So the
+end of a search depends only on its islands, and not on the workers or the time of computing.
 
-The commit order is (epoch, generation, island), except in epoch 0: there the islands begin in groups, and a group
-counts after all of the group before it, so that an early hit of the first islands spares the others.
+The commit order is (epoch, generation, island), except in epoch 0: there the islands begin in groups, and all slices of
+a group count after all slices of the group before it. If the first islands reach the target early, the others need not
+be computed.
 """
 
 from dataclasses import dataclass

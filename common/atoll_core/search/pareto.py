@@ -20,7 +20,7 @@ Key = tuple[int, float, int, int, int, bytes]
 
 @dataclass(frozen=True, slots=True)
 class FrontEntry:
-    """One equation as it was measured on all rows, tagged with where and when it was found.
+    """One equation, measured on all rows, with the epoch, generation and island that found it.
 
     `error` is the loss and `mse` the mean squared error, both in the target's units; `program` holds the canonical
     bytes of `atoll_core.expression.program.Program`.

@@ -1,8 +1,8 @@
-"""The only place that makes random streams. A stream is named, never shared, and never a library's.
+"""The only module that makes random streams. Each stream has a name and one purpose; no library generator is used.
 
 The generator is counter-based: draw n of a stream is ``mix(key + (n + 1) * GAMMA)``, with the finaliser of SplitMix64
-(Steele, Lea & Flood 2014, figure 14). A state is therefore one uint64 and nothing needs to be checkpointed: every
-stream is derived anew from what it is for.
+(Steele, Lea & Flood 2014, figure 14). The state of a stream is therefore one uint64. Checkpoints contain no streams,
+because the key of each stream is computed from its name (see `stream_key`).
 """
 
 import hashlib
@@ -13,13 +13,13 @@ _MASK: Final = 2**64 - 1
 
 
 def stream_key(seed: int, variable: str, island: int, epoch: int, purpose: str) -> int:
-    """Return the 64-bit key of the stream for `purpose`; `island` is -1 for what all islands share."""
+    """Return the 64-bit key of the stream for `purpose`; `island` is -1 for streams that all islands share."""
     text = f"{seed}\x1f{variable}\x1f{island}\x1f{epoch}\x1f{purpose}"
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "little")
 
 
 class Stream:
-    """The same stream as the kernels', for code outside of them. Pure Python; a few draws at a time."""
+    """The same generator as in the kernels, for other code. It is pure Python, for a few draws at a time."""
 
     def __init__(self, key: int) -> None:
         self._state = key & _MASK

@@ -1,9 +1,9 @@
 """Addresses such as ``tcp/HOST:PORT``, ``tls/HOST:PORT`` or ``unixsock-stream/PATH``: parsing, probing, connect files.
 
-With credentials an address is a destination: where to listen or dial, and with which certificate. A *connect file*
-holds the addresses of a coordinator or router for programs that share a file system with it: one address a line, the
-most useful first. It is written atomically once connections are accepted, and removed at a clean end; after a crash it
-may be stale, so that an address counts only if something accepts connections there.
+A *destination* is an address with the credentials to use there, for listening or for dialling. A *connect file* holds
+the addresses of a coordinator or router for programs that share a file system with it: one address per line, the most
+useful first. It is written atomically once connections are accepted, and removed at a clean end. After a crash it may
+be stale, so that an address counts only if a program accepts connections there.
 """
 
 import contextlib
@@ -41,7 +41,7 @@ _PROBE_S: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a router listens. Port 0 stands for any free port.
+    """The address at which a router listens. Port 0 stands for any free port.
 
     For a Unix socket, which is open to the users of its folder, `host` is the path and `port` is 0.
     """
@@ -68,7 +68,7 @@ class Address:
 
     @property
     def encrypted(self) -> str:
-        """How to write this address with TLS."""
+        """The text of this address with TLS."""
         written = Address("tls", self.host, self.port)
         return str(written) if written.is_dialable else f"tls/NAME:{self.port} with a NAME of its certificate"
 
@@ -205,7 +205,7 @@ def _bindable_socket(address: Address) -> Address:
 
 
 def resolved(host: str) -> str | None:
-    """Return the IP address that the bus takes for a host, the first one that the system names; None: not known."""
+    """Return the IP address that the bus uses for a host: the first one that the system returns; None: not known."""
     try:
         return str(socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][4][0])
     except OSError:
@@ -213,7 +213,7 @@ def resolved(host: str) -> str | None:
 
 
 def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | None:
-    """Return why `address` cannot be reached right now, or None when something accepts connections there."""
+    """Return why `address` cannot be reached now, or None if a program accepts connections there."""
     if address.protocol == "quic":
         return None
     try:

@@ -25,7 +25,7 @@ _Size = Annotated[float, Field(ge=0.0)]
 
 MAX_NESTING: Final = 32
 MAX_ITEMS: Final = 2_000_000
-"""Most items in a message, keys and values each counted: eight bytes an item in the largest message."""
+"""Most items in a message; keys and values count separately. In the largest message these are eight bytes per item."""
 
 MAX_MAP: Final = 4096
 """Most entries of a map: no model has more fields, and no job more variables."""
@@ -135,7 +135,7 @@ class _DatasetHeader(Frozen):
 
 
 def dataset_to_bytes(dataset: Dataset) -> bytes:
-    """Return the bytes under which a prepared dataset is stored and fetched."""
+    """Return the bytes of a prepared dataset, for the store and for messages."""
     header = {
         "names": dataset.names,
         "symbols": tuple(dataset.symbols.items()),
@@ -208,7 +208,7 @@ def unpack(data: bytes, max_bytes: int) -> object:
 def _built(data: bytes) -> object:
     """Return the contents of well-formed msgpack bytes; raises ValueError as soon as they are too many.
 
-    A container takes up to ninety times the memory of its one byte in a message.
+    An empty container has one byte in a message, and takes up to ninety bytes of memory when built.
     """
     left = MAX_ITEMS
 

@@ -1,7 +1,8 @@
 """Keys on the bus: for every kind of key its builder, its parser in `parse`, and the expression that receives it.
 
-Everything a worker publishes, serves or announces lies under its own name, and a client's requests under the client's
-name, so that one access rule per name fences them all. Column names never enter a key: they travel in payloads.
+All keys on which a worker publishes, serves or announces contain its own name, and keys of a client's requests contain
+the client's name, so that one access rule per name covers them all. Keys never contain column names: payloads have
+them.
 
     atoll/hello                                served by the coordinator: would a program be accepted? changes nothing
     atoll/hello/{name}                         served by the coordinator: greeting of the worker or client of this name
@@ -41,7 +42,10 @@ ClientPart = Literal["ask", "changes"]
 
 @dataclass(frozen=True, slots=True)
 class HelloKey:
-    """The first request, before the cluster is known: from `name`, or (None) whether a program would be accepted."""
+    """The first request, before the cluster is known.
+
+    It is a greeting from `name`; with None it asks whether a program would be accepted, and changes nothing.
+    """
 
     name: str | None = None
 

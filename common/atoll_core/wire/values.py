@@ -79,7 +79,7 @@ def _name(kind: object) -> str:
 
 
 class _Codec(NamedTuple):
-    """How values of one type become plain trees, and how they are read from these."""
+    """Two functions: `write` turns a value of one type into a plain tree, and `read` turns the tree into the value."""
 
     read: Callable[[Any], Any]
     write: Callable[[Any], Any]
@@ -180,7 +180,7 @@ def _set(items: list[Any]) -> frozenset[Any]:
 
 
 def _exactly(kind: type, value: Any) -> Any:
-    if type(value) is not kind:  # a sentence for each number would take longer than reading it
+    if type(value) is not kind:  # `require` would need a sentence for each number, which takes longer than reading it
         raise ValueError(f"{type(value).__name__} was found where {kind.__name__} was expected")
     return value
 
@@ -216,7 +216,10 @@ def _literal(value: Any, choices: tuple[Any, ...]) -> Any:
 
 
 def _array_tree(array: AnyArray) -> list[Any]:
-    """Return type, shape, whether columns come first, and bytes; little endian. Sums depend on the order of axes."""
+    """Return type, shape, whether the bytes are in column-major order, and the bytes (little endian).
+
+    The order is kept, because sums depend on it.
+    """
     dtype = array.dtype.str[1:]
     if dtype not in _DTYPES or array.ndim > MAX_DIMENSIONS:  # the name of a dtype is slow to make: only for the error
         raise ValueError(f"an array of {array.dtype}, {array.ndim} dimensions")

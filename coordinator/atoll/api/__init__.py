@@ -1,8 +1,8 @@
-"""Atoll as a Python library: a client of the same service as the command line, started here or running elsewhere.
+"""Atoll as a Python library: a client of the same service as the command line, local or on another machine.
 
-``discover`` has `discover`, `submit` and the local service that they start and keep (its program is ``host``);
+``discover`` has the functions `discover` and `submit`, and the local service that they start (its program is ``host``);
 ``discoverer`` has a class with PySINDy's conventions, ``regressor`` one with scikit-learn's; ``tables`` turns arrays
-and frames into tables, and names options in messages as arguments; ``model`` has `atoll.Model`.
+and frames into tables, and options in messages into Python arguments; ``model`` has `atoll.Model`. The path of a call:
 
 `discover.discover` -> `discover.local_address` -> (process) `host.main` -> `atoll.client`; then `client.Client`.
 """

@@ -1,7 +1,8 @@
-"""`discover` and `submit`: from data to a model, by a service elsewhere or on this machine.
+"""`discover` and `submit`: from data to a model, by a coordinator elsewhere or a local service.
 
-The local service is a process with its own workers, one for each number of workers that was asked for. It is started by
-the first call, kept for later ones, and ends with this interpreter. A fork of this interpreter does not use it.
+A local service is a process (`atoll.api.host`) with a coordinator and workers on this machine. The first call starts
+it, later calls with the same number of workers use it again, and it ends with this interpreter. A fork of this
+interpreter starts its own service, because the parent's service ends with the parent.
 """
 
 import atexit
@@ -25,7 +26,7 @@ from atoll.api.tables import NAME, files_of, in_python, python_words, table_of
 from atoll.client.client import connected
 from atoll.client.configure import configure
 from atoll.client.follower import Display, Follower
-from atoll.client.local_processes import start_apart
+from atoll.client.local_processes import start_in_new_session
 from atoll.client.options import MOST_WORKERS, OPTIONS
 from atoll.client.over_http import Whereabouts, coordinator_at
 from atoll.terminal.output import note
@@ -39,7 +40,7 @@ from atoll_core.wire.messages.views import JobView, Workforce
 
 
 def is_notebook() -> bool:
-    """Tell whether this interpreter runs a notebook."""
+    """Return whether this interpreter runs a notebook."""
     return "ipykernel" in sys.modules
 
 
@@ -76,34 +77,34 @@ class LocalService:
     """The process of `atoll.api.host`, with its workers."""
 
     def __init__(self, workers: int) -> None:
-        """Start it; raises AtollError with the reason if it does not listen in time."""
+        """Start the process; raises AtollError with the reason if it does not listen in time."""
         self.workers = workers
         self.owner = os.getpid()
         command = [sys.executable, "-P", "-m", "atoll.api.host", str(workers), str(self.owner)]
-        self._process = start_apart(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._process = start_in_new_session(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         try:
-            self.endpoint = self._heard()
+            self.endpoint = self._read_address()
         except BaseException:
             self.close()
             raise
 
     @property
     def is_alive(self) -> bool:
-        """Whether it is running and belongs to this process, not to the parent of a fork."""
+        """Whether the process runs and was started by this process, not by the parent of a fork."""
         return self.owner == os.getpid() and self._process.poll() is None
 
     @property
     def reason(self) -> str:
-        """Why it has ended; "" if unknown, for example if it was killed."""
+        """Why the process has ended; "" if unknown, for example if it was killed."""
         pipe = self._process.stdout
         if pipe is None or pipe.closed:
             return ""
-        os.set_blocking(pipe.fileno(), False)  # processes that it has started may still hold the other end
+        os.set_blocking(pipe.fileno(), False)  # its workers may still hold the other end
         lines = (pipe.read() or b"").splitlines()
         return str(json.loads(lines[-1]).get("error", "")) if lines else ""
 
     def close(self) -> None:
-        """End it and wait, within a limit, until it and its workers have ended."""
+        """End the process and wait, within a limit, until it and its workers have ended."""
         if self.owner != os.getpid():
             return
         for pipe in (self._process.stdin, self._process.stdout):
@@ -116,8 +117,8 @@ class LocalService:
             self._process.kill()
             self._process.wait()
 
-    def _heard(self) -> str:
-        """Return the address at which it listens."""
+    def _read_address(self) -> str:
+        """Return the address of the service, which it prints when it listens."""
         pipe = self._process.stdout
         assert pipe is not None
         line, end = b"", time.monotonic() + _START_LIMIT_S
@@ -131,20 +132,20 @@ class LocalService:
                 if not part:
                     break
                 line += part
-        said = json.loads(line) if line.strip() else {"error": "the local service ended at once; see stderr"}
-        if "endpoint" not in said:
-            raise AtollError(said["error"])
-        return str(said["endpoint"])
+        message = json.loads(line) if line.strip() else {"error": "the local service ended at once; see stderr"}
+        if "endpoint" not in message:
+            raise AtollError(message["error"])
+        return str(message["endpoint"])
 
 
 _services: Final[dict[int, LocalService]] = {}
-"""By number of workers: a running call may still use a service with another number."""
+"""Services by number of workers; another thread may use a service with another number."""
 
 
 def local_address(workers: int | None = None) -> str:
-    """Return the address of the local service, which is started unless there is one with this number of workers.
+    """Return the address of a local service with this number of workers, which is started if needed.
 
-    `workers` None: any number; a new service gets one for each usable core.
+    `workers` None: any running service, else a new one with a worker for each usable core.
     """
     if workers is not None and not (isinstance(workers, Integral) and 1 <= workers <= MOST_WORKERS):
         raise UsageError(f"workers must be a whole number from 1 to {MOST_WORKERS}, but {workers!r} was given")
@@ -160,22 +161,22 @@ def local_address(workers: int | None = None) -> str:
 
 
 def check_service(address: str) -> None:
-    """Raise AtollError if `address` belongs to a local service that has ended."""
+    """Raise AtollError if the local service at `address` has ended."""
     ended = [service for service in [*_services.values()] if service.endpoint == address and not service.is_alive]
     if ended:
         why = ended[0].reason or "it was killed"
-        raise AtollError(f"the local service has ended: {why}; the next call starts another")
+        raise AtollError(f"the local service has ended: {why}; the next call starts a new one")
 
 
 def close() -> None:
-    """End all local services; the next call starts another."""
+    """End all local services; the next call starts a new one."""
     with _LOCK:
         while _services:
             _services.popitem()[1].close()
 
 
 def _forget_lock() -> None:
-    """Renew the lock in a fork: another thread of the parent may have held it."""
+    """Replace the lock in a fork, because another thread of the parent may have held it."""
     global _LOCK
     _LOCK = threading.Lock()  # type: ignore[misc]
     _services.clear()
@@ -188,16 +189,16 @@ if hasattr(os, "register_at_fork"):
 
 CONNECT_LIMIT_S: Final = 20.0
 _TLS: Final = ("ca", "cert", "key")
-_INSTEAD: Final = {"report": "write the page of the model that comes back with model.report(path)"}
+_INSTEAD: Final = {"report": "call model.report(path) of the returned model"}
 
 
 class Job:
-    """A job that was submitted. Every call opens and closes its own connection, so nothing needs to be closed."""
+    """A submitted job. Each call opens and closes its own connection, so a job needs no close."""
 
     def __init__(self, id: str, address: str | Whereabouts, read_as: str = "") -> None:
-        """`id` of a job of the coordinator at `address`; `is_interrupted`: Ctrl-C has ended it.
+        """`id` is the id of a job of the coordinator at `address`.
 
-        `read_as` tells how its data were read, "" if unknown.
+        `read_as` is a sentence on how its data were read, "" if unknown.
         """
         self.id = id
         self.read_as = read_as
@@ -205,12 +206,12 @@ class Job:
         self._address = address
 
     def progress(self) -> JobView:
-        """Return its progress: state, and epoch and best equation of each variable."""
+        """Return the progress of the job: its state, and the epoch and best equation of each variable."""
         with connected(self._address, CONNECT_LIMIT_S) as client:
             return client.status(self.id)
 
     def wait(self, timeout: float | None = None, *, progress: bool | None = None) -> Self:
-        """Wait until it has ended, and show its progress; Ctrl-C cancels the job and keeps its best equations.
+        """Wait until the job has ended, and show its progress; Ctrl-C cancels the job and keeps its best equations.
 
         `timeout`: seconds after which TimeoutError is raised; the job continues. `progress`: see `discover`.
         """
@@ -234,14 +235,14 @@ class Job:
         return self
 
     def cancel(self) -> None:
-        """Cancel it and keep its best equations."""
+        """Cancel the job and keep its best equations."""
         with connected(self._address, CONNECT_LIMIT_S) as client:
             client.cancel_and_wait(self.id)
 
     def result(self) -> Model:
-        """Return its model; of a running job, the best so far.
+        """Return the model; while the job runs, the best model so far.
 
-        Raises RefusedError if it has not found an equation yet, AtollError with the reason if it failed.
+        Raises RefusedError if the job has not found an equation yet, AtollError with the reason if the job failed.
         """
         with connected(self._address, CONNECT_LIMIT_S) as client:
             view = client.status(self.id)
@@ -267,15 +268,16 @@ def discover(
     """Find the equations of `data` and return them as a model.
 
     Args:
-        data: a file, a frame of pandas or polars, arrays by column name, or a list of these, one for each trajectory;
-            or a list of records. All are read like files: decimal commas, dates, long tables.
-        connect: the coordinator, such as ``tcp/host:7447``; None: one on this machine, started at the first call.
-        tls: files by ``ca``, ``cert`` and ``key``, for an address ``tls/…``.
-        workers: processes on this machine; None: one for each core.
+        data: a file, a frame of pandas or polars, arrays by column name, a list of these with one item per trajectory,
+            or a list of records. All are read with the rules for files: decimal commas, dates, long tables.
+        connect: address of the coordinator, such as ``tcp/host:7447``; None: a local service, started at the first
+            call.
+        tls: paths of the files ``ca``, ``cert`` and ``key`` by these names, for an address ``tls/…``.
+        workers: number of worker processes on this machine; None: one for each core.
         progress: whether to show the progress on stderr; None: on a terminal and in a notebook.
         priority: -10 to 10; each step doubles the job's share of the workers, and the job starts sooner.
         options: options of ``coordinator run``, such as ``time="year"``, ``seed=3``, ``known={"dy": "-x"}``; a value
-            may be a number, a list, or True for a switch.
+            may be a text, a number, a list, a mapping, or True for a switch.
 
     Returns:
         The model; after Ctrl-C, the best model so far.
@@ -324,7 +326,7 @@ def submit(
 
 
 def config_of(options: Mapping[str, object]) -> JobConfig:
-    """Return the configuration that keyword arguments describe (the options of ``run``); raises UsageError."""
+    """Return the configuration for keyword arguments (the options of ``run``); raises UsageError."""
     values = dict(options)
     job_file = values.pop("config", None)
     unknown = next((name for name in values if name not in OPTIONS), None)

@@ -1,4 +1,4 @@
-"""`Discoverer`: dx/dt = f(x, u) with PySINDy's conventions. Letters: N rows, D states, U inputs."""
+"""`Discoverer`: finds dx/dt = f(x, u), with PySINDy's conventions. Letters in shapes: N rows, D states, U inputs."""
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,11 +21,11 @@ _TIME = "t"
 
 
 class Discoverer:
-    """Finds the equations of motion of measured states. It has the options of `atoll.discover`.
+    """Finds the equations of motion of measured states; takes the options of `atoll.discover`.
 
-    After `fit`: `model_` is the `atoll.Model`, `equations_` its right-hand sides by state, `front_` by state the best
-    expressions of each size with their errors, `feature_names_in_` the names of states and inputs, `n_features_in_` the
-    number of states.
+    After `fit`: `model_` is the `atoll.Model`, `equations_` has its right-hand sides by state, `front_` has the best
+    expression of each size with its errors by state, `feature_names_in_` has the names of states and inputs,
+    `n_features_in_` is the number of states.
     """
 
     def __init__(self, **options: object) -> None:
@@ -34,7 +34,7 @@ class Discoverer:
         self.model_: Model | None = None
 
     def get_params(self, deep: bool = True) -> dict[str, object]:
-        """Return the options, for tools of scikit-learn."""
+        """Return the options, as tools of scikit-learn expect."""
         del deep
         return dict(self._options)
 
@@ -45,7 +45,7 @@ class Discoverer:
 
     def __repr__(self) -> str:
         options = ", ".join(f"{name}={value!r}" for name, value in self._options.items())
-        return without_secrets(f"Discoverer({options})")  # notebooks store it
+        return without_secrets(f"Discoverer({options})")  # notebooks store the text
 
     def fit(
         self,
@@ -58,10 +58,10 @@ class Discoverer:
         """Find the equations.
 
         Args:
-            x: states (N, D), or a list of such arrays, one for each trajectory; frames name their columns.
-            t: times (N,), the time between rows, or a list like `x`.
-            u: inputs (N, U), or a list like `x`.
-            x_dot: measured derivatives, like `x`.
+            x: states (N, D), as an array or a frame, or a list of these, one for each trajectory.
+            t: times (N,), or the time between rows, or a list of these, one for each trajectory.
+            u: inputs (N, U), or a list of these, one for each trajectory.
+            x_dot: measured derivatives, in the form of `x`.
             feature_names: names of states, then inputs; None: the columns of frames, else x0, x1, … and u0, u1, ….
 
         Raises:
@@ -81,7 +81,7 @@ class Discoverer:
         roles: dict[str, object] = {"time": _TIME, "states": names, "inputs": inputs or None}
         if x_dot is not None:
             roles["derivatives"] = dots
-        options: dict[str, Any] = {**roles, **self._options}  # `discover` looks at each itself
+        options: dict[str, Any] = {**roles, **self._options}  # `discover` checks each option
         self.model_ = discover(trajectories, **options)
         self.n_features_in_ = len(names)
         self.feature_names_in_ = np.array([*names, *inputs], dtype=object)
@@ -89,12 +89,12 @@ class Discoverer:
 
     @property
     def equations_(self) -> dict[str, str]:
-        """The right-hand side of each state, constants rounded."""
+        """The right-hand side of each state, with rounded constants."""
         return {equation.variable: equation.expression for equation in self._model.equations}
 
     @property
     def front_(self) -> dict[str, list[Mapping[str, JsonValue]]]:
-        """By state, the best expression of each complexity with its errors."""
+        """The best expression of each complexity with its errors, by state."""
         equations = self._model.result.equations
         return {
             equation.variable: [member.model_dump(mode="json") for member in equation.front] for equation in equations
@@ -118,22 +118,25 @@ class Discoverer:
     def predict(
         self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, *, group: object = None
     ) -> FloatArray | list[FloatArray]:
-        """Return the derivatives (N, D) at states, for a list a list; angles are read as in `fit`, results are radians.
+        """Return the derivatives (N, D) at states (N, D), or a list of arrays for a list; results use radians.
 
-        `group`: use the constants of this group; with ``per_trajectory=True``, the number of a trajectory from 1.
+        Angles are read as in `fit`. `group`: the group whose constants are used; with ``per_trajectory=True``, the
+        number of a trajectory, from 1.
         """
         model = self._of(group)
         if isinstance(x, (list, tuple)) and np.ndim(x[0]) == 2:
             inputs = [None] * len(x) if u is None else _matching_parts(u, len(x), "u")
             return [
-                model.predict(*self._as_read(_rows(part), _rows_if_any(inputs[index]))) for index, part in enumerate(x)
+                model.predict(*self._as_in_fit(_rows(part), _rows_if_any(inputs[index])))
+                for index, part in enumerate(x)
             ]
-        return model.predict(*self._as_read(_rows(x), _rows_if_any(u)))
+        return model.predict(*self._as_in_fit(_rows(x), _rows_if_any(u)))
 
     def simulate(
         self, x0: npt.ArrayLike, t: npt.ArrayLike, u: GivenInputs = None, *, group: object = None
     ) -> FloatArray:
-        """Return the states (N, D) at the times `t` from `x0`; NaN after an early end (see `model_.simulate`).
+        """Return the states (N, D) at the times `t` (N,) from `x0` (D,); NaN after an early end (see
+        `model_.simulate`).
 
         For `group` see `predict`.
         """
@@ -152,13 +155,13 @@ class Discoverer:
         *,
         group: object = None,
     ) -> float:
-        """Return the mean R2 of the derivatives; without `x_dot` they are differences of `x`.
+        """Return the mean R2 of the derivatives; if `x_dot` is None, they are computed as differences of `x`.
 
         For `group` see `predict`.
         """
         measured, predicted = [], []
         for states, times, controls, slopes in _trajectories(x, t, u, x_dot):
-            read, read_controls = self._as_read(states, controls)
+            read, read_controls = self._as_in_fit(states, controls)
             measured.append(np.gradient(read, times, axis=0) if slopes is None else self._slopes_as_read(slopes))
             predicted.append(self._of(group).predict(read, read_controls))
         all_measured, all_predicted = np.concatenate(measured), np.concatenate(predicted)
@@ -166,8 +169,8 @@ class Discoverer:
         spread = ((all_measured - all_measured.mean(axis=0)) ** 2).sum(axis=0)
         return float(np.mean(1.0 - left / np.where(spread > 0.0, spread, np.inf)))
 
-    def _as_read(self, x: FloatArray, u: FloatArray | None) -> tuple[FloatArray, FloatArray | None]:
-        """Return states (N, D) and inputs (N, U) like `fit` reads them: angles in radians, without full turns."""
+    def _as_in_fit(self, x: FloatArray, u: FloatArray | None) -> tuple[FloatArray, FloatArray | None]:
+        """Return states (N, D) and inputs (N, U) as `fit` reads them: angles in radians, unwrapped."""
         model, columns = self._model, self._model.result.columns_by_symbol
         states, inputs = ([columns.get(name, name) for name in names] for names in (model.states, model.inputs))
         return self._read(x, states), None if u is None else self._read(u, inputs)
@@ -178,7 +181,7 @@ class Discoverer:
 
     def _read(self, rows: FloatArray, names: Sequence[str]) -> FloatArray:
         if len(names) != rows.shape[1]:
-            return rows  # refused later, with the expected number
+            return rows  # refused later, with the expected number of columns
         columns = read_columns(self._model, dict(zip(names, rows.T, strict=True)))
         return np.column_stack([np.asarray(columns[name]) for name in names])
 
@@ -193,11 +196,11 @@ class Discoverer:
 
 
 def _parts(x: npt.ArrayLike) -> list[npt.ArrayLike]:
-    """Return the trajectories of a list of arrays; a list of rows of numbers is one trajectory."""
+    """Return the trajectories in a list of arrays; a list of rows of numbers is one trajectory."""
     if not isinstance(x, (list, tuple)):
         return [x]
     if not x:
-        raise DataError("the list of trajectories is empty; give one array for each")
+        raise DataError("the list of trajectories is empty; give one array for each trajectory")
     return (
         [x] if all(np.ndim(row) == 0 or (isinstance(row, (list, tuple)) and np.ndim(row) == 1) for row in x) else [*x]
     )
@@ -224,7 +227,7 @@ def _matching_parts(given: npt.ArrayLike, count: int, what: str) -> list[npt.Arr
     """Return the arrays of `count` trajectories; raises DataError."""
     parts = _parts(given)
     if len(parts) != count:
-        raise DataError(f"{what} has arrays for {len(parts)} trajectories, but x has {count}; give one for each")
+        raise DataError(f"{what} has {len(parts)} arrays, but x has {count} trajectories; give one array for each")
     return parts
 
 
@@ -245,7 +248,9 @@ def _times(t: npt.ArrayLike, rows: int) -> FloatArray:
     if times.ndim == 0:
         return np.asarray(float(times) * np.arange(rows), dtype=np.float64)
     if times.shape != (rows,):
-        raise DataError(f"there are {times.size} times for {rows} rows; give one for each, or the time between rows")
+        raise DataError(
+            f"t has {times.size} times, but x has {rows} rows; give one time for each row, or the time between rows"
+        )
     return times
 
 

@@ -1,7 +1,7 @@
-"""The program of a local service: the same processes as of ``coordinator run``, kept for many jobs of one interpreter.
+"""The program of a local service: the processes of ``coordinator run``, kept for many jobs of one interpreter.
 
-It prints its address on stdout, as one line of JSON, and ends when its stdin is closed or its parent has ended. Its log
-is a file without a name, which disappears with it.
+It prints its address on stdout as one line of JSON, and ends when its stdin is closed or its parent has ended. Its log
+is an unnamed temporary file.
 """
 
 import contextlib
@@ -20,11 +20,11 @@ from atoll_core.logs import configure
 from atoll_core.signals import INTERRUPTED, reap_children
 
 CHECK_S: Final = 0.3
-"""Seconds between checks of the parent and the workers."""
+"""Interval of checks of the parent and the workers, in seconds."""
 
 
 def main(workers: int, parent: int) -> int:
-    """Serve with this many workers until the process `parent` ends or closes our stdin; return the exit code."""
+    """Serve with `workers` workers until the process `parent` ends or closes our stdin; return the exit code."""
     reap_children()
     stop = threading.Event()
     threading.Thread(target=_wait_for_end, args=(stop,), name="reading stdin", daemon=True).start()
@@ -35,7 +35,7 @@ def main(workers: int, parent: int) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except AtollError as error:
-        _say({"error": str(error)})
+        _send({"error": str(error)})
         return error.exit_code
     return 0
 
@@ -43,7 +43,7 @@ def main(workers: int, parent: int) -> int:
 def _serve(number: int, parent: int, log: Path, stop: threading.Event) -> None:
     with local_processes(number, log) as (endpoint, workers), LocalCoordinator(endpoint, number) as coordinator:
         coordinator.wait()
-        _say({"endpoint": endpoint})
+        _send({"endpoint": endpoint})
         while not stop.wait(CHECK_S) and os.getppid() == parent:
             coordinator.check()
             workers.check()
@@ -57,7 +57,7 @@ def _wait_for_end(stop: threading.Event) -> None:
     stop.set()
 
 
-def _say(what: dict[str, str]) -> None:
+def _send(what: dict[str, str]) -> None:
     with contextlib.suppress(OSError):
         sys.stdout.write(json.dumps(what) + "\n")
         sys.stdout.flush()

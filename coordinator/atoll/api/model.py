@@ -1,7 +1,7 @@
-"""The model of users: a `ModelCore` with methods that simulate, predict, score, analyse, plan, display and export.
+"""`atoll.Model`: a `ModelCore` with methods that simulate, predict, score, analyse, plan experiments, plot and export.
 
-Each method imports the package that does the work when it is called, so that loading a model stays quick. Letters: D
-states, U inputs, N rows or times.
+Each method imports the package that does its work when it is called, so that loading a model stays quick. Letters in
+shapes: D states, U inputs, N rows or times.
 """
 
 import warnings
@@ -73,12 +73,12 @@ if TYPE_CHECKING:
 
 
 class Model(ModelCore):
-    """A model as users hold it: the result of a job that has found every equation, with methods to use it.
+    """The result of a job that has found all equations, with methods to use it.
 
-    Exports take `x0`, `t` and `u`, the initial state, the times and the inputs of the file, as `simulate` does, with
-    the recorded inputs where `x0` is None. Unknown inputs are held at 0; functions of time are refused. Each raises
-    UsageError where the format cannot hold the model, or where the initial state or the times are not known.
-    docs/export.md lists the programs that open each format.
+    The exports (`to_python` and others) take the initial state `x0`, the times `t` and the inputs `u` for the file, as
+    `simulate` does. If `x0` is None, they use the recorded inputs. Inputs without a value are held at 0; functions of
+    time are refused. Each export raises UsageError if the format cannot express the model, or if the initial state or
+    the times are unknown. docs/export.md lists the programs that open each format.
     """
 
     @overload
@@ -118,26 +118,27 @@ class Model(ModelCore):
         paths: int | None = None,
         seed: int = 0,
     ) -> Simulation | Ensemble:
-        """Integrate from an initial state. Its `status` says how it ends: a blow-up is a result, not an error.
+        """Integrate from an initial state. The `status` of the simulation says how it ended: a blow-up is not an error.
 
-        One that ends early has only the times that were reached, and an `EarlyEndWarning` says so. An
-        `ExtrapolationWarning` says that `x0` is outside of the measured range.
+        A simulation that ends early has only the times that were reached, and gives an `EarlyEndWarning`. If `x0` is
+        outside of the measured range, an `ExtrapolationWarning` is given.
 
         Args:
-            x0: the initial state, by name or in order, angles in radians; None: of the first measured trajectory, with
-                its inputs where `u` names none.
-            t: ascending times, the first one at `x0`; one number: the last time, from the first measured one; None: the
-                times of the first trajectory.
-            u: inputs: by name numbers, arrays at the times `t` or functions of time; or an array (N, U), or a function
-                of time that returns U numbers. An input that is the time itself is not given.
-            has_bands: whether errors of the constants are propagated to 95 % bands, where they are known.
-            group: the group of trajectories whose constants are used, where these differ; one of `groups`.
-            paths: for a stochastic process, the number of paths to draw: an `Ensemble`. None: the drift alone.
-            seed: of the paths; the same seed gives the same paths.
+            x0: the initial state, by name or in order, angles in radians. None: the initial state of the first measured
+                trajectory; its inputs are used unless `u` is given.
+            t: ascending times, the first is the time of `x0`. A number: the last time, and the first measured time is
+                the first. None: the times of the first trajectory.
+            u: inputs by name: numbers, arrays (N,) at the times `t`, or functions of time; or an array (N, U), or a
+                function of time that returns U numbers. Leave out an input that is the time itself.
+            has_bands: whether standard errors of the constants, if known, are propagated to 95 % bands.
+            group: the group of trajectories whose constants are used, one of `groups`; required if constants differ.
+            paths: for a stochastic process, the number of paths to draw; returns an `Ensemble`. None: integrate only
+                the drift.
+            seed: random seed of the paths; the same seed gives the same paths.
 
         Raises:
-            UsageError: the arguments do not fit, the model has no time, constants differ between groups and none is
-                named, or paths are requested of a model without noise.
+            UsageError: an argument does not fit the model; the model is a regression without time; constants differ
+                between groups and `group` is None; or paths are requested for a model without noise.
         """
         model = self if group is None else self.of_group(group)
         model.require_one_group()
@@ -145,7 +146,7 @@ class Model(ModelCore):
             process_of(model)
         field, times, start = model.field, times_of(model, t), start_of(model, x0)
         inputs = inputs_along(model, u, times, recorded_inputs(model) if x0 is None else {})
-        remark = "" if x0 is None else _extrapolated(model, start, None if u is None else inputs, float(times[0]))
+        remark = "" if x0 is None else _outside_range(model, start, None if u is None else inputs, float(times[0]))
         if remark:
             warnings.warn(remark, ExtrapolationWarning, stacklevel=2)
         if paths is not None:
@@ -165,12 +166,12 @@ class Model(ModelCore):
         paths: int = PATHS,
         seed: int = 0,
     ) -> StationaryDensity | None:
-        """Return the stationary density of the paths of a stochastic process; None where they do not settle.
+        """Return the stationary density of the paths of a stochastic process; None if it does not converge.
 
-        Paths that stay in one of two wells for the whole simulation give the density in that well.
+        If all paths stay in one of several wells during the simulation, the density is only the density in that well.
 
         Args:
-            x0: the initial state of all paths; None: as measured.
+            x0: the initial state of all paths; None: the measured initial state.
             inputs: held values of inputs, by name; 0 by default.
             paths: the number of paths, at least 2.
             seed: of the paths.
@@ -190,12 +191,13 @@ class Model(ModelCore):
         """Return the derivatives at rows of states, or the target of a regression.
 
         Args:
-            x: (N, D) states, or columns by name (also a frame of pandas or polars); (N, U) inputs of a regression.
-                Columns are read as in the fit, with angles in degrees if they were; arrays have angles in radians.
-            u: (N, U) inputs; None where there are none, or where `x` has them by name.
+            x: states (N, D), or columns by name (also a frame of pandas or polars); for a regression, inputs (N, U).
+                Columns are read as in the fit, with angles in degrees if these were in degrees; arrays have angles in
+                radians.
+            u: inputs (N, U); None if the model has no inputs, or if `x` holds them by name.
 
         Returns:
-            (N, D) derivatives, (N,) values of a regression; NaN where undefined.
+            Derivatives (N, D), or values of a regression (N,); NaN where undefined.
         """
         self.require_one_group()
         x = read_columns(self, x) if has_columns(x) else x
@@ -212,20 +214,22 @@ class Model(ModelCore):
             raise UsageError(f"the model has the inputs {', '.join(self.inputs)}; give their values as u")
         held = points_of(self, given, self.inputs)
         if len(held) != len(points):
-            raise UsageError(f"there are {len(held)} rows of inputs for {len(points)} of states; give one for each")
+            raise UsageError(
+                f"u has {len(held)} rows, but x has {len(points)}; give a row of inputs for each row of states"
+            )
         return self.field.values(points, held)
 
     def score(self, data: Columns | Sequence[Columns]) -> float:
-        """Return R2 on data: columns by name (also a frame), or a list of these, one for each trajectory.
+        """Return R2 on data: columns by name (also a frame), or a list of such columns, one item per trajectory.
 
         A model of dynamics is simulated from the first row of each trajectory; R2 is the mean over the measured states,
-        and minus infinity where a simulation does not reach the end. A regression is judged by its target.
+        and minus infinity if a simulation does not reach the end. For a regression it is the R2 of the target.
         """
         self.require_one_group()
         given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
         parts = [read_columns(self, part) for part in given if has_columns(part)]
         if not given or len(parts) < len(given):
-            raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")
+            raise UsageError(f"a score needs columns by name, a frame or a list of these, but {shown(data)} was given")
         if self.is_regression:
             target = self._result.equations[0].variable
             both = [stack_columns([column(part, target), self.predict(part)]) for part in parts]
@@ -252,12 +256,13 @@ class Model(ModelCore):
     def conf_int(
         self, level: float = LEVEL, method: Literal["stderr", "profile"] = "stderr"
     ) -> dict[str, tuple[float, float] | None]:
-        """Return the confidence interval of each constant at `level`, None where it is not known.
+        """Return the confidence interval of each constant at `level`; None if it is unknown.
 
-        It follows from the standard error, or from the `profile`: then an end that the data do not bound is infinite.
+        It is computed from the standard error, or from the `profile` likelihood, where an end that the data do not
+        bound is infinite.
         """
         if not 0.0 < number(level, "a level") < 1.0:
-            raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
+            raise UsageError(f"a level must be between 0 and 1, but {level!r} was given")
         if method not in ("stderr", "profile"):
             raise UsageError(f"the method of an interval is 'stderr' or 'profile', but {method!r} was given")
         if method == "profile":
@@ -272,13 +277,14 @@ class Model(ModelCore):
         inputs: Mapping[str, float] | None = None,
         vary: tuple[str, tuple[float, float]] | None = None,
     ) -> "Analysis":
-        """Return fixed points, limit cycles, basins and the rest of the dynamics, compared with the data.
+        """Return fixed points, limit cycles, basins of attraction and other dynamics, compared with the data.
 
         Args:
-            box: bounds of states, by name; None: around the measured range.
+            box: bounds of states by name; None: the measured range and half of it more on each side.
             inputs: held values of inputs, by name; 0 by default.
-            vary: a parameter and the range over which fixed points and limit cycles are followed: a constant (c1),
-                several in their ratio (c1,c2), the coefficient of a term (y:x*y, of x*y in dy/dt), or an input.
+            vary: a parameter and its range, over which fixed points and limit cycles are followed. The parameter is a
+                constant (c1), several constants in a fixed ratio (c1,c2), the coefficient of a term (y:x*y is the
+                coefficient of x*y in dy/dt), or an input.
 
         Raises:
             UsageError: a name is unknown, a range is invalid, or a state has neither bounds nor measurements.
@@ -292,14 +298,15 @@ class Model(ModelCore):
         return {constant.name: constant for constant in self.identifiability(level, data).constants}
 
     def identifiability(self, level: float = LEVEL, data: object = None) -> "Identifiability":
-        """Return how well the data determine each constant, and which constants only together.
+        """Return how well the data determine each constant, and which constants are determined only jointly.
 
         Args:
-            level: of the intervals.
-            data: as for `atoll.discover`, in place of the measurements in the result.
+            level: confidence level of the intervals, between 0 and 1.
+            data: measurements to use instead of the measurements in the result, in a form that `atoll.discover`
+                accepts.
 
         Raises:
-            UsageError: states were not measured in time, or the result has no measurements.
+            UsageError: the measurements have no times, or the result has no measurements.
             DataError: the data cannot be used as they are.
         """
         from atoll.experiments.identifiability import identify
@@ -320,18 +327,20 @@ class Model(ModelCore):
         seed: int = 0,
         data: object = None,
     ) -> "Suggestions":
-        """Return the next experiments: the most information about the right candidate for their cost.
+        """Return the experiments that give the most information, per cost, on which candidate is right.
 
-        If candidates do not differ, or there is only one, experiments are chosen that determine its constants best.
+        If all candidates predict the same, or there is only one candidate, the experiments determine its constants
+        best.
 
         Args:
             bounds: bounds of initial states and constant inputs, by name; None: the range of the data.
-            duration: duration of an experiment; None: as the median measured trajectory.
-            samples: measurements of each state; None: as the median measured trajectory.
-            cost: ``"trajectory"`` (all the same), ``"duration"`` or ``"samples"``: then also for shorter ones.
-            count: the number of suggestions.
+            duration: duration of an experiment; None: the duration of the median measured trajectory.
+            samples: number of measurements of each state; None: as in the median measured trajectory.
+            cost: ``"trajectory"`` (each costs 1), ``"duration"`` or ``"samples"``; the latter two also try shorter
+                experiments.
+            count: number of suggestions.
             rivals: alternative models to distinguish, as right-hand sides by state; their constants are fitted.
-            seed: random seed of the experiments that are tried.
+            seed: random seed of the trial experiments.
             data: as for `identifiability`.
 
         Raises:
@@ -356,15 +365,15 @@ class Model(ModelCore):
     def compare(self, other: "Model", data: object = None) -> "Comparison":
         """Compare this model, A, with another model, B, such as one of its `candidates`, on the same data.
 
-        The result has the better model, its odds, and the equations that have the same form.
+        The comparison says which model is better, with which odds, and which equations have the same form.
 
         Args:
-            other: a model of the same states or target.
-            data: as for `identifiability`, in place of the data of both.
+            other: a model with the same states or target.
+            data: measurements for both models, as for `identifiability`; None: the measurements in the result.
 
         Raises:
             UsageError: the models have different states, or a result has no measurements.
-            AtollError: one of them cannot be simulated along the data.
+            AtollError: a model cannot be simulated along the data.
         """
         from atoll.experiments.comparison import compare
 
@@ -396,7 +405,7 @@ class Model(ModelCore):
         return latex(self)
 
     def mathml(self) -> str:
-        """Return the equations as MathML (presentation), one line of a table for each."""
+        """Return the equations as presentation MathML: a table with one row for each equation."""
         from atoll.display.notation import mathml
 
         return mathml(self)
@@ -420,9 +429,10 @@ class Model(ModelCore):
         return as_html(self.result)
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
-        """Return the constants, a row each: `name`, `equation`, `value`, `stderr`, ends of the 95 % interval, `unit`.
+        """Return a row for each constant: `name`, `equation`, `value`, `stderr`, ends of the 95 % interval, `unit`.
 
-        As a frame of ``"polars"`` or ``"pandas"``; null where it is not known. Raises UsageError if it is missing.
+        `library` is ``"polars"`` or ``"pandas"``. Unknown values are null. Raises UsageError if the library is not
+        installed.
         """
         constants = self.params.values()
         intervals = [constant.interval or (None, None) for constant in constants]
@@ -448,7 +458,7 @@ class Model(ModelCore):
         return html(self)
 
     def plot_fit(self, axes: object = None) -> "npt.NDArray[np.object_]":
-        """Plot measurements and simulations with bands over time; see `atoll.display.plots.plot_fit`."""
+        """Plot measurements and simulations with their bands over time; see `atoll.display.plots.plot_fit`."""
         from atoll.display.plots import plot_fit
 
         return plot_fit(self, axes)
@@ -472,7 +482,7 @@ class Model(ModelCore):
         return plot_front(self, axes)
 
     def export(self, format: str, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
-        """Return the model in a format of one file, by its name."""
+        """Return the model as the text of one file; `format` is the name of the format."""
         from atoll.export.formats import written
 
         return written(self, format, x0, t, u)
@@ -486,7 +496,7 @@ class Model(ModelCore):
         return self.export("c", x0, t, u)
 
     def to_julia(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
-        """Return a Julia script with a system of ModelingToolkit."""
+        """Return a Julia script with a ModelingToolkit system."""
         return self.export("julia", x0, t, u)
 
     def to_matlab(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
@@ -498,11 +508,11 @@ class Model(ModelCore):
         return self.export("modelica", x0, t, u)
 
     def to_xppaut(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
-        """Return an .ode file of XPPAUT."""
+        """Return an .ode file for XPPAUT."""
         return self.export("xppaut", x0, t, u)
 
     def to_sbml(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
-        """Return SBML L3V2, checked by libsbml where it is installed (``pip install 'atoll[sbml]'``)."""
+        """Return SBML L3V2, validated if libsbml is installed (``pip install 'atoll[sbml]'``)."""
         return self.export("sbml", x0, t, u)
 
     def to_latex(self) -> str:
@@ -510,7 +520,7 @@ class Model(ModelCore):
         return self.export("latex")
 
     def to_csv(self) -> str:
-        """Return the fronts as CSV: for each equation the displayed one, then its front."""
+        """Return the fronts as CSV: for each variable the displayed equation, then the members of its front."""
         return self.export("csv")
 
     def to_json(self) -> str:
@@ -521,25 +531,28 @@ class Model(ModelCore):
         """Write a PEtab problem: SBML, measurements, noise and bounds.
 
         Args:
-            folder: it is created if needed.
+            folder: the folder to write into, created if needed.
             data: measured columns by name (or a frame) for each trajectory; None: the measurements in the result.
 
         Raises:
-            UsageError: the model has no time, is a process or has no measurements; the folder cannot be written.
+            UsageError: the model is a regression or a process, there are no measurements, or the folder cannot be
+                written.
         """
         from atoll.export.petab import export_petab
 
         export_petab(self, folder, data)
 
     def _table(self, data: object) -> Table | None:
-        """Return the measurements of a user, read as the fit has read its own; None for None."""
+        """Return the user's measurements, read with the data settings of the fit; None for None."""
         from atoll.experiments.fits import config_of
 
         return None if data is None else table_of(data, config_of(self.result).data)
 
 
-def _extrapolated(model: Model, start: FloatArray, inputs: Inputs | None, time: float) -> str:
-    """Return a sentence on states of `start` (D,), and inputs then, outside of the measured range; "" without."""
+def _outside_range(model: Model, start: FloatArray, inputs: Inputs | None, time: float) -> str:
+    """Return a sentence that names the states of `start` (D,) and inputs at `time` outside of the measured range, or
+    "".
+    """
     values = dict(zip(model.states, start.tolist(), strict=True))
     if inputs is not None:
         clock = model.result.symbols.get(model.time)

@@ -1,6 +1,6 @@
-"""`Regressor`: y = f(X) by scikit-learn's rules. scikit-learn is an extra: ``pip install 'atoll[sklearn]'``.
+"""`Regressor`: finds y = f(X), with scikit-learn's conventions. Needs the extra ``pip install 'atoll[sklearn]'``.
 
-Letters: N rows, K features.
+Letters in shapes: N rows, K features.
 """
 
 from typing import TYPE_CHECKING, Final, Self
@@ -28,9 +28,10 @@ TARGET: Final = "y"
 class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
     """Finds y = f(X) as an expression.
 
-    After `fit`: `model_` is the `atoll.Model`, `equation_` its right-hand side, `n_features_in_`, and for frames
-    `feature_names_in_`. Expressions name features x0, x1, …, or by the columns of a frame; the target is y.
-    Prior knowledge: `bound`, `require`, `unit`, as ``bound="c > 0"``, ``require={"y": ["x0"]}``, ``unit={"x0": "m"}``.
+    After `fit`: `model_` is the `atoll.Model`, `equation_` is its right-hand side, `n_features_in_` is K, and
+    `feature_names_in_` has the column names of a frame. In expressions, features are called x0, x1, … or like the
+    columns of a frame; the target is called y. Options for prior knowledge: ``bound="c > 0"``, ``require={"y":
+    ["x0"]}``, ``unit={"x0": "m"}``.
     """
 
     def __init__(  # noqa: PLR0913  scikit-learn wants every parameter by name
@@ -49,7 +50,7 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
         connect: str | None = None,
         progress: bool | None = None,
     ) -> None:
-        """Take options of `atoll.discover`; None: its default."""
+        """Set options of `atoll.discover`; None: its default."""
         self.operators = operators
         self.seed = seed
         self.max_size = max_size
@@ -64,7 +65,7 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
         self.progress = progress
 
     def __repr__(self, N_CHAR_MAX: int = 700) -> str:
-        return without_secrets(super().__repr__(N_CHAR_MAX))  # notebooks keep it
+        return without_secrets(super().__repr__(N_CHAR_MAX))  # notebooks store the text
 
     def _repr_mimebundle_(self, **options: object) -> dict[str, str]:
         return {kind: without_secrets(text) for kind, text in super()._repr_mimebundle_(**options).items()}
@@ -75,7 +76,7 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
             self, _unmasked(X), _unmasked(y), dtype=np.float64, y_numeric=True, ensure_min_samples=2
         )
         if float(np.ptp(target)) == 0.0:
-            raise UsageError("y is the same number in all rows; there is nothing to be found")
+            raise UsageError("y is the same number in all rows, but a target that varies was expected; check y")
         names = getattr(self, "feature_names_in_", None)
         columns = [f"x{index}" for index in range(rows.shape[1])] if names is None else [str(name) for name in names]
         label = TARGET
@@ -87,17 +88,17 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
 
     @property
     def equation_(self) -> str:
-        """The right-hand side, constants rounded."""
+        """The right-hand side, with rounded constants."""
         check_is_fitted(self, "model_")
         return self.model_.equations[0].expression
 
     def predict(self, X: object) -> FloatArray:
-        """Return f(X) (N,) of the features (N, K)."""
+        """Return f(X) (N,) for the features `X` (N, K)."""
         check_is_fitted(self, "model_")
         rows = validate_data(self, _unmasked(X), dtype=np.float64, reset=False)
         return self.model_.predict(rows)
 
 
 def _unmasked(given: object) -> object:
-    """Return masked arrays with NaN for masked values, which is refused like other NaN; other objects unchanged."""
+    """Return masked arrays with NaN as masked values (refused like any NaN); other objects are returned unchanged."""
     return plain_array(given) if isinstance(given, np.ma.MaskedArray) else given

@@ -1,7 +1,7 @@
-"""Tables from objects of Python: files, frames of pandas or polars, data sets of xarray, arrays by name, records.
+"""Tables from Python objects: files, frames of pandas or polars, data sets of xarray, arrays by name, records.
 
-All except files become the cells of a `RawTable`, which are read like the cells of files: by the same rules for decimal
-commas, dates, names of trajectories, long tables, and columns that are left out.
+All objects except files become a `RawTable`. Its cells are read like the cells of files, with the same rules for
+decimal commas, dates, names of trajectories, long tables, and columns that are left out.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ _OPTION: Final = re.compile(r"--([a-z][a-z-]*)")
 
 
 def in_python(sentence: str) -> str:
-    """Return a sentence with keyword arguments in place of options: ``--max-size`` becomes max_size."""
+    """Return a sentence with options replaced by keyword arguments: ``--max-size`` becomes max_size."""
     sentence = sentence.replace("--tls-...", "tls").replace("--missing drop", "missing='drop'")
     sentence = _TLS.sub(r"tls['\1']", sentence)
     sentence = _WITH_NUMBER.sub(lambda match: Field(match[1].replace("-", "_"), int(match[2])).in_python, sentence)
@@ -48,7 +48,7 @@ def in_python(sentence: str) -> str:
 
 @contextlib.contextmanager
 def python_words() -> Iterator[None]:
-    """Raise the errors of a block with the names of Python arguments."""
+    """Raise the errors of a block with the names of Python arguments instead of options."""
     try:
         yield
     except AtollError as error:
@@ -61,13 +61,13 @@ def python_words() -> Iterator[None]:
 
 
 _UNNAMED: Final = re.compile(r"Unnamed: \d+")
-"""The name that pandas gives a column without a name."""
+"""The name of a column without a name in pandas."""
 NAME = "data"
-"""The name in messages of a table that was not read from a file."""
+"""The name of a table without a file, for messages."""
 
 
 class _Frame(Protocol):
-    """Columns by name, as pandas and polars have them."""
+    """A frame of pandas or polars: columns by name."""
 
     @property
     def columns(self) -> Iterable[object]: ...
@@ -81,7 +81,7 @@ _Columns = Mapping[str, object] | _Frame
 def table_of(data: object, config: DataConfig) -> Table:
     """Return the table of files, of columns by name, of records, or of a list of these, one for each trajectory.
 
-    Raises DataError where it has another type, or its columns do not fit together.
+    Raises DataError if `data` has another type, or its columns have different lengths.
     """
     if isinstance(data, Table):
         return data
@@ -112,7 +112,7 @@ def files_of(data: object) -> list[Path]:
 
 
 def _is_record(part: object) -> bool:
-    """Tell whether it is one row of a table: single values by name."""
+    """Return whether `part` is a row of a table: single values by name."""
     return isinstance(part, Mapping) and bool(part) and all(np.ndim(value) == 0 for value in part.values())
 
 
@@ -123,13 +123,13 @@ def _has_columns(part: object) -> TypeGuard[_Columns]:
 
 
 def _cells_of(part: _Columns, config: DataConfig) -> RawTable:
-    """Return the columns of a part as cells, and before them an index that says more than which row it is."""
+    """Return the columns of a part as cells; an index that is not only a row number comes first."""
     if isinstance(part, np.ndarray) and part.dtype.names is None:
         return table_of_matrix(NAME, _array(part, "the array"), config, (_kind(part),))
     if isinstance(part, Mapping) and any(_is_frame(value) for value in part.values()):
         named = ", ".join(map(str, part))
         raise DataError(
-            f"{NAME} is a dict of frames ({named}); give the one that holds the measurements, or a list of some"
+            f"{NAME} is a dict of frames ({named}); give the frame with the measurements, or a list of frames"
         )
     columns = _named_arrays(part)
     if _has_header_among_rows(columns):
@@ -140,20 +140,20 @@ def _cells_of(part: _Columns, config: DataConfig) -> RawTable:
 
 
 def _plain(header: str) -> str:
-    """Return the name of a column; ``%time`` and ``# t`` are times below the mark of a comment."""
+    """Return the name of a column without the mark of a comment: ``%time`` and ``# t`` are times."""
     name = header.lstrip("#% ").strip()
     return name if split_unit(name)[0] in TIME_NAMES else header.strip()
 
 
 def _has_header_among_rows(columns: Mapping[str, AnyArray]) -> bool:
-    """Tell whether pandas has named columns by their places, and texts stand in these: the header is a row below."""
+    """Return whether pandas has numbered the columns and they hold texts, so that the header is in a later row."""
     unnamed = [values for name, values in columns.items() if _UNNAMED.fullmatch(name)]
     filled = [next((cell for cell in values.tolist() if cell_of(cell)), None) for values in unnamed]
     return any(isinstance(cell, str) for cell in filled)
 
 
 def _with_header_of_rows(columns: Mapping[str, AnyArray], kind: str) -> RawTable:
-    """Return the table below rows that pandas treated as a header, such as a title or names of groups."""
+    """Return the table without the rows above its header, such as a title, which pandas has used as the header."""
     first = ["" if _UNNAMED.fullmatch(name) else name for name in columns]
     cells = [[*map(cell_of, values.tolist())] for values in columns.values()]
     rows = [first, *map(list, zip(*cells, strict=True))]
@@ -166,7 +166,7 @@ def _is_frame(value: object) -> bool:
 
 
 def _kind(part: _Columns) -> str:
-    """Return the name of a part in the description of how data were read."""
+    """Return the kind of a part, for the sentence on how data were read."""
     if isinstance(part, np.ndarray):
         return "a NumPy array"
     if isinstance(part, Mapping) and type(part).__module__ == "builtins":
@@ -192,7 +192,7 @@ def _named_arrays(part: _Columns) -> dict[str, AnyArray]:
 
 
 def _names(labels: Sequence[object]) -> list[str]:
-    """Return labels of columns as names: for several levels the last one, or all levels where the last is repeated."""
+    """Return column labels as names: the last of several levels, or all levels if the last one is not unique."""
     levels = [[str(level) for level in label if str(level)] if isinstance(label, tuple) else [str(label)]
               for label in labels]  # fmt: skip
     counts = Counter(parts[-1] for parts in levels if parts)
@@ -200,9 +200,9 @@ def _names(labels: Sequence[object]) -> list[str]:
 
 
 def _index(part: _Columns) -> dict[str, AnyArray]:
-    """Return the levels of the index of a pandas frame that have a name, or hold more than whole numbers.
+    """Return the index levels of a pandas frame that have a name, or hold values other than whole numbers.
 
-    A level without a name is the time if it has dates or durations; otherwise its name is blank, and it is ignored.
+    A level without a name is the time if it holds dates or durations; otherwise it gets a blank name and is ignored.
     """
     index = getattr(part, "index", None)
     if index is None or callable(index):
@@ -222,7 +222,7 @@ def _index(part: _Columns) -> dict[str, AnyArray]:
 
 
 def _array(values: object, name: str) -> AnyArray:
-    """Return an array without a mask; raises DataError where rows have different lengths."""
+    """Return an array without a mask; raises DataError if rows have different lengths."""
     try:
         array = plain_array(values)
     except ValueError:
@@ -230,15 +230,15 @@ def _array(values: object, name: str) -> AnyArray:
     if array is None or (
         array.dtype.kind == "O" and any(isinstance(cell, (list, tuple, np.ndarray)) for cell in array.ravel())
     ):
-        raise DataError(f"{name} holds rows of different lengths; one number for each is expected")
+        raise DataError(f"{name} holds rows of different lengths; rows of equal length are expected")
     return array
 
 
 def numbers_of(given: object, name: str) -> FloatArray:
-    """Return an array as numbers, durations in seconds, NaN where it is masked or None.
+    """Return an array as numbers; durations become seconds, masked values and None become NaN.
 
-    Texts are read like the cells of files, each column in one way. `name` is for messages. Raises DataError where it
-    has dates, complex numbers, or text that is not a number.
+    Texts are read like the cells of files, with one format for each column. `name` is for messages. Raises DataError
+    for dates, complex numbers, or text that is not a number.
     """
     values = _array(given, name)
     if values.dtype.kind == "m":

@@ -1,8 +1,9 @@
 """The command line ``coordinator``.
 
-``main`` parses the words, calls a verb and turns errors into exit codes. ``options`` has the table of verbs and the
-parser. ``verbs`` has the functions of the verbs; ``doctor`` and ``adapt`` are verbs of their own size. ``request`` is a
-job as the user described it, ``result_files`` the files written of it, ``exit_codes`` the meaning of a job's end.
+``main`` parses the options, calls a verb and turns errors into exit codes. ``options`` has the table of verbs and the
+parser. ``verbs`` has the functions of most verbs; the larger verbs ``doctor`` and ``adapt`` have their own modules.
+``request`` describes a job as the user asked for it, ``result_files`` writes its result to files, and ``exit_codes``
+maps the end of a job to an exit code.
 
 The path of a command: `main.main` -> `options.parse` -> `verbs.submit.submit` -> `request.Request` ->
 `atoll.client.client.Client` -> (bus) -> `atoll_coordinator.service.requests`. For a run on this machine: `verbs.run`

@@ -1,8 +1,9 @@
-"""Templates of batch systems: how a job with workers is submitted, listed, withdrawn and drained.
+"""``coordinator adapt``, and templates of batch systems: how a job with workers is submitted, listed, cancelled,
+drained.
 
-Commands may contain ``{name}``, the common name of the jobs, ``{job}``, a job's id, ``{cores}``, the cores of a job,
-and ``{user}``; scripts contain ``{worker}``, the command of a job's workers. To add a system, add a template here and
-the variable of its job ids to `atoll_core.machine`.
+Commands may contain ``{name}`` (the common name of the jobs), ``{job}`` (the id of a job), ``{cores}`` (the number of
+cores of a job) and ``{user}``; scripts contain ``{worker}`` (the command that starts the workers of a job). To add a
+batch system, add a template here, and add the environment variable with its job id to `atoll_core.machine`.
 """
 
 import argparse
@@ -34,11 +35,12 @@ from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import WorkerView
 
 DRAIN_S: Final = 60
-"""How long before its time limit a job is signalled to end (Slurm may do so a minute sooner): handing over islands
-takes half a minute at most (`island-worker --grace`)."""
+"""Seconds between the signal that a job should end and its time limit. Slurm may send the signal a minute sooner.
+Workers need at most half a minute to hand over their islands (`island-worker --grace`).
+"""
 
 Pairs = list[tuple[str, str]]
-"""Ids of jobs, with their states in the words of the system."""
+"""Ids of jobs, with their states as the batch system prints them."""
 
 
 class BatchError(AtollError):
@@ -47,7 +49,7 @@ class BatchError(AtollError):
 
 @dataclass(frozen=True)
 class Listing:
-    """A command that lists jobs, and how its output is read; `state` of all of them, None: in the output."""
+    """A command that lists jobs, and how to read its output; `state`: the state of all of them, None: in the output."""
 
     words: tuple[str, ...]
     state: BatchState | None = None
@@ -60,9 +62,10 @@ class Listing:
 class BatchSystem:
     """A batch system: `title` is its name in messages, `programs` are required.
 
-    `submit` takes the script on stdin, and `number` finds the job's id in its answer; `parallel` is added for more than
-    one core unless the user's options have its first word. `states` maps words of listings to states; other words mean
-    pending. A listing that fails with a text like `nothing` has no jobs.
+    `submit` takes the script on stdin, and `number` finds the job's id in its output. The options `parallel` are added
+    for more than one core, unless the user's options contain the first word of `parallel`. `states` maps words of
+    listings to states; other words mean pending. A listing that fails with a message that matches `nothing` has no
+    jobs.
     """
 
     title: str
@@ -83,11 +86,11 @@ _SIGNALLED: Final = """\
 #!/bin/sh
 # The system may signal every process of the job, and workers end at once on a second SIGTERM: so a shell next to them
 # waits for another signal, and then sends SIGTERM to their parent only.
-workers= told=
-trap 'told=yes; [ -z "$workers" ] || kill -TERM "$workers" 2>/dev/null' USR1 USR2
+workers= signalled=
+trap 'signalled=yes; [ -z "$workers" ] || kill -TERM "$workers" 2>/dev/null' USR1 USR2
 (trap '' USR1 USR2; exec {worker}) &
 workers=$!
-[ -z "$told" ] || kill -TERM "$workers"
+[ -z "$signalled" ] || kill -TERM "$workers"
 wait "$workers" || wait "$workers"
 """
 
@@ -95,11 +98,11 @@ _NUMBER: Final = re.compile(r"(\d+)")
 
 
 def _grid_engine(text: str, name: str) -> Pairs:
-    """Read ``qstat -xml`` of Grid Engine, whose tables truncate names; its states are letters: qw, r, dr, Eqw."""
+    """Read ``qstat -xml`` of Grid Engine; its tables truncate names. States are letters such as qw, r, dr, Eqw."""
     try:
         jobs = ElementTree.fromstring(text).iter("job_list")
     except ElementTree.ParseError as error:
-        raise BatchError(f"qstat -xml did not answer with XML ({error}); see whether Grid Engine answers") from None
+        raise BatchError(f"qstat -xml did not answer with XML ({error}); check that Grid Engine answers") from None
     pairs = []
     for job in jobs:
         if job.findtext("JB_name") == name:
@@ -113,8 +116,8 @@ def _of_pbs(states: str, state: BatchState) -> Listing:
     return Listing(("qselect", "-u", "{user}", "-N", "{name}", "-s", states), state)
 
 
-# A job's script becomes the parent of its workers. So a signal of Slurm to the batch shell only (`scancel --batch`,
-# and `--signal=B:` when the time limit is near) reaches that parent once, which passes it on.
+# `exec` makes the job's script the parent of its workers. So a signal that Slurm sends to the batch shell only
+# (`scancel --batch`, and `--signal=B:` near the time limit) reaches the parent once; the parent passes it on.
 _SLURM: Final = BatchSystem(
     title="Slurm",
     programs=("sbatch", "squeue", "scancel"),
@@ -122,7 +125,7 @@ _SLURM: Final = BatchSystem(
         "sbatch", "--parsable", "--job-name={name}", "--nodes=1", "--ntasks=1", "--cpus-per-task={cores}",
         f"--signal=B:TERM@{DRAIN_S}",
     ),
-    number=_NUMBER,  # behind it is the cluster's name
+    number=_NUMBER,  # the cluster's name follows the number
     listings=(Listing(("squeue", "--me", "--noheader", "--name={name}", "--format=%A %T")),),
     take_back=("scancel", "--state=PENDING", "{job}"),
     drain=("scancel", "--batch", "--signal=TERM", "{job}"),
@@ -138,7 +141,7 @@ _PBS: Final = BatchSystem(
     title="PBS",
     programs=("qsub", "qselect", "qdel", "qsig"),
     submit=("qsub", "-N", "{name}", "-j", "oe", "-l", "select=1:ncpus={cores}"),
-    number=_NUMBER,  # behind it is the server's name
+    number=_NUMBER,  # the server's name follows the number
     listings=(_of_pbs("HQTW", "pending"), _of_pbs("RSU", "running"), _of_pbs("E", "ending")),
     take_back=("qdel", "{job}"),
     drain=("qsig", "-s", "SIGUSR1", "{job}"),
@@ -162,7 +165,7 @@ _LSF: Final = BatchSystem(
     script=_SIGNALLED,
 )  # fmt: skip
 
-# Grid Engine signals no job: with -notify, qdel sends USR2 a minute before it kills.
+# Grid Engine has no command that signals a job; with -notify, qdel sends USR2 a minute before it kills the job.
 _SGE: Final = BatchSystem(
     title="Grid Engine",
     programs=("qsub", "qstat", "qdel"),
@@ -178,32 +181,32 @@ _SGE: Final = BatchSystem(
 )
 
 SYSTEMS: Final[Mapping[str, BatchSystem]] = {"slurm": _SLURM, "pbs": _PBS, "lsf": _LSF, "sge": _SGE}
-"""By the word of ``adapt --batch``."""
+"""Batch systems by the value of ``adapt --batch``."""
 
 
 ANSWER_LIMIT_S: Final = 60.0
-"""How long a program of a batch system may take; a busy system may need ten seconds and more."""
+"""Time limit of a program of a batch system, in seconds; a busy system may need more than ten seconds."""
 
 
 class BatchJobs:
-    """The jobs of this user with one name."""
+    """All batch jobs of this user that have a common name."""
 
     def __init__(
         self, system: BatchSystem, name: str, worker: Sequence[str], cores: int, options: Sequence[str]
     ) -> None:
-        """Set up; raises UsageError where the system's programs are not there.
+        """Raises UsageError if the programs of the batch system are not installed.
 
         Args:
-            system: which one, by its template.
-            name: of the jobs.
-            worker: the command of the workers of a job.
-            cores: of a job.
-            options: further ones of the program that submits, which take precedence.
+            system: template of the batch system.
+            name: common name of the jobs.
+            worker: the command that starts the workers of a job.
+            cores: number of cores of a job.
+            options: further options for the program that submits; they take precedence.
         """
         missing = [program for program in system.programs if shutil.which(program) is None]
         if missing:
             raise UsageError(
-                f"{missing[0]} was not found; run adapt on a machine from which jobs of {system.title} are submitted"
+                f"{missing[0]} was not found; run adapt on a machine where users submit jobs of {system.title}"
             )
         self._system = system
         self._places = {"name": name, "cores": str(cores), "user": getpass.getuser()}
@@ -218,14 +221,16 @@ class BatchJobs:
 
     def submit(self) -> str:
         """Submit a job; return its id."""
-        said = self._run(self._submission, self._script)
-        found = self._system.number.search(said)
+        output = self._run(self._submission, self._script)
+        found = self._system.number.search(output)
         if found is None:
-            raise BatchError(f"{self._submission[0]} named no job, but said {said.strip()!r}; try it by hand")
+            raise BatchError(
+                f"{self._submission[0]} printed {output.strip()!r} without the id of a job; try it by hand"
+            )
         return found[1]
 
     def jobs(self) -> list[BatchJob]:
-        """Return our jobs that have not ended; if a state changes between listings, the later one."""
+        """Return our jobs that have not ended; if a state changes between listings, the later state is used."""
         jobs: dict[str, BatchJob] = {}
         for listing in self._system.listings:
             for text, word in listing.read(self._run(self._words(listing.words)), self._places["name"]):
@@ -235,7 +240,7 @@ class BatchJobs:
         return [*jobs.values()]
 
     def take_back(self, job: str) -> None:
-        """Cancel a pending job; under Slurm, a job that has started meanwhile continues."""
+        """Cancel a pending job; with Slurm, a job that has started meanwhile continues."""
         self._run(self._words(self._system.take_back, job))
 
     def drain(self, job: str) -> None:
@@ -256,7 +261,7 @@ class BatchJobs:
         try:
             done = subprocess.run(words, input=given, capture_output=True, text=True, timeout=limit, check=False)
         except subprocess.TimeoutExpired as error:
-            hint = f"see whether {self.title} answers"
+            hint = f"check that {self.title} answers"
             raise BatchError(f"{words[0]} did not end within {limit:.0f} s; {hint}") from error
         except OSError as error:
             raise BatchError(f"{words[0]} cannot be run: {(error.strerror or str(error)).lower()}") from error
@@ -264,8 +269,10 @@ class BatchJobs:
             if self._system.nothing.search(done.stderr):
                 return ""
             lines = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()
-            said = lines[-2] if lines[-1] == "Exiting." and len(lines) > 1 else lines[-1]  # of Grid Engine
-            raise BatchError(f"{words[0]} failed ({said}); the command was: {shlex.join(words)}")
+            output = (
+                lines[-2] if lines[-1] == "Exiting." and len(lines) > 1 else lines[-1]
+            )  # Grid Engine ends with this line
+            raise BatchError(f"{words[0]} failed ({output}); the command was: {shlex.join(words)}")
         return done.stdout
 
 
@@ -273,7 +280,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def adapt(options: argparse.Namespace) -> int:
-    """Keep as many batch jobs as there is work for, until SIGTERM or Ctrl-C; return 0. The jobs stay."""
+    """Keep as many batch jobs as there is work for, until SIGTERM or Ctrl-C; return 0. The batch jobs then continue."""
     if options.minimum > options.maximum:
         raise UsageError(f"--minimum {options.minimum} is more than --maximum {options.maximum}")
     configure(options.log_format, options.log_level)
@@ -290,12 +297,12 @@ def adapt(options: argparse.Namespace) -> int:
             f"workers each, for the coordinator at {address}"
         )
         Adapting(address, batch, AdaptPolicy(limits), options.wait).run(stop, options.interval)
-    note(f"coordinator adapt: stopped; its jobs of {batch.title} stay, and end by: {batch.how_to_end}")
+    note(f"coordinator adapt: stopped; its jobs of {batch.title} continue; end them with: {batch.how_to_end}")
     return DONE
 
 
 def worker_command(options: argparse.Namespace, address: Destination) -> list[str]:
-    """Return the command of a job's workers; the default program is in the same folder as this one."""
+    """Return the command that starts a job's workers; the default program is in the same folder as this program."""
     program = _words(options.worker, "--worker") or [str(Path(sys.executable).with_name("island-worker"))]
     return [*program, "--connect", str(address), "--processes", str(options.cores), "--wait", f"{options.wait:g}"]
 
@@ -304,13 +311,13 @@ def _words(text: str | None, option: str) -> list[str]:
     try:
         return shlex.split(text or "")
     except ValueError as error:
-        raise UsageError(f"{option} {text!r} cannot be split into words ({error}); see to its quotes") from error
+        raise UsageError(f"{option} {text!r} cannot be split into words ({error}); check its quotes") from error
 
 
 class Adapting:
     """Polls the coordinator and the batch system, and carries out the decisions of the policy.
 
-    Either may be away for `patience_s` seconds; meanwhile nothing is changed.
+    Either may be unreachable for `patience_s` seconds; meanwhile no job is submitted or ended.
     """
 
     def __init__(self, address: Destination, batch: BatchJobs, policy: AdaptPolicy, patience_s: float) -> None:
@@ -325,41 +332,41 @@ class Adapting:
         """Poll every `interval_s` seconds until `stop` is set.
 
         Raises:
-            UnreachableError, BatchError: the coordinator or the batch system has been away for too long.
-            AtollError: several jobs in a row ended before a worker of theirs had joined.
+            UnreachableError, BatchError: the coordinator or the batch system was unreachable for too long.
+            AtollError: several consecutive jobs ended before one of their workers had joined.
         """
         while not stop.is_set():
             try:
-                self._look(time.monotonic())
+                self._poll(time.monotonic())
                 self._failed_since = None
             except (UnreachableError, BatchError) as error:
                 now = time.monotonic()
-                # raised if it lasts, or if the system has never accepted a job with these options
+                # raised if the error lasts, or if the batch system has never accepted a job with these options
                 if isinstance(error, BatchError) and not self._has_submitted:
                     raise error
                 if self._failed_since is None:
                     self._failed_since = now
-                    _LOG.warning("nothing is changed for now", extra=fields(reason=str(error)))
+                    _LOG.warning("no job is submitted or ended for now", extra=fields(reason=str(error)))
                 elif now - self._failed_since > self._patience_s:
                     raise error
             stop.wait(interval_s)
 
-    def _look(self, now: float) -> None:
+    def _poll(self, now: float) -> None:
         with connected(self._address, CONNECT_LIMIT_S) as client:
             jobs = self._batch.jobs()
             need = need_of(client, {job.id for job in jobs})
-        self._do(self._policy.decide(now, need, jobs), need)
+        self._carry_out(self._policy.decide(now, need, jobs), need)
 
-    def _do(self, decision: AdaptDecision, need: Need) -> None:
+    def _carry_out(self, decision: AdaptDecision, need: Need) -> None:
         for _ in range(decision.submit):
             job = self._batch.submit()
             self._has_submitted = True
             _LOG.info("submitted", extra=fields(batch_job=job, workers_wanted=need.workers))
-        self._end(decision.take_back, self._batch.take_back, "taken back", need)
+        self._end(decision.take_back, self._batch.take_back, "cancelled", need)
         self._end(decision.drain, self._batch.drain, "asked to drain", need)
 
     def _end(self, jobs: Sequence[str], end: Callable[[str], None], done: str, need: Need) -> None:
-        """End each of these jobs. A job that fails has usually just ended; otherwise the next poll tries again."""
+        """End each of these jobs. A failure usually means that a job has just ended; else the next poll tries again."""
         for job in jobs:
             try:
                 end(job)
@@ -370,7 +377,7 @@ class Adapting:
 
 
 def need_of(client: Client, jobs: set[str]) -> Need:
-    """Return the coordinator's need for workers; `jobs` are the ids of our jobs."""
+    """Return the coordinator's need for workers; `jobs` are the ids of our batch jobs."""
     depth, workers = client.queue_depth(), [view for view in client.workers() if view.state not in ("lost", "leaving")]
     ours = {job: _islands(workers, job) for job in {job_of(view.worker) for view in workers} & jobs if job is not None}
     others = sum(job_of(view.worker) not in jobs for view in workers)

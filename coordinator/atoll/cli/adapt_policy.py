@@ -1,8 +1,8 @@
-"""How many jobs of a batch system should run, and which of them end. Pure; time and state are arguments.
+"""Decides how many jobs of a batch system should run, and which jobs should end. Pure: time and state are arguments.
 
-The number grows at once, because the batch system's own queue takes time. It shrinks to the largest number that was
-needed in a recent interval, because the next job may come soon and workers that end have to hand over: the rule of
-Kubernetes' autoscaler.
+The number of jobs grows at once, because the batch system's own queue takes time. It shrinks to the largest number that
+was needed in the last `idle_s` seconds: the next search may come soon, and ending workers must hand over their islands.
+Kubernetes' autoscaler has the same rule.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -12,7 +12,7 @@ from typing import Final, Literal
 from atoll_core.errors import AtollError
 
 MOST_FAILURES: Final = 3
-"""Consecutive jobs that may end before one of their workers has joined: one or two may get a bad node."""
+"""Limit of consecutive jobs that end before one of their workers has joined; one or two may get a bad node."""
 
 BatchState = Literal["pending", "running", "ending", "failed"]
 """`failed`: the system could not start the job and keeps it until it is deleted, as Grid Engine does."""
@@ -20,7 +20,7 @@ BatchState = Literal["pending", "running", "ending", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class AdaptLimits:
-    """Fewest and most jobs, worker processes in each, and seconds for which fewer must suffice before one ends."""
+    """Limits: jobs; worker processes in each job; seconds for which fewer jobs must suffice before a job is ended."""
 
     minimum: int
     maximum: int
@@ -39,9 +39,9 @@ class BatchJob:
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """The coordinator's need: workers that would have work, and workers of other origin.
+    """The coordinator's need: `workers` could have work; `others` workers were not started by our jobs.
 
-    `islands`: number of islands by job id, for our jobs from which a worker has joined.
+    `islands`: number of islands by batch job id, for each of our jobs from which a worker has joined.
     """
 
     workers: int
@@ -51,7 +51,7 @@ class Need:
 
 @dataclass(frozen=True, slots=True)
 class AdaptDecision:
-    """Number of jobs to submit; pending jobs to take back; running jobs to drain."""
+    """The number of jobs to submit, the ids of pending jobs to cancel and of running jobs to drain."""
 
     submit: int = 0
     take_back: tuple[str, ...] = ()
@@ -59,15 +59,15 @@ class AdaptDecision:
 
 
 class AdaptPolicy:
-    """Decides at each poll. It remembers the recent needs, which jobs it has asked to end, in which state they
-    were, and which have joined.
+    """Decides at each poll. It remembers the recent needs, the state of each job when it was asked to end, and the jobs
+    from which a worker has joined.
     """
 
     def __init__(self, limits: AdaptLimits) -> None:
         self._limits = limits
         self._began_at: float | None = None
         self._needs: list[tuple[float, int]] = []
-        self._told: dict[str, BatchState] = {}
+        self._asked_to_end: dict[str, BatchState] = {}
         self._waited_for: set[str] = set()
         self._failures = 0
 
@@ -87,10 +87,10 @@ class AdaptPolicy:
         has_seen_enough = now - self._began_at >= self._limits.idle_s
         most = max(count for _, count in self._needs) if has_seen_enough else self._limits.maximum
         target = _Target(needed, most)
-        failed = [job for job in jobs if job.state == "failed" and job.id not in self._told]
-        kept = [job for job in jobs if job.state in ("pending", "running") and job.id not in self._told]
+        failed = [job for job in jobs if job.state == "failed" and job.id not in self._asked_to_end]
+        kept = [job for job in jobs if job.state in ("pending", "running") and job.id not in self._asked_to_end]
         ends = sorted(kept, key=lambda job: self._order(job, need))[: max(0, len(kept) - target.most)]
-        self._told |= {job.id: job.state for job in (*failed, *ends)}
+        self._asked_to_end |= {job.id: job.state for job in (*failed, *ends)}
         self._waited_for -= {job.id for job in ends}
         return AdaptDecision(
             submit=max(0, target.least - len(kept)),
@@ -99,8 +99,8 @@ class AdaptPolicy:
         )
 
     def forget(self, job: str) -> None:
-        """Take in that a job could not be ended; it is decided on again."""
-        self._told.pop(job, None)
+        """Register that a job could not be ended, so that the next poll decides on it again."""
+        self._asked_to_end.pop(job, None)
 
     def _needed(self, need: Need) -> int:
         workers = max(0, need.workers - need.others)
@@ -108,16 +108,17 @@ class AdaptPolicy:
         return min(max(jobs, self._limits.minimum), self._limits.maximum)
 
     def _order(self, job: BatchJob, need: Need) -> tuple[bool, int, int]:
-        """Sort by the cost of ending: pending jobs, the last one first; then running jobs, fewest islands first.
+        """Return the sort key for ending jobs, cheapest first: pending jobs from the newest, then running jobs with few
+        islands.
 
-        Of equal jobs the oldest ends: its time limit is the next anyway.
+        Among jobs with equally many islands the oldest ends first, because its time limit comes first.
         """
         if job.state == "pending":
             return False, 0, -job.number
         return True, need.islands.get(job.id, 0), job.number
 
     def _watch(self, joined: Collection[str], jobs: Sequence[BatchJob]) -> None:
-        """Count jobs that ended before a worker of theirs had joined."""
+        """Count consecutive jobs that ended before one of their workers had joined."""
         here = {job.id: job.state for job in jobs}
         if self._waited_for & set(joined):
             self._failures = 0
@@ -125,18 +126,20 @@ class AdaptPolicy:
         gone = self._waited_for - here.keys()
         self._failures += len(gone)
         self._waited_for = (self._waited_for - gone) | {
-            job.id for job in jobs if job.state != "ending" and job.id not in self._told and job.id not in joined
+            job.id
+            for job in jobs
+            if job.state != "ending" and job.id not in self._asked_to_end and job.id not in joined
         }
-        # A job that should be taken back may have started meanwhile.
-        self._told = {
+        # A pending job that was cancelled may have started meanwhile.
+        self._asked_to_end = {
             job: state
-            for job, state in self._told.items()
+            for job, state in self._asked_to_end.items()
             if job in here and (state, here[job]) != ("pending", "running")
         }
         if self._failures >= MOST_FAILURES:
             raise AtollError(
-                f"{self._failures} jobs one after the other ended before a worker of theirs had joined, the last of "
-                f"them {', '.join(sorted(gone))}; read their output, and try their command by hand"
+                f"{self._failures} consecutive jobs ended before one of their workers had joined, the last one was "
+                f"{', '.join(sorted(gone))}; read their output, and try their command by hand"
             )
 
 

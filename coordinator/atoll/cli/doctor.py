@@ -1,4 +1,4 @@
-"""The checks of ``coordinator doctor``: each has a subject, a finding and, if needed, an advice."""
+"""The checks of ``coordinator doctor``: each yields findings with a subject, a fact and, if needed, advice."""
 
 import argparse
 import contextlib
@@ -31,7 +31,7 @@ _MARKS: Final[dict[Grade, str]] = {"fine": "ok     ", "warning": "warning", "pro
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The finding `found` about `subject`, with an `advice`, "" where no action is needed."""
+    """The finding `found` about `subject`; `advice` is "" if no action is needed."""
 
     subject: str
     grade: Grade
@@ -45,7 +45,7 @@ def fine(subject: str, fact: str) -> Diagnosis:
 
 
 def problem(subject: str, error: AtollError) -> Diagnosis:
-    """Return a finding from an error, whose text has the finding and, after a semicolon, the advice."""
+    """Return the finding of an error, whose text has the fact and, after a semicolon, the advice."""
     fact, _, advice = error.on_command_line.partition("; ")
     return Diagnosis(subject, "problem", fact, advice)
 
@@ -56,7 +56,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def as_text(findings: Sequence[Diagnosis]) -> str:
-    """Return one line for each finding, one for its advice, and a summary."""
+    """Return one line for each finding, one line for each advice, and a summary."""
     width = max(len(finding.subject) for finding in findings)
     lines = []
     for finding in findings:
@@ -101,7 +101,7 @@ def check_versions(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def check_cores(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Report how many workers start here by default."""
+    """Report the default number of workers on this machine."""
     cores, reason = usable_cores(os.environ)
     yield fine("cores", f"{counted(cores, 'worker process')} by default: {reason}")
 
@@ -122,7 +122,7 @@ def check_memory(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def available_memory(meminfo: Path = _MEMINFO, cgroup: Path = _CGROUP) -> int | None:
-    """Return the available bytes, by the system and its control group; None: unknown."""
+    """Return the available bytes: the smaller limit of the system and its control group; None: unknown."""
     amounts = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         lines = [line.split() for line in meminfo.read_text("ascii").splitlines()]
@@ -134,13 +134,13 @@ def available_memory(meminfo: Path = _MEMINFO, cgroup: Path = _CGROUP) -> int | 
 
 
 def check_open_files(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Check that a coordinator here could have many connections."""
+    """Check that a coordinator on this machine can open many connections."""
     try:
         import resource
     except ImportError:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    fact = f"{soft} at once; the coordinator needs one for each worker and client"
+    fact = f"at most {soft}; the coordinator needs one for each worker and client"
     if soft == resource.RLIM_INFINITY or soft >= FEW_FILES:
         yield fine("open files", fact)
     else:
@@ -149,9 +149,9 @@ def check_open_files(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def check_kernels(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Check whether kernels are compiled, or can be."""
+    """Check whether kernels are compiled, or can be compiled."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
-        fact = "NUMBA_DISABLE_JIT is set: everything is interpreted, a thousand times slower"
+        fact = "NUMBA_DISABLE_JIT is set: kernels run as plain Python, a thousand times slower"
         yield Diagnosis("kernels", "warning", fact, "unset it for real work")
         return
     from atoll_core.compilation.cache import cache_directory, is_compiled
@@ -162,10 +162,13 @@ def check_kernels(options: argparse.Namespace) -> Iterator[Diagnosis]:
         return
     existing = _existing(directory)
     if os.access(existing, os.W_OK | os.X_OK):
-        yield fine("kernels", f"not compiled yet; that takes about a minute of one processor, once, into {directory}")
+        yield fine(
+            "kernels",
+            f"not compiled yet; the first job compiles them into {directory} in about a minute of one processor",
+        )
     else:
         fact = f"not compiled yet, and {existing} cannot be written"
-        yield Diagnosis("kernels", "problem", fact, "set ATOLL_KERNEL_CACHE to a folder that can be")
+        yield Diagnosis("kernels", "problem", fact, "set ATOLL_KERNEL_CACHE to a folder that can be written")
 
 
 def check_state(options: argparse.Namespace) -> Iterator[Diagnosis]:
@@ -186,9 +189,7 @@ def check_state(options: argparse.Namespace) -> Iterator[Diagnosis]:
     kind = file_system(place)
     if is_networked(kind):
         fact = f"{place} is on a network file system ({kind})"
-        advice = (
-            "keep the store on a disk of the coordinator's machine: SQLite relies on locks that many such systems lack"
-        )
+        advice = "keep the store on a disk of the coordinator's machine; SQLite needs locks that many such systems lack"
         yield Diagnosis("state folder", "warning", fact, advice)
 
 
@@ -201,12 +202,12 @@ LIMIT_S: Final = 3.0
 """How long a coordinator may take to answer."""
 
 CLOCK_S: Final = 5.0
-"""With a larger difference of clocks, logs are hard to compare, and certificates may be invalid."""
+"""Largest accepted difference of clocks; with more, logs are hard to compare and certificates may be invalid."""
 
 SILENT_S: Final = 5.0
 
 EXPIRY_S: Final = 30 * 86400.0
-"""A certificate that expires sooner gets a warning."""
+"""A certificate that expires within this time gets a warning."""
 
 
 def check_address(options: argparse.Namespace) -> Iterator[Diagnosis]:
@@ -221,12 +222,15 @@ def check_address(options: argparse.Namespace) -> Iterator[Diagnosis]:
         yield Diagnosis("address", "problem", str(error), "write it as `coordinator serve` printed it")
         return
     reasons = {address: why_unreachable(address, LIMIT_S) for address in addresses}
-    is_enough = None in reasons.values()  # the others may belong to a coordinator on standby
+    is_enough = None in reasons.values()  # the other addresses may belong to a coordinator on standby
     for address, reason in reasons.items():
         if reason is None:
             yield fine("address", f"{address} accepts connections")
         elif is_enough:
-            yield fine("address", f"{address} does not ({reason}), as a coordinator on standby")
+            yield fine(
+                "address",
+                f"{address} does not accept connections ({reason}); it may belong to a coordinator on standby",
+            )
         else:
             yield Diagnosis("address", "problem", f"{address} cannot be reached: {reason}", _advice(reason))
 
@@ -235,7 +239,9 @@ def _advice(reason: str) -> str:
     if "not known" in reason:
         return "check the name, or use the machine's IP address"
     if "refused" in reason:
-        return "start `coordinator serve` there, on an address that others reach (not 127.0.0.1), or check the port"
+        return (
+            "start `coordinator serve` there, at an address that other machines reach (not 127.0.0.1); check the port"
+        )
     return "check that the machine is on and that no firewall keeps this port closed"
 
 
@@ -252,14 +258,14 @@ def check_listen(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def check_certificates(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Check our certificate: key, authority, purpose, dates; for ``--listen`` also the names in it."""
-    files = _shown(options)
+    """Check our certificate: key, authority, purpose and dates; for ``--listen`` also its host names."""
+    files = _own_credentials(options)
     if files is not None:
         yield files if isinstance(files, Diagnosis) else certificate_finding(files, time.time())
 
 
 def certificate_finding(files: Credentials, now: float) -> Diagnosis:
-    """Report whose certificate this is and how long it is valid; `now` is Unix time in seconds."""
+    """Report the name in a certificate and how long it is valid; `now` is Unix time in seconds."""
     hosts = f", for {', '.join(files.hosts)}" if files.hosts else ""
     if files.expires is None:
         return fine("certificate", f"of {files.name}{hosts}")
@@ -271,8 +277,8 @@ def certificate_finding(files: Credentials, now: float) -> Diagnosis:
     return Diagnosis("certificate", "warning", fact, advice)
 
 
-def _shown(options: argparse.Namespace) -> Credentials | Diagnosis | None:
-    """Return our credentials, or the problem with them."""
+def _own_credentials(options: argparse.Namespace) -> Credentials | Diagnosis | None:
+    """Return our credentials, a finding if they cannot be used, or None if no certificate was given."""
     try:
         return credentials_of(vars(options), os.environ, "serve" if options.listen else "connect")
     except AtollError as error:
@@ -283,20 +289,20 @@ def check_coordinator(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Check that the coordinator answers, has a compatible version, and has workers."""
     text = options.connect or os.environ.get("ATOLL_CONNECT")
     if not text:
-        yield fine("coordinator", "none was named (--connect or ATOLL_CONNECT), so none was checked")
+        yield fine("coordinator", "not checked: no address was given (--connect or ATOLL_CONNECT)")
         return
     findings = list(check_address(options))
     yield from findings
-    files = _shown(options)
+    files = _own_credentials(options)
     if any(finding.grade == "problem" for finding in findings) or isinstance(files, Diagnosis):
         return
     try:
-        yield from _greeted(destination(text, files))
+        yield from _greeting_findings(destination(text, files))
     except AtollError as error:
         yield problem("coordinator", error)
 
 
-def _greeted(address: Destination) -> Iterator[Diagnosis]:
+def _greeting_findings(address: Destination) -> Iterator[Diagnosis]:
     from atoll.client.client import connected
 
     with connected(address, LIMIT_S) as client:
@@ -310,16 +316,21 @@ def _greeted(address: Destination) -> Iterator[Diagnosis]:
 
 
 def version_findings(welcome: "Welcome") -> Iterator[Diagnosis]:
-    """Report if a worker of this installation would be refused because of its version."""
+    """Report a problem if the coordinator would refuse workers of this version."""
     versions = (welcome.version, welcome.protocol, welcome.engine)
     if versions != (VERSION, PROTOCOL_VERSION, ENGINE_REVISION):
         here = f"here is Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
-        fact = f"{here}: workers would be refused"
-        yield Diagnosis("versions", "problem", fact, f"install Atoll {welcome.version} here, or this version there")
+        fact = f"{here}: the coordinator would refuse workers from here"
+        yield Diagnosis(
+            "versions",
+            "problem",
+            fact,
+            f"install the same version on both machines, such as Atoll {welcome.version} here",
+        )
 
 
 def clock_findings(clock: str, now: datetime) -> Iterator[Diagnosis]:
-    """Compare the coordinator's clock with ours; the answer took less than `LIMIT_S`."""
+    """Compare the coordinator's clock with our clock; the answer took less than `LIMIT_S` seconds."""
     try:
         moment = datetime.fromisoformat(clock)
     except ValueError:
@@ -327,7 +338,7 @@ def clock_findings(clock: str, now: datetime) -> Iterator[Diagnosis]:
     moment = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
     offset = (moment - now).total_seconds()
     if abs(offset) <= CLOCK_S:
-        yield fine("clock", "agrees with the coordinator's")
+        yield fine("clock", "agrees with the coordinator's clock")
         return
     fact = f"the coordinator's clock is {abs(offset):.0f} s {'ahead of' if offset > 0 else 'behind'} this machine's"
     yield Diagnosis(
@@ -336,10 +347,12 @@ def clock_findings(clock: str, now: datetime) -> Iterator[Diagnosis]:
 
 
 def worker_findings(workers: "Sequence[WorkerView]", address: str) -> Iterator[Diagnosis]:
-    """Report the workers, and which of them are silent or not ready."""
+    """Report the workers, and the names of silent workers and of workers that are not ready."""
     here = [worker for worker in workers if worker.state != "lost"]
     if not here:
-        yield Diagnosis("workers", "warning", "none is there", f"start one: island-worker --connect {address}")
+        yield Diagnosis(
+            "workers", "warning", "the coordinator has no workers", f"start one: island-worker --connect {address}"
+        )
         return
     yield fine("workers", f"{len(here)} on {counted(len({worker.host for worker in here}), 'machine')}")
     silent = [worker for worker in here if worker.silent > SILENT_S]
@@ -368,7 +381,7 @@ def examine(options: argparse.Namespace, checks: Sequence[Check]) -> list[Diagno
     for check in checks:
         try:
             findings += list(check(options))
-        except Exception as error:  # the other checks run all the same
+        except Exception as error:  # the other checks run nevertheless
             name = check.__name__.removeprefix("check_")
             fact = f"the check failed ({type(error).__name__}: {error})"
             findings.append(Diagnosis(name, "problem", fact, "report this; the other findings are valid"))
@@ -376,7 +389,7 @@ def examine(options: argparse.Namespace, checks: Sequence[Check]) -> list[Diagno
 
 
 def check_data(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Read DATA with the given options, like ``submit``; nothing is smoothed."""
+    """Read the data files as ``submit`` does, but without smoothing."""
     if not options.data:
         return
     from atoll.cli.options import parse

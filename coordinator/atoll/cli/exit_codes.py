@@ -15,7 +15,7 @@ TARGET_MISSED: Final = 4
 
 
 def finish(view: "JobView") -> int:
-    """Return the exit code of a job that has ended; explain one other than 0 on stderr."""
+    """Return the exit code of a job that has ended; if it is not 0, print the reason on stderr."""
     code, sentence = ending(view)
     if sentence is not None:
         note(f"coordinator: {sentence}")
@@ -23,11 +23,11 @@ def finish(view: "JobView") -> int:
 
 
 def ending(view: "JobView") -> tuple[int, str | None]:
-    """Return the exit code of a job that has ended, and the sentence that explains one other than 0."""
+    """Return the exit code of a job that has ended, and the reason as a sentence (None with exit code 0)."""
     if view.state == "failed":
         return BAD_INPUT if view.fault == "data" else FAILED, f"job {view.job} failed: {view.reason}"
     if view.state == "cancelled":
-        return INTERRUPTED, f"job {view.job} was cancelled{end_of_cancelled(view, '; what it had found is kept')}"
+        return INTERRUPTED, f"job {view.job} was cancelled{end_of_cancelled(view, '; its best equations are kept')}"
     missed = [each.lhs for each in view.variables if not each.converged and each.why != "known"]
     if view.target_error is None or not missed:
         return DONE, None
@@ -35,6 +35,6 @@ def ending(view: "JobView") -> tuple[int, str | None]:
 
 
 def end_of_cancelled(view: "JobView", kept: str) -> str:
-    """Return the end of a sentence about a cancelled job: `kept` if it has found an equation."""
+    """Return the last clause of a sentence about a cancelled job: `kept` if the job has found an equation."""
     has_found = any(variable.expression is not None and variable.why != "known" for variable in view.variables)
     return kept if has_found else ", before it found any equation"

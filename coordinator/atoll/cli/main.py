@@ -1,6 +1,6 @@
-"""The ``coordinator`` program: parse, call the verb, turn every error into a sentence and an exit code.
+"""The ``coordinator`` program: parses the options, calls the verb, turns every error into a sentence and an exit code.
 
-Nothing heavy is imported here; each verb's module is imported when it is called.
+This module imports nothing heavy: the module of a verb is imported when the verb is called.
 """
 
 import contextlib
@@ -18,11 +18,11 @@ _MAY_BE_EDITED: Final = "; if the result file was edited, use the original file"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command line (None: the arguments of the process) and return its exit code."""
+    """Run one command line (None: `sys.argv`) and return its exit code."""
     words = sys.argv[1:] if argv is None else argv
     try:
-        return exit_code_of(lambda: _dispatch(words), _complain)
-    except BrokenPipeError:  # the reader of our output has gone
+        return exit_code_of(lambda: _dispatch(words), _print_error)
+    except BrokenPipeError:  # the program that reads our output has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # no message when Python flushes at exit, either
         return 0
     except Exception as error:
@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         from atoll.cli.exit_codes import FAILED
 
-        _complain(_record(error) + (_MAY_BE_EDITED if words[0] in _READERS else ""))
+        _print_error(_record(error) + (_MAY_BE_EDITED if words[0] in _READERS else ""))
         return FAILED
 
 
@@ -45,7 +45,7 @@ def _dispatch(argv: Sequence[str]) -> int:
     return code
 
 
-def _complain(sentence: str) -> None:
+def _print_error(sentence: str) -> None:
     from atoll_core.quoting import visible
 
     flush_streams()

@@ -1,7 +1,7 @@
 """The command line: every verb with its module, help and arguments in one table (`VERBS`), its parser, and the reading
 of values that argparse does not convert.
 
-Only light imports, because ``--help`` must be instant. The options of a job are declared in `atoll.client.options`.
+It has only light imports, because ``--help`` must be instant. `atoll.client.options` declares the options of a job.
 """
 
 import argparse
@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 
 def job_id(text: str | None) -> str:
-    """Return the id that ``--id`` gives, or a new one."""
+    """Return the id of ``--id``, or a new random id if `text` is None."""
     if text is None:
         return uuid.uuid4().hex[:8]
     if not is_id(text):
@@ -38,7 +38,7 @@ def job_id(text: str | None) -> str:
 
 
 def finite_number(text: str, option: str) -> float:
-    """Return a number."""
+    """Return the number; raises UsageError, like the functions below."""
     try:
         value = float(text)
     except ValueError:
@@ -56,12 +56,12 @@ def natural_number(text: str, option: str) -> int:
 
 
 def if_given(read: Callable[[str, str], T], text: str | None, option: str) -> T | None:
-    """Return the text of an option as parsed by `read`; None where it was not given."""
+    """Return the value of an option as `read` parses it; None if the option was not given."""
     return None if text is None else read(text, option)
 
 
 def interval(text: str, option: str) -> tuple[float, float]:
-    """Return the bounds of ``0:3``."""
+    """Return the lower and the upper bound of a text such as ``0:3``."""
     lower, separator, upper = text.partition(":")
     if not separator:
         raise UsageError(f"{option} wants LOWER:UPPER, but got {text!r}")
@@ -72,25 +72,25 @@ def interval(text: str, option: str) -> tuple[float, float]:
 
 
 def assignments(texts: Sequence[str], option: str, example: str) -> dict[str, str]:
-    """Return the values by name of ``x=0:3``; several may stand in one text, separated by commas."""
+    """Return the values by name from texts such as ``x=0:3``; one text may hold several, separated by commas."""
     values: dict[str, str] = {}
     for text in (part for line in texts for part in line.split(",")):
         name, separator, value = (part.strip() for part in text.partition("="))
         if not separator or not name or not value:
             raise UsageError(f"{option} wants {example}, but got {text!r}")
         if name in values:
-            raise UsageError(f"{option} names '{name}' twice; give one")
+            raise UsageError(f"{option} names '{name}' twice; give one value for each name")
         values[name] = value
     return values
 
 
 def numbers(texts: Sequence[str], option: str, example: str) -> dict[str, float]:
-    """Return the numbers by name of ``u=1``."""
+    """Return the numbers by name from texts such as ``u=1``."""
     return {name: finite_number(text, f"{option} {name}") for name, text in assignments(texts, option, example).items()}
 
 
 def intervals(texts: Sequence[str], option: str) -> dict[str, tuple[float, float]]:
-    """Return the bounds by name of ``x=0:3``."""
+    """Return the bounds by name from texts such as ``x=0:3``."""
     return {name: interval(text, f"{option} {name}") for name, text in assignments(texts, option, "x=0:3").items()}
 
 
@@ -103,7 +103,7 @@ _AGES: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 _SIZES: Final = {"M": 10**6, "G": 10**9, "T": 10**12}
 
 Add = Callable[[argparse.ArgumentParser], object]
-"""Adds an argument, or several, to the parser of a verb."""
+"""A function that adds one or several arguments to the parser of a verb."""
 
 
 def _value(flag: str, metavar: str | None, text: str, **settings: Any) -> Add:
@@ -123,7 +123,7 @@ def _output(text: str) -> Add:
 
 
 def _either(*arguments: Add) -> Add:
-    """Add arguments that exclude each other."""
+    """Add mutually exclusive arguments."""
 
     def add(parser: argparse.ArgumentParser) -> None:
         group: Any = parser.add_mutually_exclusive_group()
@@ -134,7 +134,7 @@ def _either(*arguments: Add) -> Add:
 
 
 def _job_options(heading: str) -> Add:
-    """Add the options of a job that have this heading in their table."""
+    """Add the options of a job under `heading` in the table of options."""
 
     def add(parser: argparse.ArgumentParser) -> None:
         group: Any = parser.add_argument_group(heading)
@@ -158,7 +158,7 @@ def _host_and_port(text: str) -> tuple[str, int]:
 
 
 def _keep(text: str) -> tuple[int | None, int | None]:
-    """Return seconds and bytes of ``90d,8G``, None for a part that is left out; raises ArgumentTypeError."""
+    """Return the seconds and bytes of a text such as ``90d,8G``, None for an omitted part; raises ArgumentTypeError."""
     if text == "all":
         return None, None
     limits: dict[str, int] = {}
@@ -200,9 +200,9 @@ _JOB: Final = (
     _value("data", "DATA", "data files: CSV and other text, Excel, MATLAB, HDF5, Parquet, NPZ, JSON", nargs="+"),
     _switch("--json", "print the result as JSON"),
     _switch("--report", "also write the result as a page, report.html"),
-    _value("--name", "NAME", "a label for lists (default: the first file's name)"),
+    _value("--name", "NAME", "a label for lists of jobs (default: the first file's name)"),
     _value("--id", "ID", "the job's id (default: random)"),
-    _value("--config", "job.toml", "the same settings as a file; options override it"),
+    _value("--config", "job.toml", "a file with the same settings; options override it"),
     _switch("--dry-run", "show how the data are read and the plan of the search; start nothing"),
     *(_job_options(heading) for heading in GROUPS),
 )
@@ -219,7 +219,7 @@ _OUTPUT: Final = _output("write to this file (default: stdout)")
 
 
 def _of_coordinator(subject: str, nargs: str | None = "?") -> Sequence[Add]:
-    """Return the arguments of a verb that asks a coordinator about `subject`: a job or a worker."""
+    """Return the arguments of a verb for a job or worker of a coordinator; `subject` is the help of this argument."""
     return _value("job", "ID", subject, nargs=nargs), *_CONNECT, _JSON
 
 
@@ -237,37 +237,37 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
             "--workers", "N", "worker processes (default: one per core this process may use)",
             type=whole_number(1, MOST_WORKERS),
         ),
-        _value("--out", "DIR", "folder of result.json and the log (default: runs/JOB)"),
+        _value("--out", "DIR", "folder for result.json and the log (default: runs/JOB)"),
     )),
     "serve": ("verbs.serve", "run the coordinator for workers and jobs of any machine", (
         _either(
             _LISTEN,
             _value(
                 "--router", "tcp/HOST:PORT",
-                "do not listen, but join a router there (coordinator router, or zenohd), as workers and clients do",
+                "do not listen; join the router (coordinator router, or zenohd) at this address, as workers do",
             ),
         ),
         _STATE,
         _value(
             "--keep", "AGE,SIZE", type=_keep, default="90d,8G",
-            text="delete ended jobs, the oldest first, older than this (30m, 12h, 90d) or while ended jobs take "
-            "more than this (500M, 8G); one of the two may be left out, and `all` keeps all (default: %(default)s)",
+            text="keep ended jobs for this time (30m, 12h, 90d) and up to this total size (500M, 8G); older jobs are "
+            "deleted, the oldest first; one of the two may be left out, and `all` keeps all (default: %(default)s)",
         ),
         _switch(
             "--standby",
-            "wait while another coordinator serves the same --state, and take over when it has died or hangs",
+            "wait while another coordinator serves the same --state; take over when it has ended or hangs",
         ),
         _value(
-            "--metrics", "HOST:PORT", "answer Prometheus there over HTTP, such as 127.0.0.1:9464 (default: nowhere)",
+            "--metrics", "HOST:PORT", "serve metrics for Prometheus here, such as 127.0.0.1:9464 (default: do not)",
             type=_host_and_port,
         ),
         _value(
-            "--http", "HOST:PORT", "also start coordinator web there, such as 127.0.0.1:7480 (default: nowhere)",
+            "--http", "HOST:PORT", "also start coordinator web here, such as 127.0.0.1:7480 (default: do not)",
             type=_host_and_port,
         ),
-        _value("--http-users", "FILE", "like --users of coordinator web; --http needs it if there is a --roster"),
+        _value("--http-users", "FILE", "like --users of coordinator web; required for --http with --roster"),
         *_SERVICE,
-        _value("--limits", "FILE", "limits of users (TOML; read again after SIGHUP, like --roster)"),
+        _value("--limits", "FILE", "limits of users (TOML; SIGHUP reads it again, like --roster)"),
         _value(
             "--wait", "SECONDS", "how long to wait for --router (default: %(default)g)",
             type=seconds, default=10.0,
@@ -279,9 +279,9 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
             "--listen", "HOST:PORT", default=("127.0.0.1", 7480), type=_host_and_port,
             text="where browsers connect (default: 127.0.0.1:7480); other machines need --cert and --key",
         ),
-        _repeatable("--allow-host", "NAME", "a further host name for browsers, such as the name of a proxy"),
-        _value("--cert", "FILE", "certificate for HTTPS; needed for browsers on other machines"),
-        _value("--key", "FILE", "its key"),
+        _repeatable("--allow-host", "NAME", "another allowed host name for browsers, such as the name of a proxy"),
+        _value("--cert", "FILE", "certificate for HTTPS; required for browsers on other machines"),
+        _value("--key", "FILE", "key of the certificate"),
         _value("--users", "FILE", "tokens of users, each with a certificate for the coordinator (TOML; docs/web.md)"),
         _switch("--look-without-token", "let all programs of this machine see all jobs without a token"),
     )),
@@ -289,49 +289,49 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _value("file", "FILE", "the copy; it must not exist yet"), _STATE, _JSON,
     )),
     "restore": ("verbs.serve", "make a job store from a copy; no coordinator may serve it", (
-        _value("file", "FILE", "the copy that backup has written"),
+        _value("file", "FILE", "the file that backup has written"),
         _STATE,
         _switch("--replace", "move an existing store aside"),
         _JSON,
     )),
-    "router": ("verbs.serve", "pass on messages: for a separate site, or to keep connections while serve restarts", (
+    "router": ("verbs.serve", "pass on messages: for another site, or to keep connections while serve restarts", (
         _LISTEN,
         _repeatable(
             "--connect", "tcp/HOST:PORT",
-            "the router or coordinator that gets the messages for other sites",
+            "the router or coordinator to which messages for other sites go",
         ),
         *_SERVICE,
     )),
-    "adapt": ("adapt", "keep as many jobs of a batch system with workers as the coordinator's queue has work for", (
+    "adapt": ("adapt", "start and end jobs of a batch system, with workers, as the coordinator's queue needs them", (
         *_CONNECT,
         _value(
-            "--minimum", "N", "jobs at least (default: %(default)s)", type=whole_number(0, 10**6 - 1), default=0
+            "--minimum", "N", "fewest jobs (default: %(default)s)", type=whole_number(0, 10**6 - 1), default=0
         ),
-        _value("--maximum", "N", "jobs at most", type=whole_number(0, 10**6 - 1), required=True),
+        _value("--maximum", "N", "most jobs", type=whole_number(0, 10**6 - 1), required=True),
         _value(
-            "--cores", "N", "cores, and so workers, of each (default: %(default)s)",
+            "--cores", "N", "cores of each job, with one worker per core (default: %(default)s)",
             type=whole_number(1, MOST_WORKERS), default=1,
         ),
         _value("--batch", None, "the batch system (default: slurm)", choices=BATCH_SYSTEMS, default="slurm"),
-        _value("--sbatch", "OPTIONS", 'further options of sbatch, as --sbatch="--partition=idle --time=2:00:00"'),
+        _value("--sbatch", "OPTIONS", 'more options for sbatch, such as --sbatch="--partition=idle --time=2:00:00"'),
         _value(
             "--batch-options", "OPTIONS",
-            'the same of any system\'s program that submits, as --batch pbs --batch-options="-q idle"',
+            'the same for any batch system, such as --batch pbs --batch-options="-q idle"',
         ),
         _value(
             "--worker", "COMMAND",
-            "how a job starts its workers, such as 'apptainer exec atoll.sif island-worker' (default: the "
+            "command that starts the workers of a job, such as 'apptainer exec atoll.sif island-worker' (default: the "
             "island-worker next to this program)",
         ),
         _value(
             "--idle", "TIME", type=duration, default=300.0,
-            text="how long fewer jobs have to suffice before one is drained (default: 5m)",
+            text="drain a job when fewer jobs have sufficed for this time (default: 5m)",
         ),
         _value(
             "--interval", "TIME", "time between two checks (default: 15s)", type=duration, default=15.0
         ),
         _value(
-            "--wait", "SECONDS", "how long coordinator or batch system may be away (default: %(default)g)",
+            "--wait", "SECONDS", "how long coordinator or batch system may be unreachable (default: %(default)g)",
             type=seconds, default=600.0,
         ),
         add_log_options,
@@ -343,26 +343,26 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _value("--out", "DIR", "also write result.json into this folder"),
         _value(
             "--priority", "N", type=whole_number(-10, 10), default=0,
-            text="-10 to 10; among your own jobs each step doubles its share of the workers, and it is taken up sooner "
-            "(default: 0)",
+            text="-10 to 10; among your own jobs, each step doubles the job's share of the workers, and the job starts "
+            "sooner (default: 0)",
         ),
-        _switch("--share", "let everybody see the job who may use the coordinator, not only you and admins"),
+        _switch("--share", "make the job visible to all users of the coordinator, not only to you and admins"),
     )),
-    "ping": ("verbs.jobs", "ask whether a coordinator answers, as probes do; 3: it does not", (
+    "ping": ("verbs.jobs", "ask whether a coordinator answers, for probes; exit code 3: it does not", (
         *_CONNECT,
         _JSON,
-        _value("--wait", "SECONDS", "how long to wait for it (default: %(default)g)", type=seconds, default=5.0),
+        _value("--wait", "SECONDS", "how long to wait for an answer (default: %(default)g)", type=seconds, default=5.0),
     )),
     "jobs": ("verbs.jobs", "list the jobs of a coordinator", (
-        *_of_coordinator("only jobs whose id begins with this"),
-        _value("--last", "N", "only the N that came last (default: all)", type=whole_number(1, 10**9)),
+        *_of_coordinator("only jobs with ids that begin with this text"),
+        _value("--last", "N", "only the N newest jobs (default: all)", type=whole_number(1, 10**9)),
     )),
-    "status": ("verbs.jobs", "show how far a job has come", (
-        *_of_coordinator("id or its beginning (default: every job that has not ended)"),
-        _switch("--follow", "go on until the job has ended, with its exit code"),
+    "status": ("verbs.jobs", "show the progress of a job", (
+        *_of_coordinator("id or its beginning (default: all jobs that have not ended)"),
+        _switch("--follow", "continue until the job has ended; return its exit code"),
     )),
     "workers": ("verbs.jobs", "list the workers of a coordinator", (
-        *_of_coordinator("only workers whose name begins with this"),
+        *_of_coordinator("only workers with names that begin with this text"),
         _switch("--coordinator", "show the coordinator's own counters"),
     )),
     "result": ("verbs.results", "print the equations of a job; while it runs, the best so far", (
@@ -372,7 +372,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
     )),
     "cancel": (
         "verbs.jobs", "end a job and keep its best equations",
-        _of_coordinator("id or its beginning (default: the only one not ended)"),
+        _of_coordinator("id or its beginning (default: the only job that has not ended)"),
     ),
     "delete": (
         "verbs.jobs", "delete a job that has ended, with its result and its data",
@@ -407,18 +407,18 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
     )),
     "cordon": ("verbs.jobs", "place no more islands on a worker (admins)", _WORKER),
     "uncordon": ("verbs.jobs", "place islands on a worker again (admins)", _WORKER),
-    "drain": ("verbs.jobs", "move the islands of a worker to others, and place no more on it (admins)", _WORKER),
-    "queue": ("verbs.jobs", "show how many jobs wait; start no more of them, or continue (admins)", (
-        _value("change", None, "pause or resume (default: only show)", nargs="?", choices=("pause", "resume")),
+    "drain": ("verbs.jobs", "move the islands of a worker to other workers, and place no more on it (admins)", _WORKER),
+    "queue": ("verbs.jobs", "show how many jobs wait; pause or resume the start of jobs (admins)", (
+        _value("change", None, "pause or resume (default: only show it)", nargs="?", choices=("pause", "resume")),
         *_CONNECT,
         _JSON,
     )),
-    "simulate": ("verbs.results", "simulate the model of a result from any initial state; CSV with bands", (
+    "simulate": ("verbs.results", "simulate the model of a result from any initial state; write CSV with bands", (
         _RESULT,
         *_CONNECT,
         _value(
             "--initial", "x=1,y=3|FILE",
-            "initial state; or a data file: its first row, its times, its inputs (default: as measured)",
+            "initial state; or a data file with initial state, times and inputs (default: as measured)",
         ),
         _GROUP,
         _UNTIL,
@@ -426,17 +426,17 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _repeatable("--hold", "u=1", "value of an input (default: as measured)"),
         _value(
             "--paths", "N",
-            "for a stochastic process: draw N paths; write mean, median, 5 %% and 95 %% quantiles",
+            "for a stochastic process: draw N paths and write mean, median, 5 %% and 95 %% quantiles",
         ),
         _value("--seed", "S", "random seed of the paths (default: 0)"),
-        _switch("--each-path", "write every path, in rows with a column trajectory, instead of bounds"),
+        _switch("--each-path", "write every path instead of quantiles, with a column `trajectory`"),
         _OUTPUT,
         _switch("--json", "write JSON: status, message, columns"),
     )),
     "analyse": ("verbs.results", "fixed points, limit cycles, basins and bifurcations of the model of a result", (
         _RESULT,
         *_CONNECT,
-        _repeatable("--box", "x=0:3", "bounds of a state (default: half the measured range more on either side)"),
+        _repeatable("--box", "x=0:3", "bounds of a state (default: the measured range, half of it more on each side)"),
         _GROUP,
         _HOLD,
         _switch("--identifiability", "which constants the data determine, by profile likelihood"),
@@ -449,8 +449,8 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _OUTPUT,
         _switch("--json", "write JSON, with all curves"),
     )),
-    "report": ("verbs.results", "a result as one HTML page without scripts or external resources", (
-        _value("result", "RESULT", "PATH/result.json, its folder, or the id of a job; one or several", nargs="+"),
+    "report": ("verbs.results", "write a result as one HTML page without scripts or external resources", (
+        _value("result", "RESULT", "one or more results: PATH/result.json, its folder, or the id of a job", nargs="+"),
         *_CONNECT,
         _GROUP,
         _output("the page (default: report.html next to the result)"),
@@ -463,25 +463,25 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _repeatable(
             "--box", "x=0:3", "bounds of an initial state or of a constant input (default: the range of the data)"
         ),
-        _value("--duration", "T", "duration of an experiment (default: of the median trajectory)"),
-        _value("--samples", "N", "measurements of each state (default: of the median trajectory)"),
+        _value("--duration", "T", "duration of an experiment (default: duration of the median trajectory)"),
+        _value("--samples", "N", "number of measurements of each state (default: as in the median trajectory)"),
         _value(
             "--cost", "trajectory|duration|samples", default="trajectory",
-            text="cost of an experiment: the same for all, its duration, its samples (default: trajectory)",
+            text="cost of an experiment: equal for all, its duration, or its number of samples (default: trajectory)",
         ),
-        _value("--count", "N", "how many experiments (default: 3)", default="3"),
+        _value("--count", "N", "number of experiments (default: 3)", default="3"),
         _repeatable(
             "--rival", "dx=EXPR",
             "an alternative system, its equations separated by ';'; its constants are fitted",
         ),
-        _value("--seed", "S", "seed of the experiments that are tried (default: 0)", default="0"),
+        _value("--seed", "S", "random seed for the trial experiments (default: 0)", default="0"),
         _DATA,
         _OUTPUT,
         _switch("--json", "write JSON, with all times"),
     )),
-    "compare": ("verbs.results", "tell which of two results or candidates fits the data better, and how surely", (
-        _value("first", "A", "PATH/result.json, its folder or the id of a job; with :N candidate N of it, 1 the best"),
-        _value("second", "B", "the other one, or :N for a candidate of the same result"),
+    "compare": ("verbs.results", "tell which of two results or candidates fits the data better, and with which odds", (
+        _value("first", "A", "PATH/result.json, its folder or the id of a job; append :N for candidate N (1: best)"),
+        _value("second", "B", "another result, or :N for a candidate of the same result"),
         *_CONNECT,
         _GROUP,
         _DATA,
@@ -496,7 +496,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _output("write to this file (default: stdout); for petab, to this folder"),
         _PICK,
         _value(
-            "--candidate", "N", "use candidate N of the comparison, 1 is the best", type=whole_number(1, 1000)
+            "--candidate", "N", "use candidate N of the result (1: the best)", type=whole_number(1, 1000)
         ),
         _value(
             "--initial", "x=1,y=3|FILE", "initial state, times and inputs, as for simulate (default: as measured)"
@@ -506,11 +506,11 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _HOLD,
         _DATA,
     )),
-    "doctor": ("doctor", "check this machine, a coordinator and data files, and print advice; 1: problems", (
-        _value("data", "DATA", "data files to read in the same way as submit", nargs="*"),
+    "doctor": ("doctor", "check this machine, a coordinator and data files, and print advice; exit code 1: problems", (
+        _value("data", "DATA", "data files to read as submit does", nargs="*"),
         _value("--connect", "tcp/HOST:PORT", "the coordinator to check (default: $ATOLL_CONNECT, if set)"),
         _value("--listen", "tcp/HOST:PORT", "check that a coordinator could listen at this address"),
-        _value("--state", "DIR", "the folder of a coordinator's job store (default: the current)"),
+        _value("--state", "DIR", "the folder of a coordinator's job store (default: the current folder)"),
         _switch("--quick", "only check that the coordinator's address accepts connections"),
         _JSON,
         add_tls_options,
@@ -525,12 +525,13 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         (_value("shell", None, "the shell that reads these lines", choices=SHELLS),),
     ),
 }  # fmt: skip
-"""Each verb: its module in `atoll.cli`, a line of help and its arguments, in the order of the help. The module has a
-function of the verb's name, which takes the parsed options and returns the exit code."""
+"""For each verb its module in `atoll.cli`, a line of help and its arguments, in the order of the help. The module has a
+function with the name of the verb, which takes the parsed options and returns the exit code.
+"""
 
 
 EXIT_CODES: Final = (
-    "exit codes: 0 done, 1 job failed or a reason that may pass (full disk, address in use), 2 bad usage or bad data,\n"
+    "exit codes: 0 done, 1 job failed or a temporary error (full disk, address in use), 2 bad usage or bad data,\n"
     "3 coordinator not reachable, 4 an explicit --target-error was not met within the budget,\n"
     "130 detached or interrupted"
 )
@@ -539,11 +540,12 @@ EXIT_CODES: Final = (
 def parse(argv: Sequence[str]) -> argparse.Namespace:
     """Return the parsed options; `verb` is one of `VERBS`.
 
-    Raises UsageError where an option or verb is unknown or incomplete, SystemExit after ``--help`` or ``--version``.
+    Raises UsageError if an option or verb is unknown or incomplete, SystemExit after ``--help`` or ``--version``.
     """
     parser = build_parser()
     complete(parser)
-    # argparse takes a leading minus for an option, so ``--operators -,+`` and ``--range -1:1`` become one word
+    # argparse treats values with a leading minus as options, so ``--operators -,+`` and ``--range -1:1`` become one
+    # word
     words: list[str] = []
     for word in argv:
         is_list = words[-1:] == ["--operators"] and (word == "-" or word.startswith("-,"))

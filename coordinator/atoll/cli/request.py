@@ -1,4 +1,4 @@
-"""A job as the options of ``run`` and ``submit`` describe it; its data and its result; and saved results."""
+"""Jobs as the options of ``run`` and ``submit`` describe them: read data, submit, fetch results; also saved results."""
 
 import argparse
 import os
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from atoll_core.data.table import Table
 
 _LEAST_SHARE: Final = 0.5
-"""At least this share of `--max-time` is left for the job, however long this program took to start."""
+"""The job gets at least this share of `--max-time`, even if this program took long to start."""
 
 CONNECT_LIMIT_S: Final = 3.0
 """How long a coordinator may take to answer."""
@@ -68,7 +68,7 @@ class JobRequest:
         return client.hand_in(self.job, self.name, self.config, table.to_bytes(), self.priority, shared=self.shared)
 
     def after(self, seconds: float) -> "JobRequest":
-        """Return the request with these seconds subtracted from `--max-time`, but at most half of it."""
+        """Return the request with `seconds` subtracted from `--max-time`; at most half of it is subtracted."""
         budget = self.config.budget
         if budget.max_time is None:
             return self
@@ -77,7 +77,7 @@ class JobRequest:
         return replace(self, config=self.config.model_copy(update={"budget": budget}))
 
     def result(self, client: Client, view: JobView) -> "Result | None":
-        """Return the result of the ended job, with the command line of this process; None if there is none."""
+        """Return the result of the ended job, with the command line of this process; None without a result."""
         from atoll_coordinator.result.result import Result
 
         try:
@@ -86,11 +86,11 @@ class JobRequest:
             if view.state == "done":
                 raise
             return None
-        words = [without_secrets(word) for word in sys.argv[1:]]  # users pass the file on to others
+        words = [without_secrets(word) for word in sys.argv[1:]]  # users may share the file
         return result.model_copy(update={"command": shlex.join(["coordinator", *words])})
 
     def show(self, result: "Result") -> None:
-        """Print the equations on stdout, or all of the result as JSON."""
+        """Print the equations on stdout, or the whole result as JSON."""
         from atoll.text.render import render_text
 
         say(as_json(result.as_dict()) if self.json else render_text(result))
@@ -126,7 +126,7 @@ def config_of(options: argparse.Namespace) -> JobConfig:
 
 
 def is_saved(name: str, options: argparse.Namespace) -> bool:
-    """Tell whether `name` means a saved result; otherwise it is a job of the coordinator that is named."""
+    """Return whether `name` is a saved result; otherwise it is the id of a job of the given coordinator."""
     from atoll_coordinator.result.reading import RESULT
 
     is_connected = bool(options.connect or os.environ.get("ATOLL_CONNECT"))
@@ -134,17 +134,17 @@ def is_saved(name: str, options: argparse.Namespace) -> bool:
 
 
 def load_result(name: str) -> "Result":
-    """Return a saved result; raises UsageError if there is none (the name of a job may be meant)."""
+    """Return a saved result; raises UsageError if there is no such file (`name` may be the id of a job)."""
     from atoll_coordinator.result.result import Result
 
     if is_id(name) and not Path(name).exists():
-        found_nothing = f"{name} is not a saved result, and no coordinator was given to ask for a job of that name"
+        found_nothing = f"{name} is not a saved result, and no coordinator with a job of this id was given"
         raise UsageError(f"{found_nothing}; give PATH/result.json, or --connect tcp/HOST:PORT")
     return Result.load(name)
 
 
 def result_of(name: str, options: argparse.Namespace) -> "Result":
-    """Return a saved result, or the result of a coordinator's job; of a running job, the best so far.
+    """Return a saved result, or the result of a coordinator's job; for a running job, the best so far.
 
     Raises:
         UsageError: there is no such file, or it is not a result.
@@ -163,7 +163,7 @@ def address_of(options: argparse.Namespace) -> Whereabouts:
     """Return the address of the coordinator, from ``--connect``, ``--tls-*`` or the environment; raises UsageError."""
     address = options.connect or os.environ.get("ATOLL_CONNECT")
     if options.connect and "token=" in options.connect:
-        note(f"coordinator: other users of this machine can read a token on a command line; give it in {TOKEN}")
+        note(f"coordinator: other users of this machine can read the token on the command line; give it in {TOKEN}")
     if not address:
         raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
     return coordinator_at(address, vars(options), os.environ)

@@ -1,4 +1,4 @@
-"""The files of a result in the folder that ``--out`` names."""
+"""Writes a result and its page into the folder that ``--out`` names."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from atoll_coordinator.result.result import Result
 
 REPORT: Final = "report.html"
-"""The page of a result, in the same folder."""
+"""File name of the page, next to ``result.json``."""
 
 
 def refuse_existing_result(folder: Path) -> None:
@@ -22,7 +22,7 @@ def refuse_existing_result(folder: Path) -> None:
 
 
 def write_result(folder: Path, result: "Result") -> Path:
-    """Write ``result.json`` into `folder`, whole or not at all, and return its path.
+    """Write ``result.json`` into `folder` as a whole or not at all, and return its path.
 
     Raises UsageError if there is a result already, or the folder cannot be written.
     """
@@ -35,7 +35,7 @@ def write_result(folder: Path, result: "Result") -> Path:
             path.hardlink_to(draft)
         except FileExistsError:
             raise
-        except OSError:  # a file system without links
+        except OSError:  # a file system without hard links
             draft.replace(path)
         else:
             draft.unlink()
@@ -47,14 +47,14 @@ def write_result(folder: Path, result: "Result") -> Path:
 
 
 def write_report(path: Path, result: "Result") -> None:
-    """Write a result as a page, and print where; raises UsageError if it cannot be written."""
+    """Write the page of a result and print its path; raises UsageError if it cannot be written."""
     from atoll.tasks.analyses import Report, answer
 
     write_page(path, answer(result, Report()).text)
 
 
 def write_page(path: Path, page: str) -> None:
-    """Write a page, and print where; raises UsageError if it cannot be written."""
+    """Write a page and print its path; raises UsageError if it cannot be written."""
     from atoll_core.quoting import write_text
 
     write_text(path, page)

@@ -1,6 +1,6 @@
-"""From options and a job file to a `JobConfig`: preset, then the file, then the options, each overriding the former.
+"""Builds a `JobConfig` from the preset, the job file and the options; later sources override earlier ones.
 
-Pure apart from reading the job file. Every error is one sentence that names the option or the key of the file.
+Pure except for reading the job file. Every error is one sentence that names the option or the key of the file.
 """
 
 import re
@@ -21,9 +21,9 @@ from atoll_core.quoting import did_you_mean
 
 
 def configure(values: Mapping[str, object], job_file: object = None) -> JobConfig:
-    """Return the configuration that option values, by name, describe; raises UsageError.
+    """Return the configuration for option values by name; raises UsageError.
 
-    None and False mean that an option is not given. `job_file` is a path or None; other values are refused.
+    None and False mean that an option is not given. `job_file` is a path or None.
     """
     settings = _read_job_file(job_file)
     given: dict[str, object] = {}
@@ -50,7 +50,7 @@ def configure(values: Mapping[str, object], job_file: object = None) -> JobConfi
 
 
 def _overlay(base: Mapping[str, object], top: Mapping[str, object]) -> dict[str, object]:
-    """Return `base` updated by the groups of `top`: keys that `top` does not have keep their values."""
+    """Return `base` with the groups updated by `top`: keys that are missing in `top` keep their values."""
     merged = dict(base)
     for key, value in top.items():
         below = merged.get(key)
@@ -72,7 +72,7 @@ def _read_job_file(file: object) -> dict[str, object]:
 
 
 def _refusal(error: ValidationError, given: Mapping[str, object], file: object) -> UsageError:
-    """Turn pydantic's first error into a sentence: the option, the allowed and the found value."""
+    """Return pydantic's first error as a sentence with the option, the allowed values and the given value."""
     complaint = error.errors()[0]
     path = [str(part) for part in complaint["loc"] if isinstance(part, str) and part != "[key]"]
     keys = {".".join(path[:2]), path[0]} & set(given)

@@ -1,8 +1,8 @@
-"""Following a job to its end, by a subscription to its changes: in order, without gaps, resumable.
+"""Follows a job to its end by a subscription to its changes: in order, without gaps, resumable.
 
-The coordinator sends changes to a key of ours as long as a lease lasts. The request that takes the lease is answered
-with the changes that we do not have yet. So the same request renews the lease, closes gaps, and finds a coordinator
-that was restarted. A `Display` that is passed in shows the progress.
+The coordinator sends changes to a key of this client while a lease lasts. The client takes the lease by a request with
+the number of its last change, and the answer has all later changes. So the same request renews the lease, closes gaps,
+and finds a restarted coordinator. A `Display` shows the progress.
 """
 
 from collections import defaultdict
@@ -16,17 +16,17 @@ from atoll_core.wire.messages.clients import JobChange
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 QUIET_S: Final = 2.0
-"""Seconds without a change after which we ask again: a change may have been lost, or the coordinator may have ended."""
+"""Seconds without a change until the next request: a change may be lost, or the coordinator may have ended."""
 
 RENEWED_AT: Final = 1.0 / 3.0
-"""Share of a lease after which it is renewed; two renewals may be lost."""
+"""Share of a lease after which it is renewed, so that two renewals may be lost."""
 
 
 class Subscription:
-    """Changes of one job, or of all (None), from now on; with `after`, from the event after that number."""
+    """Changes of one job (None: of all jobs) from now on, or from the event after the number `after`."""
 
     def __init__(self, client: Client, job: str | None, after: int | None = None) -> None:
-        """Nothing is requested before the first `wait`. If `after` is None, earlier events are left out."""
+        """Set up; the first `wait` sends the first request. If `after` is None, earlier events are left out."""
         self._client = client
         self._job = job
         self._after = after
@@ -36,7 +36,7 @@ class Subscription:
         self._is_behind = True
 
     def wait(self, limit_s: float) -> JobChange | None:
-        """Return the next change, after at most `limit_s` seconds; None if there was none.
+        """Return the next change; None if none comes within `limit_s` seconds.
 
         Raises UnreachableError if the coordinator does not answer, RefusedError if it does not know the job.
         """
@@ -48,8 +48,8 @@ class Subscription:
                 if change is not None:
                     return change
             change = self._client.next_change(max(0.0, min(end, self._ask_at) - now))
-            if change is not None and self._fits(change):
-                return self._take(change)
+            if change is not None and self._is_next(change):
+                return self._accept(change)
             if self._client.now() >= end:
                 return None
 
@@ -59,32 +59,32 @@ class Subscription:
         self._is_behind = False
         now = self._client.now()
         self._ask_at, self._lease_ends = now + QUIET_S, now + RENEWED_AT * answer.lease_s
-        return self._take(answer.change) if answer.change is not None else None
+        return self._accept(answer.change) if answer.change is not None else None
 
-    def _fits(self, change: JobChange) -> bool:
-        """Tell whether this is the next change; changes that were missed are asked for."""
+    def _is_next(self, change: JobChange) -> bool:
+        """Return whether this is the next change; after a gap, the missed changes are requested."""
         if change.job != self._job or change.sequence <= self._sequence:
             return False
         self._is_behind = change.previous != self._sequence
         return not self._is_behind
 
-    def _take(self, change: JobChange) -> JobChange:
+    def _accept(self, change: JobChange) -> JobChange:
         self._sequence, self._is_behind = change.sequence, change.has_more
         self._ask_at = self._client.now() + QUIET_S
         if self._after is None:
             return change
         events = tuple(
             event for event in change.events if event.number > self._after
-        )  # the last answer already had the others
+        )  # the last answer already had the earlier events
         self._after = max(self._after, change.last)
         return change.model_copy(update={"events": events})
 
 
 PATIENCE_S: Final = 30.0
-"""How long to wait for a coordinator that has stopped answering."""
+"""Longest silence of a coordinator, in seconds."""
 
 _LOOK_S: Final = 0.3
-"""Seconds between calls of `check` and updates of the elapsed time."""
+"""Interval of calls of `check` and of updates of the elapsed time, in seconds."""
 
 
 class Display:
@@ -104,9 +104,10 @@ class Display:
 
 
 class Follower:
-    """Follows one job through a client. It often calls `check`, which returns sentences to show, or raises.
+    """Follows one job through a client. It calls `check` every `_LOOK_S` seconds, which returns sentences to show, or
+    raises.
 
-    `reword` changes warnings, which name options of the command line.
+    `reword` changes the wording of warnings, because these name options of the command line.
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class Follower:
     ) -> None:  # fmt: skip
         self.job = job
         self.phases: dict[str, float] = defaultdict(float)
-        """Observed seconds of each phase of the job."""
+        """Duration of each phase of the job in seconds, as observed here."""
         self._client = client
         self._display = display
         self._check = check
@@ -133,12 +134,12 @@ class Follower:
         while True:
             for sentence in self._check():
                 self._display.print_note(sentence)
-            self._look(subscription)
+            self._show_change(subscription)
             if self._view is not None and self._view.state in FINAL_STATES:
                 return self._view
 
-    def _look(self, subscription: Subscription) -> None:
-        """Wait for a change, or a moment; show the current state of the job."""
+    def _show_change(self, subscription: Subscription) -> None:
+        """Wait for a change, for at most `_LOOK_S` seconds; show the current state of the job."""
         try:
             change = subscription.wait(_LOOK_S)
         except UnreachableError as error:
@@ -157,22 +158,24 @@ class Follower:
         if self._seen_at is not None:
             self.phases[phase(self._view, self._workforce)] += now - self._seen_at
         self._seen_at = now
-        self._display.show(self._aged(self._view, now), self._workforce, now)
+        self._display.show(self._with_age(self._view, now), self._workforce, now)
 
-    def _aged(self, view: JobView, now: float) -> JobView:
-        """Return the view with the time since it arrived added: no message is sent only for the time."""
+    def _with_age(self, view: JobView, now: float) -> JobView:
+        """Return the view with the time since its arrival added; the coordinator sends no message when only time
+        passes.
+        """
         if view.state in FINAL_STATES or now == self._changed_at:
             return view
         return view.model_copy(update={"elapsed": view.elapsed + now - self._changed_at})
 
     def _tolerate_silence(self, error: UnreachableError) -> None:
-        """Note that the coordinator is silent; raise UnreachableError when it is silent for too long."""
+        """Show that the coordinator does not answer; raise UnreachableError after `PATIENCE_S` seconds of silence."""
         now = self._client.now()
         if self._silent_since is None:
             self._silent_since = now
             self._display.print_note(f"the coordinator does not answer; waiting another {PATIENCE_S:.0f} s for it")
         elif now - self._silent_since > PATIENCE_S:
-            raise UnreachableError(f"{error}; the job may go on there: coordinator status {self.job}") from error
+            raise UnreachableError(f"{error}; the job may continue there: coordinator status {self.job}") from error
 
 
 def phase(view: JobView, workforce: Workforce) -> str:

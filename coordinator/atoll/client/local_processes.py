@@ -1,4 +1,4 @@
-"""The worker processes of a local run: started first of all, since loading takes them a second.
+"""The processes of a local run: workers and a coordinator. Workers are started first, since they load for a second.
 
 One process, ``island-worker --supervise``, loads everything once, forks the workers where the system allows it,
 restarts workers that die, and ends them with itself (ADR 0062). Workers connect as soon as the router listens; they
@@ -21,19 +21,19 @@ from atoll_core.errors import AtollError, UnreachableError
 from atoll_core.wire.addresses import own_address
 
 _STOP_LIMIT_S: Final = 7.0
-"""Longer than the process that watches over the workers gives these."""
+"""Time limit for the end of the supervisor, in seconds; longer than the supervisor's own limit for the workers."""
 
-_ENDED: Final = "the process that watches over the workers has ended, and they with it"
+_ENDED: Final = "the supervisor process of the workers has ended, and with it all workers"
 _SPEAKER: Final = b"island-worker: "
-"""Begins lines of the log that are for people."""
+"""Prefix of log lines that are messages for the user."""
 
 
-def start_apart(
+def start_in_new_session(
     command: Sequence[str], given: Mapping[str, str] = MappingProxyType({}), **streams: Any
 ) -> "subprocess.Popen[bytes]":
-    """Start a program in a new session, since only this process should handle Ctrl-C on the terminal.
+    """Start a program in a new session, because only this process should handle Ctrl-C on the terminal.
 
-    Its environment is ours with `given` and without certificates: traffic within this machine is not encrypted.
+    Its environment is our environment with `given` and without certificates: local traffic is not encrypted.
     """
     certificates = {variable for variable, _ in TLS_OPTIONS.values()}
     environment = {name: value for name, value in os.environ.items() if name not in certificates}
@@ -57,21 +57,21 @@ class LocalWorkers:
     def __enter__(self) -> Self:
         with self.log.open("ab") as log:
             self._begin = self._read = log.tell()
-            self._process = start_apart(self._command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+            self._process = start_in_new_session(self._command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None:  # a starting process may not react for seconds, and nothing is lost
+        if kind is not None:  # a starting process may ignore SIGTERM for seconds, and has no work to lose
             self._process.kill()
         self.stop()
 
     def check(self) -> list[str]:
         """Return new messages about workers that died in this run.
 
-        Raises NoWorkerLeftError if their supervisor, and so all workers, have ended.
+        Raises NoWorkerLeftError if the supervisor has ended; then all workers have ended, too.
         """
         has_ended = self._process.poll() is not None
-        sentences = self._said()
+        sentences = self._new_messages()
         if has_ended:
             lines = self.log.read_bytes()[self._begin :].decode("utf-8", "replace").strip().splitlines()
             last = f": {lines[-1]}" if lines else ""
@@ -83,7 +83,7 @@ class LocalWorkers:
         self._process.terminate()
 
     def stop(self) -> None:
-        """End all workers: terminate, wait within a limit, kill. An interrupt skips to the kill."""
+        """End all workers: terminate, wait within a limit, kill. Ctrl-C kills them at once."""
         try:
             self.dismiss()
             self._wait()
@@ -95,7 +95,7 @@ class LocalWorkers:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_STOP_LIMIT_S)
 
-    def _said(self) -> list[str]:
+    def _new_messages(self) -> list[str]:
         """Return the messages for users that this run has added to the log since the last call."""
         with self.log.open("rb") as log:
             log.seek(self._read)
@@ -105,7 +105,7 @@ class LocalWorkers:
 
 
 def supervisor_command(endpoint: str, number: int) -> Sequence[str]:
-    """Return the command of a supervisor of this many workers, w-0, w-1 and so on; it ends with this process."""
+    """Return the command of a supervisor of `number` workers, w-0, w-1 and so on; it ends with this process."""
     return [*worker_command(endpoint, "w", number), "--supervise"]
 
 
@@ -127,7 +127,7 @@ _OPEN_LIMIT_S: Final = 20.0
 
 @contextlib.contextmanager
 def local_processes(number: int, log: Path) -> Iterator[tuple[str, LocalWorkers]]:
-    """Start workers, which take longest to load; they connect to the address that is yielded."""
+    """Start workers; yield the address to which they connect, and the workers."""
     with own_address() as address, LocalWorkers(str(address), number, log) as workers:
         yield str(address), workers
 
@@ -136,7 +136,7 @@ class LocalCoordinator:
     """A coordinator in its own thread, with its store in memory; a context manager."""
 
     def __init__(self, endpoint: str, workers: int) -> None:
-        """`workers`: how many are expected to join."""
+        """`workers` is the expected number of workers."""
         self._endpoint = endpoint
         self._workers = workers
         self._stop = threading.Event()
@@ -159,7 +159,7 @@ class LocalCoordinator:
         self.check()
 
     def check(self) -> None:
-        """Raise the error with which the coordinator has ended, if it has."""
+        """Raise an error if the coordinator has ended: its own error, or AtollError."""
         if self._error is not None:
             raise self._error
         if not self._thread.is_alive():
@@ -175,7 +175,7 @@ class LocalCoordinator:
                 service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True)
                 self._listening.set()
                 service.run(self._stop)
-        except BaseException as error:  # handed to the main thread, which raises it
+        except BaseException as error:  # the main thread raises it
             self._error = error
         finally:
             self._listening.set()

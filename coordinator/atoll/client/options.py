@@ -1,7 +1,7 @@
-"""The options of a job, in one table: name, settings of the job, reader of the value, help.
+"""The table of a job's options: for each its name, the settings of the job, the parser of its value, and its help.
 
-Command line and Python have the same options: values are texts there, and may be numbers, lists and mappings here.
-Standard library only, because ``--help`` must be instant.
+Command line and Python have the same options. On the command line values are texts; in Python they may also be numbers,
+lists and mappings. This module imports only the standard library, because ``--help`` must be instant.
 """
 
 import argparse
@@ -15,12 +15,12 @@ from atoll_core.command_line import duration
 from atoll_core.errors import Field, UsageError
 
 MOST_WORKERS: Final = 1024
-"""Most worker processes on one machine."""
+"""Maximum number of worker processes on one machine."""
 
 _ALL: Final = "*"
 
 Read = Callable[[object, Field], object]
-"""Returns the setting of a value, or a tuple for an option with several settings; raises UsageError with the field."""
+"""Returns the setting for a value, or a tuple for several settings; raises UsageError that names the field."""
 
 
 class Repeated(list[str]):
@@ -32,7 +32,7 @@ class Option(NamedTuple):
 
     name: str
     settings: str
-    """Dotted names in `JobConfig`, separated by spaces; `read` returns a value for each, None: not set."""
+    """Dotted names in `JobConfig`, separated by spaces; `read` returns a value for each name, None: not set."""
     read: Read
     metavar: str | None
     """None: a switch."""
@@ -45,7 +45,7 @@ class Option(NamedTuple):
         return Field(self.name).on_command_line
 
     def decide(self, value: object) -> dict[str, object]:
-        """Return the settings that `value` decides, by dotted name; raises UsageError."""
+        """Return the settings that follow from `value`, by dotted name; raises UsageError."""
         values = self.read(value, Field(self.name))
         settings = self.settings.split()
         parts = (values,) if len(settings) == 1 else cast(tuple[object, ...], values)
@@ -53,7 +53,7 @@ class Option(NamedTuple):
 
 
 def text(value: object, field: Field) -> str:
-    """Return a text, or the digits of a number."""
+    """Return a text; a number becomes text."""
     if isinstance(value, bool) or not (isinstance(value, str) or hasattr(value, "__index__")):
         raise UsageError("%s must be text, but %r was given", field, value)
     return str(value)
@@ -89,7 +89,7 @@ def seconds(value: object, field: Field) -> float:
 
 
 def names(value: object, field: Field, noun: str = "column") -> tuple[str, ...]:
-    """Return the names of columns, or of another `noun`, of a list or of ``x,y``; names with a comma are in quotes."""
+    """Return the names in a list or a text such as ``x,y``; names with a comma are in quotes. `noun` is for errors."""
     import csv
 
     if isinstance(value, (list, tuple)):
@@ -106,7 +106,7 @@ def names(value: object, field: Field, noun: str = "column") -> tuple[str, ...]:
 
 
 def epochs(value: object, field: Field) -> tuple[int | None, dict[str, int] | None]:
-    """Return the epochs of all equations and of single ones, from ``50``, ``x=20,y=12``, both, or a mapping."""
+    """Return the epochs for all equations and by variable, from ``50``, ``x=20,y=12``, both, or a mapping."""
     if isinstance(value, Mapping):
         pairs = [*value.items()]
     else:
@@ -129,14 +129,14 @@ def holdout(value: object, field: Field) -> int | str:
 
 
 def switch(value: object, field: Field) -> bool:
-    """Return True; a switch that is off is not given."""
+    """Return True; raises UsageError for another value."""
     if value is not True:
         raise UsageError("%s must be True or False, but %r was given", field, value)
     return True
 
 
 def angles(value: object, field: Field) -> list[dict[str, str | bool]]:
-    """Return the angles of ``theta`` and ``theta:deg``."""
+    """Return the angles in texts such as ``theta`` and ``theta:deg``."""
     read: list[dict[str, str | bool]] = []
     for part in _several(value):
         line = text(part, field)
@@ -147,7 +147,7 @@ def angles(value: object, field: Field) -> list[dict[str, str | bool]]:
 
 
 def by_equation(value: object, field: Field, *, example: str, noun: str = "the equation") -> dict[str, object]:
-    """Return right-hand sides by left-hand side, from a mapping or from ``dy=-x``; each side is given once."""
+    """Return right-hand sides by left-hand side, from a mapping or from texts such as ``dy=-x``."""
     sides: dict[str, object] = {}
     for side, right in _pairs(value, field, example):
         if side in sides:
@@ -157,12 +157,12 @@ def by_equation(value: object, field: Field, *, example: str, noun: str = "the e
 
 
 def variables(value: object, field: Field, *, example: str) -> dict[str, tuple[str, ...]]:
-    """Return variables by left-hand side."""
+    """Return the names of variables by left-hand side."""
     return {side: names(right, field, "variable") for side, right in by_equation(value, field, example=example).items()}
 
 
 def guesses(value: object, field: Field) -> dict[str, tuple[str, ...]]:
-    """Return right-hand sides, one or several, by left-hand side."""
+    """Return one or several right-hand sides by left-hand side."""
     sides: dict[str, tuple[str, ...]] = {}
     for side, right in _pairs(value, field, "dx=3*x-2*x*y"):
         sides[side] = (*sides.get(side, ()), *map(str, _several(right)))
@@ -170,19 +170,21 @@ def guesses(value: object, field: Field) -> dict[str, tuple[str, ...]]:
 
 
 def operators(value: object, field: Field) -> tuple[tuple[str, ...] | None, dict[str, tuple[str, ...]] | None]:
-    """Return the operators of all equations and of single ones, from ``+,-``, a list, ``x=+,*`` or a mapping."""
+    """Return the operators for all equations and by variable, from ``+,-``, a list, ``x=+,*`` or a mapping."""
     example, noun = "x=+,-,*", "operator"
     lists: Sequence[object] = [] if isinstance(value, Mapping) else value if isinstance(value, Repeated) else [value]
     general = [part for part in lists if not (isinstance(part, str) and "=" in part)]
     if len(general) > 1:
-        raise UsageError("%s gives two lists for all equations; give one, others as %s", field, example)
+        raise UsageError(
+            "%s gives two lists for all equations; give one, and lists for single equations as %s", field, example
+        )
     special: object = value if isinstance(value, Mapping) else [part for part in lists if part not in general]
     sides = {side: names(right, field, noun) for side, right in by_equation(special, field, example=example).items()}
     return names(general[0], field, noun) if general else None, sides or None
 
 
 def bounds(value: object, field: Field) -> dict[str, tuple[str, ...]]:
-    """Return bounds by left-hand side, which is before a colon; bounds of all equations have the key ``*``."""
+    """Return bounds by left-hand side (the text before a colon); bounds for all equations have the key ``*``."""
     if isinstance(value, Mapping):
         lines = [f"{side}: {bound}" for side, several in value.items() for bound in _several(several)]
     else:
@@ -201,7 +203,7 @@ def _several(value: object) -> Sequence[object]:
 
 
 def _pairs(value: object, field: Field, example: str) -> list[tuple[str, object]]:
-    """Return both sides of a mapping, or of each text at its last ``=``, which occurs in no expression or list."""
+    """Return the items of a mapping, or split each text at its last ``=``; no expression or list contains ``=``."""
     if isinstance(value, Mapping):
         pairs = [(side, right if isinstance(right, (list, tuple)) else str(right)) for side, right in value.items()]
     else:
@@ -219,12 +221,12 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
     "data": (
         Option("time", "data.time", text, "t", "time column (default: t or time)"),
         Option("states", "data.states", names, "x,y", "state columns (default: all other numeric columns)"),
-        Option("inputs", "data.inputs", names, "u", "columns that are variables without an equation; may name time"),
+        Option("inputs", "data.inputs", names, "u", "input columns (variables without an equation), or the time"),
         Option("hold", "data.hold", names, "u", "inputs that keep the value of a row until the next row"),
         Option("trajectory", "data.trajectory", text, "run", "column whose value changes when a new trajectory begins"),
         Option(
             "group", "data.group", text, "strain",
-            "column: search one structure, whose constants may differ between its values",
+            "search one structure, whose constants may differ between the values of this column",
         ),
         Option(
             "per_trajectory", "data.per_trajectory", switch, None,
@@ -238,22 +240,22 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
             "a state that is an angle and is unwrapped", is_repeatable=True,
         ),
         Option("only", "data.only", names, "x", "search only these equations; they may use all states"),
-        Option("offsets", "data.offsets", names, "x", "states measured up to an offset, fitted for each trajectory"),
-        Option("step", "data.step", number, "0.1", "time step, if no column has times"),
+        Option("offsets", "data.offsets", names, "x", "states with an unknown offset, fitted for each trajectory"),
+        Option("step", "data.step", number, "0.1", "time between rows, if no column has times"),
         Option("sheet", "data.sheet", text, "NAME", "sheet of an Excel workbook (default: the first with a table)"),
         Option("missing", "data.missing", text, "refuse|drop", "what to do with NaN and infinity (default: refuse)"),
         Option(
             "missing_value", "data.missing_values", several_numbers, "-9999",
-            "a number that means a missing value, which is dropped", is_repeatable=True,
+            "a number that stands for a missing value; such values are dropped", is_repeatable=True,
         ),
         Option("robust", "data.robust", switch, None, "smooth robustly: outliers get little weight"),
         Option(
             "stochastic", "data.stochastic", switch, None,
-            "noise is part of the law: search drift and diffusion of dx = f dt + g dW",
+            "noise is part of the dynamics: search drift f and diffusion g of dx = f dt + g dW",
         ),
         Option(
             "holdout", "data.holdout", holdout, "K|run=4",
-            "hold out the last K trajectories, or that one, and test the model on them",
+            "hold out the last K trajectories, or those with this value, and test the model on them",
         ),
         Option(
             "weights", "data.weights", text, "w",
@@ -265,11 +267,11 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
     ),
     "search": (
-        Option("seed", "seed", whole, "S", "same seed, same answer (default: 0)"),
-        Option("preset", "preset", text, "default|paper", "paper: Table II of Schmidt & Lipson 2008, nothing added"),
+        Option("seed", "seed", whole, "S", "random seed; the same seed gives the same result (default: 0)"),
+        Option("preset", "preset", text, "default|paper", "paper: only Table II of Schmidt & Lipson 2008"),
         Option(
             "operators", "space.operators space.operators_of", operators, "LIST",
-            "operators of expressions (default: +,-,*,/,sin,cos, and others if they shorten the description); "
+            "operators of expressions (default: +,-,*,/,sin,cos, and others that reduce the description length); "
             "x=LIST for one equation", is_repeatable=True,
         ),
         Option(
@@ -282,12 +284,12 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option(
             "bound", "prior.bounds", bounds, '"[x:] c > 0"',
-            "bounds on constants: c all, |c| all magnitudes, inner constants inside terms, x*y the coefficient of "
+            "bounds on constants: c for all, |c| for magnitudes, inner those inside terms, x*y the coefficient of "
             "that term, as in 'x: -2 < x*y < 0'", is_repeatable=True,
         ),
         Option(
             "guess", "prior.guesses", guesses, "dx=EXPR",
-            "an equation to start from; its constants are fitted", is_repeatable=True,
+            "an initial guess of an equation; its constants are fitted", is_repeatable=True,
         ),
         Option(
             "known", "prior.known", partial(by_equation, example="dy=-x/10"), "dy=EXPR",
@@ -303,14 +305,14 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option(
             "max_epochs", "budget.max_epochs budget.max_epochs_of", epochs, "N",
-            "end after N epochs, or x=20,y=12 by state variable (default: 1000)",
+            "end the search after N epochs, or by state variable, as x=20,y=12 (default: 1000)",
         ),
         Option(
             "target_error", "budget.target_error", number, "E",
-            "normalized error at which an equation counts as found (default: from the data)",
+            "normalized error at which an equation counts as found (default: estimated from the data)",
         ),
     ),
 }  # fmt: skip
-"""All options by their headings in a help."""
+"""All options by their headings in the help."""
 
 OPTIONS: Final[Mapping[str, Option]] = {option.name: option for options in GROUPS.values() for option in options}

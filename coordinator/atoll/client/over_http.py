@@ -1,7 +1,7 @@
 """A connection to a coordinator through ``coordinator web``, for users behind a firewall.
 
-Requests are the same as on the bus, in one HTTP request each. Changes are not pushed, so they are polled every two
-seconds (`atoll.client.follower.QUIET_S`).
+Each request of the bus becomes one HTTP request with the same contents. The web process pushes no changes, so clients
+poll them every two seconds (`atoll.client.follower.QUIET_S`).
 """
 
 import contextlib
@@ -26,10 +26,10 @@ from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.security.credentials import credentials_of
 
 TOKEN: Final = "ATOLL_WEB_TOKEN"
-"""The environment variable with the token. An address with ``?token=`` works, but others can read command lines."""
+"""Environment variable with the token. ``?token=`` in an address also works, but others can read command lines."""
 
 _TOKEN_FORM: Final = re.compile(r"[A-Za-z0-9._~+/-]+=*")
-"""Tokens in headers, by RFC 6750, section 2.1; includes base64 in both alphabets."""
+"""The tokens that RFC 6750, section 2.1, allows in headers; they include base64 in both alphabets."""
 
 MESSAGE: Final = "application/vnd.atoll.message"
 
@@ -56,9 +56,9 @@ def coordinator_at(text: str, files: Mapping[str, object], environment: Mapping[
     """Return the address of a coordinator, on the bus or over HTTP.
 
     Args:
-        text: addresses such as ``tcp/host:7447``, or one such as ``https://host:7480``.
+        text: one or several addresses such as ``tcp/host:7447``, or one address such as ``https://host:7480``.
         files: options for TLS by name, such as `tls_ca`.
-        environment: defaults for options.
+        environment: defaults for the options.
 
     Raises:
         UsageError: the address is invalid, or a file or token is missing.
@@ -81,7 +81,7 @@ def check_token(token: str) -> None:
     """Raise UsageError for a token with characters that are not allowed in headers."""
     if not _TOKEN_FORM.fullmatch(token):
         raise UsageError(
-            f"the token of the page has other characters than letters, digits, - . _ ~ + / and = at its end; set "
+            f"the token of the page has other characters than letters, digits, - . _ ~ + /, and = at its end; set "
             f"{TOKEN} to another one, such as the output of: openssl rand -hex 24"
         )
 
@@ -90,7 +90,7 @@ def _file(name: object) -> Path | None:
     return Path(str(name)) if name else None
 
 
-class HttpLine:
+class HttpBus:
     """The part of a bus that a `Client` needs, over HTTP."""
 
     def __init__(self, address: WebAddress) -> None:
@@ -106,10 +106,10 @@ class HttpLine:
                 raise UsageError(f"the certificates in {address.authority} cannot be used: {error}") from error
 
     def subscribe(self, key_expression: str) -> None:
-        """Do nothing: followers poll."""
+        """Do nothing, because followers poll."""
 
     def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int:
-        """Send a request to the web process, which asks the coordinator under the name of the web process."""
+        """Send a request to the web process, which passes it to the coordinator under its own name."""
         self._token += 1
         answer = self._post(payload, timeout_s) if key != topics.HELLO else None
         self._replies.append(Reply(self._token, answer))
@@ -146,7 +146,7 @@ class HttpLine:
 
 
 def _detail(error: urllib.error.HTTPError) -> str:
-    """Return the text of a problem response; other responses may come from a proxy."""
+    """Return the detail of a problem response (RFC 9457); other responses may come from a proxy."""
     with contextlib.suppress(ValueError, AttributeError, OSError):
         detail = json.loads(error.read(MAX_MESSAGE)).get("detail")
         if isinstance(detail, str):

@@ -1,7 +1,7 @@
-"""Questions about a result: its dynamics, identifiability, the next experiments, a page.
+"""Questions about a result: its dynamics, identifiability, the next experiments, a report.
 
-A question about a saved result is answered here; a question about a job of a service is answered by a worker, as a
-task. The answer is a pure function of the result, the question and, if given, a table of measurements.
+The command line answers a question about a saved result in its own process; for a job of a coordinator, a worker
+answers it as a task. The answer is a pure function of the result, the question and, if given, a table of measurements.
 """
 
 import json
@@ -21,7 +21,7 @@ from atoll_core.wire.messages.tasks import AnalysisFunction
 from atoll_core.wire.values import decode_value, encode_value
 
 Form = Literal["text", "json"]
-"""Text for people, or plain data with all curves."""
+"""Readable text, or plain data with all curves."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,14 +59,14 @@ class Suggest(Question):
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Question):
-    """The result as one HTML page, and its pictures, as SVG by name, if they are wanted."""
+    """The result as one HTML page and, on request, its pictures as SVG by name."""
 
     pictures: bool = False
 
 
 @dataclass(frozen=True)
 class Analysed:
-    """The answer to a question: `text` in its form, and `pictures` by the names of their files."""
+    """The answer to a question: `text` in the requested form, and `pictures` by file name."""
 
     text: str
     pictures: Mapping[str, str] = field(default_factory=dict)
@@ -74,7 +74,7 @@ class Analysed:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of the task: the answer, or an error; `is_refused`: the question was the cause."""
+    """The result of the task: the answer, or an error; `is_refused`: the question caused the error."""
 
     analysed: Analysed | None = None
     sentence: str = ""
@@ -94,7 +94,7 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
 
     Args:
         result: the result of a job.
-        question: of a kind in `FUNCTIONS`.
+        question: question of a kind in `FUNCTIONS`.
         table: measurements to use instead of the measurements in the result, for profiles and suggestions.
         spread: distributes the work of profiles.
 
@@ -132,7 +132,7 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
 def analyse(
     function: AnalysisFunction, result: bytes, question: bytes, table: bytes | None, spread: Spread | None = None
 ) -> bytes:
-    """Return the encoded `Outcome` of a result, as JSON, an encoded question of `function`, and an uploaded table."""
+    """Return the encoded `Outcome` for a result as JSON, an encoded question of `function`, and an uploaded table."""
     asked: Question = decode_value(question, _QUESTIONS[function])
     try:
         rows = None if table is None else Table.from_bytes(table)
@@ -142,7 +142,7 @@ def analyse(
 
 
 def answered(outcome: bytes) -> Analysed:
-    """Return the answer in an encoded `Outcome`; raises RefusedError or AtollError with its error."""
+    """Return the answer in an encoded `Outcome`; raises RefusedError or AtollError if it holds an error."""
     made = decode_value(outcome, Outcome)
     if made.analysed is None:
         raise (RefusedError if made.is_refused else AtollError)(made.sentence)

@@ -1,4 +1,4 @@
-"""The functions of tasks by name: the modules and kernels that each needs, and its call."""
+"""The table of task functions by name: for each function its call and the modules and kernels that it needs."""
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 Call = Callable[[Sequence[bytes], float | None, "Batches"], bytes]
-"""Runs a function with its inputs, its time limit in seconds (None: none), and the team that computes batches."""
+"""Runs a function with its inputs, its time limit in seconds (None: no limit), and the team for its batches."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskHandler:
-    """`call` runs it; `load` loads modules and kernels; `ready` also compiles kernels, for tasks with a time limit."""
+    """`call` runs the function; `load` loads modules and kernels; `ready` also compiles kernels, for timed tasks."""
 
     load: Callable[[], None]
     ready: Callable[[], None]
@@ -27,12 +27,12 @@ class TaskHandler:
 
 
 def load_preparation() -> None:
-    """Load the modules for preparing; its kernels are loaded as they are needed."""
+    """Load the modules for preparing; its kernels are loaded when they are needed."""
     import atoll_core.data.table  # noqa: F401
 
 
 def load_refinement() -> None:
-    """Load modules and kernels for refining, compiled if needed; errors are logged: refining will raise them too."""
+    """Load modules and kernels for refining, compiled if needed; errors are only logged: refining raises them again."""
     try:
         import scipy.special  # noqa: F401
 
@@ -45,7 +45,7 @@ def load_refinement() -> None:
 
 
 def ready_preparation() -> None:
-    """Load modules and kernels for preparing, compiled if needed; errors are logged: preparing will raise them too."""
+    """Load modules and kernels for preparing, compiled if needed; errors are logged: preparing raises them again."""
     try:
         load_preparation()
         import atoll_coordinator.model.sparse.laws  # noqa: F401
@@ -74,7 +74,7 @@ def _refine(inputs: Sequence[bytes], seconds: float | None, team: "Batches") -> 
 
 
 def load_analyses() -> None:
-    """Load the modules of all analyses; kernels are loaded as they are needed."""
+    """Load the modules of all analyses; kernels are loaded when they are needed."""
     import atoll.tasks.analyses  # noqa: F401
 
 

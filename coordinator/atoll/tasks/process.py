@@ -1,7 +1,15 @@
 """The program of a task process: runs tasks one after another until its worker closes the pipe.
 
-Light to import. One thread runs tasks; another reads the messages of the worker, so that this process ends with the
-worker, even in the middle of a task.
+How it works: one thread runs tasks; another thread reads the messages of the worker, so that this process ends with the
+worker, even in the middle of a task. A task may split its work into batches (`Team.map`): a batch is a function name, a
+context that all batches share, and an item, all encoded. This process computes batches from the front of the list.
+Other workers without a task (helpers) ask for batches through their worker and the bus, and get batches from the back.
+Results are stored by the position of their item, and each batch is a pure function of context and item, so the result
+does not depend on who computed a batch, or when. A batch that fails at a helper is computed here. If all batches are
+taken, this process also computes the oldest batch of a helper after a while; the first result is used.
+
+Doubtful: the waiting time for a helper (`LATE` times the longest batch here) is a guess, so a slow helper costs a batch
+that is computed twice. `Team.workers` counts only helpers that asked recently. Light to import.
 """
 
 import contextlib
@@ -28,20 +36,20 @@ from atoll_core.task_frames import OTHER_VERSION, Ask, FromProcess, Give, Progre
 from atoll_core.wire.messages.tasks import MAX_BATCH
 
 HOLD_S: Final = 2.0
-"""How long a helper's question may wait for a batch before the helper has to ask again; below its timeout."""
+"""Seconds after which a helper that waits for a batch must ask again; shorter than the helper's timeout."""
 
 NOTED_S: Final = 1.0
-"""Progress is sent to the worker at most this often, because its heartbeats need no more."""
+"""Shortest interval of progress messages to the worker, in seconds; its heartbeats need no shorter interval."""
 
 LATE: Final = 2.0
-"""A batch of a helper is also computed here after this many times the longest duration of a batch here."""
+"""A batch of a helper is also computed here after `LATE` times the longest duration of a batch here."""
 
 _LOG = logging.getLogger(__name__)
 
 
 @dataclass(eq=False, slots=True)
 class _Call:
-    """One call of `Team.map`: the states of its items by place. `first` is the number of its first batch."""
+    """One call of `Team.map`: its items and their states, by position. `first` is the number of its first batch."""
 
     function: str
     digest: str
@@ -59,13 +67,13 @@ class _Call:
 
 
 class Team:
-    """This process and the helpers of its task: an implementation of `atoll_coordinator.model.batches.Batches`.
+    """Distributes batches between this process and helpers; implements `atoll_coordinator.model.batches.Batches`.
 
-    `threads` is how many this process may use by itself.
+    `threads` is the number of threads that this process may use.
     """
 
     def __init__(self, send: Callable[[FromProcess], None], clock: Callable[[], float] = time.monotonic) -> None:
-        """`send` hands messages to the worker, from any thread."""
+        """`send` sends a message to the worker and may be called from any thread."""
         self.threads = 1
         self._task = ""
         self._here = self._elsewhere = self._compared = 0
@@ -76,20 +84,20 @@ class Team:
         self._asked: deque[tuple[Ask, float]] = deque()
         self._asked_at: float | None = None
         self._calls: list[_Call] = []
-        self._numbers = int.from_bytes(os.urandom(5))  # so late answers for another process match no batch
+        self._numbers = int.from_bytes(os.urandom(5))  # random, so that late answers for another process match no batch
 
     # ----------------------------------------------------------------------------------- the task's threads
 
     @property
     def workers(self) -> int:
-        """About how many helpers there are; 0: values need not be encoded."""
+        """Approximate number of helpers; 0: values need not be encoded."""
         if self._asked_at is None or self._clock() - self._asked_at > 2.0 * HOLD_S:
             return 0
         with self._changed:
             return max(1, len(self._asked) + sum(len(call.given) for call in self._calls))
 
     def begin(self, task: str, threads: int) -> None:
-        """Begin a task with this many threads."""
+        """Begin a task that may use `threads` threads."""
         self._task, self.threads = task, threads
         self._here = self._elsewhere = self._compared = 0
         self._noted_at = self._clock()
@@ -111,7 +119,7 @@ class Team:
         }  # fmt: skip
 
     def end(self) -> None:
-        """End a task, and answer the helpers that wait."""
+        """End a task, and tell waiting helpers that there is no batch."""
         with self._changed:
             self._asked_at = None
             while self._asked:
@@ -146,7 +154,7 @@ class Team:
         return [call.results.get(place, CANCELLED) for place in range(len(items))]
 
     def _next(self, call: _Call, end: float | None) -> int | None:
-        """Return the next item to compute here; None: check again, a helper's answer may have come."""
+        """Return the position of the next item to compute here; None: check again for answers of helpers."""
         with self._changed:
             if call.waiting:
                 return call.waiting.popleft()
@@ -165,14 +173,14 @@ class Team:
     # ----------------------------------------------------------------------------------- the reading thread
 
     def ask(self, question: Ask) -> None:
-        """Take in that a helper wants a batch: it gets one now or as soon as there is one."""
+        """Register that a helper asks for a batch: it gets a batch as soon as there is one."""
         with self._changed:
             self._asked_at = self._clock()
             self._asked.append((question, self._asked_at))
             self._serve_waiting()
 
     def take(self, number: int, result: bytes | None) -> None:
-        """Take in a helper's result of a batch; a batch that failed there is the next one computed here."""
+        """Process a helper's result of a batch; if the batch failed there (None), it is computed here next."""
         with self._changed:
             call = next((one for one in self._calls if one.first <= number < one.first + len(one.items)), None)
             if call is None or number - call.first not in call.given:
@@ -180,7 +188,9 @@ class Team:
             place = number - call.first
             if result is None:
                 del call.given[place]
-                call.waiting.appendleft(place)  # other helpers might fail, too; they get batches from the back
+                call.waiting.appendleft(
+                    place
+                )  # not to another helper, which might fail, too: helpers get batches from the back
             else:
                 self._elsewhere += self._settle(call, place, result)
             self._changed.notify_all()
@@ -193,7 +203,7 @@ class Team:
                 self._give(None)
 
     def _settle(self, call: _Call, place: int, result: bytes) -> bool:
-        """Take in a result; return whether it is the first one."""
+        """Store a result; return whether it is the first result of the item."""
         is_first = place not in call.results
         call.results.setdefault(place, result)
         call.given.pop(place, None)
@@ -212,7 +222,7 @@ class Team:
         self._send(Give(question.token, batch))
 
     def _batch(self, question: Ask) -> TaskBatch | None:
-        """Return a batch for a helper: the last of the call with most waiting items; its first batch stays here."""
+        """Return a batch for a helper: the last item of the call with most waiting items; the first item stays here."""
         fit = [call for call in self._calls if len(call.waiting) > 1 and _size(call) <= MAX_BATCH]
         if not fit:
             return None
@@ -228,11 +238,11 @@ def _size(call: _Call) -> int:
 
 
 def compute(batch: TaskBatch) -> bytes | None:
-    """Return the result of a batch of another worker's task; None if it fails here: then it is computed there."""
+    """Return the result of a batch of another worker's task; None if it fails here, so that it is computed there."""
     try:
         return _computed(batch.function, batch.context, batch.item)
     except Exception:
-        _LOG.exception("a batch broke")
+        _LOG.exception("a batch failed")
         return None
 
 
@@ -251,12 +261,12 @@ _STDOUT: Final = 1
 _STDERR: Final = 2
 _MORE_LIKELY: Final = "500"
 _POLL_S: Final = 0.25
-_SHOWN: Final = 12
+_NAME_DIGITS: Final = 12
 """Digits of a task's name in a log line."""
 
 
 def main(descriptor: int, level: int, of: str) -> None:
-    """Run tasks until the worker at the other end of the pipe `descriptor`, whose version is `of`, has ended.
+    """Run tasks until the worker at the other end of the pipe `descriptor` has ended; `of` is the worker's version.
 
     `level`: minimum level of log records.
     """
@@ -267,10 +277,12 @@ def main(descriptor: int, level: int, of: str) -> None:
 
 def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level: int) -> None:
     """Run the tasks that come through a pipe until the worker at its other end has ended."""
-    ignore(ENDING)  # signals to a whole process group are for the worker
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads of numpy's library wait
+    ignore(ENDING)  # signals to the process group are for the worker
+    os.environ.setdefault(
+        "OPENBLAS_NUM_THREADS", "1"
+    )  # matrices are small, so threads of numpy's library would mostly wait
     if sys.platform == "linux":
-        with contextlib.suppress(OSError):  # where memory runs out, this is to go before its worker
+        with contextlib.suppress(OSError):  # if memory runs out, the system should end this process before its worker
             Path("/proc/self/oom_score_adj").write_text(_MORE_LIKELY, "ascii")
     collect_rarely()
     # stdout belongs to the worker: printed text goes to stderr
@@ -282,7 +294,7 @@ def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level:
 
 
 class TaskLoop:
-    """Runs the tasks, and computes the batches of others, that come through a pipe."""
+    """Runs the tasks of this worker and computes batches for other workers, as messages from the pipe request."""
 
     def __init__(self, connection: "Connection[frames.FromProcess, frames.ToProcess]", level: int) -> None:
 
@@ -293,7 +305,7 @@ class TaskLoop:
         logging.basicConfig(level=level, handlers=[_LogSender(self._send)], force=True)
 
     def work(self) -> None:
-        """Run tasks and batches, one after another, for ever: the end of the pipe ends the process."""
+        """Run tasks and batches one after another, without end; the end of the pipe ends the process."""
         self._send(frames.Started(os.getpid()))
         threading.Thread(target=self._read, name="reading tasks", daemon=True).start()
         while True:
@@ -312,7 +324,7 @@ class TaskLoop:
             TASK_FUNCTIONS[load.function].load()  # type: ignore[index]  # a name of the table, by the type of the message
 
     def _run(self, run: frames.Run) -> None:
-        about = {"job": run.job or None, "task": run.task[:_SHOWN], "function": run.function}
+        about = {"job": run.job or None, "task": run.task[:_NAME_DIGITS], "function": run.function}
         try:
             function = TASK_FUNCTIONS[run.function]  # type: ignore[index]
             (function.load if run.seconds is None else function.ready)()
@@ -324,7 +336,7 @@ class TaskLoop:
         except MemoryError as error:
             self._send(frames.Failed(run.task, "memory", f"memory ran out: {error}"))
         except Exception as error:
-            _LOG.exception("a task broke", extra=fields(**about))
+            _LOG.exception("a task failed", extra=fields(**about))
             self._send(frames.Failed(run.task, "error", " ".join(f"{type(error).__name__}: {error}".split())[:2000]))
         else:
             spent = {"seconds": round(time.monotonic() - began, 3), "size": len(result)}
@@ -356,7 +368,7 @@ class TaskLoop:
                 self._waiting.put(message)
 
     def _send(self, message: frames.FromProcess) -> None:
-        """Send a message, from any thread; this process ends if the pipe is closed."""
+        """Send a message, from any thread; if the pipe is closed, end this process."""
         with self._sending:
             try:
                 self._connection.send(message)
@@ -365,14 +377,14 @@ class TaskLoop:
 
 
 class _LogSender(logging.Handler):
-    """Sends log records to the worker, with formatted messages and tracebacks as text."""
+    """Sends log records to the worker, with messages and tracebacks formatted as text."""
 
     def __init__(self, send: Callable[[frames.FromProcess], None]) -> None:
         super().__init__()
         self._send = send
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Send a record; errors are printed on stderr, as by any handler."""
+        """Send a record; errors are printed on stderr, as in any handler."""
         try:
             values: Mapping[str, object] = dict(vars(record))
             if record.exc_info:

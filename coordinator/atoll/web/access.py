@@ -1,8 +1,8 @@
-"""Access to the web process: allowed hosts, origins of pages, bearer tokens. One ASGI middleware before all others.
+"""Access to the web process: allowed hosts, origins of pages, bearer tokens. It is the outermost ASGI middleware.
 
-Requests about jobs need a token, unless programs of this machine may look (``--look-without-token``). Cookies are not
-used, so that no other page can act with a browser's credentials. Requests from pages of other sites are refused
-nevertheless, also read-only requests, which may take seconds of the coordinator.
+Requests about jobs need a token, unless ``--look-without-token`` lets programs of this machine read without one. The
+page uses no cookies, so that no other page can act with a browser's credentials. Requests from pages of other sites are
+refused nevertheless. This includes read-only requests, because they may take seconds of the coordinator.
 """
 
 import hashlib
@@ -23,15 +23,15 @@ from atoll.web.problems import Problem
 from atoll_core.errors import UsageError
 
 SAFE: Final = ("GET", "HEAD")
-"""Methods that change nothing; all others need a token."""
+"""HTTP methods for reading; all other methods need a token."""
 
 LOCAL_HOSTS: Final = ("localhost", "127.0.0.1", "[::1]")
 
 _OPEN: Final = ("/", "/static/", "/api/v1/openapi.json", "/api/v1/version", "/api/v1/session", "/api/v1/health")
-"""Paths without any information on jobs, which need no token."""
+"""Paths that give no information on jobs, and so need no token."""
 
 _ONCE: Final = ("authorization", "host", "origin", "sec-fetch-site")
-"""Headers that decide on access, allowed once each."""
+"""Headers that decide on access; each may occur once."""
 
 _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -52,8 +52,8 @@ _HEADERS: Final[Mapping[str, str]] = {
 class Access:
     """Which requests are allowed, and as which user.
 
-    `gateways` has a gateway (one user of the coordinator) for the SHA-256 of each token; `viewer` is the one whose jobs
-    are shown without a token (None: no jobs are). `hosts` are the names under which the process may be addressed.
+    `gateways` has a gateway (one user of the coordinator) for the SHA-256 of each token. `viewer` is the gateway for
+    requests without a token (None: such requests are refused). `hosts` are the allowed host names of the process.
     """
 
     gateways: Mapping[str, Gateway]
@@ -61,7 +61,7 @@ class Access:
     hosts: Sequence[str]
 
     def gateway_of(self, authorization: str) -> Gateway | None:
-        """Return the gateway of a bearer token; None for an unknown one."""
+        """Return the gateway of a bearer token; None if the token is unknown."""
         scheme, _, token = authorization.partition(" ")
         if scheme.lower() != "bearer":
             return None
@@ -70,23 +70,29 @@ class Access:
         return found[0] if found else None
 
     def problem(self, method: str, path: str, headers: Headers) -> Problem | None:
-        """Return why a request is refused; None: it is not."""
+        """Return the reason to refuse a request, or None if it is allowed."""
         twice = next((name for name in _ONCE if len(headers.getlist(name)) > 1), None)
         if twice is not None or ("transfer-encoding" in headers and "content-length" in headers):
-            sentence = f"a request has one {twice}" if twice else "a body has one length, announced or in chunks"
-            return Problem(400, sentence + "; a proxy may have read another one", {"connection": "close"})
+            sentence = (
+                f"the header {twice} occurs twice" if twice else "content-length and transfer-encoding both occur"
+            )
+            return Problem(400, sentence + ", so a proxy may read another request; send one", {"connection": "close"})
         host = _name(headers.get("host", ""))
         if host not in self.hosts:
-            return Problem(421, f"this process is not called {host!r}; start it with --allow-host {host or 'NAME'}")
+            return Problem(
+                421, f"the host name {host!r} is not allowed; start coordinator web with --allow-host {host or 'NAME'}"
+            )
         if (method not in SAFE or path.startswith("/api")) and _is_foreign(headers):
             return Problem(403, "requests from a page of another origin are refused; open the page at its own address")
         authorization = headers.get("authorization")
         if authorization is not None and self.gateway_of(authorization) is None:
-            return _unauthorized_problem("the token is not known; take the address that coordinator web has printed")
+            return _unauthorized_problem("the token is unknown; open the address that coordinator web has printed")
         if authorization is None and (
             method not in SAFE or (self.viewer is None and not (path in _OPEN or path.startswith("/static/")))
         ):
-            return _unauthorized_problem("this needs a token; take the address that coordinator web has printed")
+            return _unauthorized_problem(
+                "this request needs a token; open the address that coordinator web has printed"
+            )
         return None
 
 
@@ -96,7 +102,7 @@ def digest_of(token: str) -> str:
 
 
 def token_of(environment: Mapping[str, str] = os.environ) -> str:
-    """Return the token of the environment, or a random one; raises UsageError for one unfit for a header, or short."""
+    """Return the token of the environment, or a random one; raises UsageError if it is short or unfit for a header."""
     token = environment.get(TOKEN)
     if token is None:
         return secrets.token_urlsafe(24)
@@ -107,13 +113,13 @@ def token_of(environment: Mapping[str, str] = os.environ) -> str:
 
 
 def gateway_of(request: Request) -> Gateway:
-    """Return the gateway of the user who sent a request; requests without one have been refused."""
+    """Return the gateway of the user who sent a request; requests without a gateway have been refused before."""
     gateway: Gateway = request.scope["gateway"]
     return gateway
 
 
 class AccessMiddleware:
-    """Refuses requests that are not allowed, and adds headers that make browsers strict to every answer."""
+    """Refuses requests that are not allowed, and adds security headers to every answer."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app = app
@@ -147,9 +153,9 @@ def _name(host: str) -> str:
 
 
 def _is_foreign(headers: Headers) -> bool:
-    """Return whether the headers name a page of another origin.
+    """Return whether a page of another origin sent the request, according to its headers.
 
-    Without `sec-fetch-site`, names are compared without ports, which proxies may change.
+    Without `sec-fetch-site`, host names are compared, but not ports, because proxies may change them.
     """
     site = headers.get("sec-fetch-site")
     if site is not None:

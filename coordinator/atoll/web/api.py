@@ -1,4 +1,4 @@
-"""The resources of the API. See `operations` for how an operation is declared, and ``openapi.json`` for all of them."""
+"""The handlers of the API. `operations` explains their declarations, and ``openapi.json`` lists all operations."""
 
 import asyncio
 import contextlib
@@ -59,25 +59,25 @@ from atoll_core.wire.topics import is_id
 from atoll_core.wire.values import encode_value
 
 MAX_COMING: Final = 8
-"""Files that one user sends at a time, which take space on the disk: a few pages and a program."""
+"""Maximum number of files that a user sends at a time, since they take disk space: enough for a few pages."""
 
 MAX_OF_USER: Final = 64 * 1024**2
-"""Bytes of messages of one user in memory, from the first that arrives until the answer: four of the largest."""
+"""Maximum bytes of a user's messages in memory, from the first byte until the answer: four of the largest."""
 
 MAX_OF_ALL: Final = 128 * 1024**2
-"""Bytes of messages of all users."""
+"""Maximum bytes of messages of all users in memory."""
 
 RESULT_S: Final = 1.0
-"""How long a result is reused at least: any number of pages cost one question."""
+"""Shortest time in seconds for which a result is reused, so that any number of pages cost one request."""
 
 SHARE: Final = 0.05
-"""Share of the time that is spent on fetching one result, which takes long for a job with many islands."""
+"""Largest share of the time for fetching one result, because a job with many islands takes long."""
 
 MAX_RESULTS: Final = 16
-"""Results that are kept for reuse."""
+"""Maximum number of results that are kept for reuse."""
 
 MAX_WATCHED: Final = 32
-"""Jobs that one stream may name."""
+"""Maximum number of jobs that one stream may name."""
 
 _SOON: Final = {"retry-after": "1"}
 _REPORT: Final = (FUNCTIONS[Report], encode_value(Report()))
@@ -93,28 +93,30 @@ def _truth(value: object) -> object:
 
 
 Flag = Annotated[bool, BeforeValidator(_truth)]
-_PICK: Final = "other equations: VARIABLE=NUMBER of its front, from 0"
+_PICK: Final = "use other equations: VARIABLE=NUMBER of a member of its front, from 0"
 _OPTIONS: Final = "options of the command line by name, as a JSON object: texts, true, or lists of texts"
 
 
 class JobsQuery(Query):
-    limit: int = Field(50, ge=1, le=MAX_PAGE_JOBS, description="jobs at most")
-    cursor: int | None = Field(None, ge=0, lt=2**63, description="`next` of the page before")
+    limit: int = Field(50, ge=1, le=MAX_PAGE_JOBS, description="maximum number of jobs")
+    cursor: int | None = Field(None, ge=0, lt=2**63, description="`next` of the previous page")
     prefix: str = Field("", description="the beginning of their ids")
     state: JobState | None = Field(None, description="only jobs in this state")
 
 
 class FileQuery(Query):
-    filename: list[str] = Field([], description="name of each file; its ending gives the format. They are one table")
-    bytes: list[str] = Field([], description="size of each file, if the body has several files one after the other")
+    filename: list[str] = Field(
+        [], description="name of each file, whose ending gives the format; together they are one table"
+    )
+    bytes: list[str] = Field([], description="bytes of each file, if the body has several files one after another")
     options: str = Field("", description=_OPTIONS)
-    of: Id | None = Field(None, description="a job whose data are used in place of a body")
+    of: Id | None = Field(None, description="id of a job whose data are used instead of a body")
 
 
 class SubmitQuery(FileQuery):
     id: Id | None = Field(None, description="the job's id: the same id with the same contents is the same job")
     name: str = Field("", description="a label for lists")
-    priority: Priority = Field(0, description="among one's own jobs")
+    priority: Priority = Field(0, description="priority among the jobs of the user")
     shared: Flag = Field(False, description="let all users see the job")
 
 
@@ -124,17 +126,19 @@ class RetryQuery(Query):
 
 class LogQuery(Query):
     after: int = Field(0, ge=0, lt=2**63, description="the number of an event")
-    limit: int = Field(200, ge=1, le=1000, description="events at most")
+    limit: int = Field(200, ge=1, le=1000, description="maximum number of events")
     of_workers: Flag = Field(False, description="only log lines of workers")
 
 
 class StreamQuery(Query):
-    jobs: list[Id] = Field(["all"], max_length=MAX_WATCHED, description="ids, or all")
-    after: int | None = Field(None, ge=0, lt=2**63, description="as the header Last-Event-ID")
+    jobs: list[Id] = Field(["all"], max_length=MAX_WATCHED, description="ids of jobs, or all")
+    after: int | None = Field(
+        None, ge=0, lt=2**63, description="number of the last event, like the header Last-Event-ID"
+    )
 
 
 class ResultQuery(Query):
-    download: Flag = Field(False, description="as a file")
+    download: Flag = Field(False, description="whether to answer with a file to save")
 
 
 class PickQuery(Query):
@@ -205,7 +209,7 @@ class _Packed:
 
 @dataclass(frozen=True)
 class _Fetched:
-    """A result that is being fetched, or was, since `began` (monotonic seconds)."""
+    """A result that is being fetched or was fetched; `began` is the start in monotonic seconds."""
 
     task: "asyncio.Task[tuple[Result, float]]"
     began: float = field(default_factory=time.monotonic)
@@ -220,14 +224,14 @@ class _Fetched:
 
 
 async def _fetch(gateway: Gateway, job: str) -> tuple[Result, float]:
-    """Return the result of a job, and how many seconds fetching it took."""
+    """Return the result of a job, and the duration of the request in seconds."""
     began = time.monotonic()
     result = await gateway.ask(lambda client: Result.of(client.result(job)))
     return result, time.monotonic() - began
 
 
 class Api:
-    """All operations. Each gateway has one feed, created with its first listener."""
+    """All operations. Each gateway has one feed, which is created for its first listener."""
 
     def __init__(self, readers: Readers) -> None:
         self._readers = readers
@@ -263,7 +267,7 @@ class Api:
 
     @operation("GET", "/session")
     async def session(self, request: Request) -> dict[str, Any]:
-        """Return the user of this token, whether it may change anything, and where workers connect."""
+        """Return the user of this token, whether the user may change anything, and the address for workers."""
         at = gateway_of(request).destination if request.scope["gateway"] is not None else None
         user = at.credentials.name if at is not None and at.credentials is not None else None
         known = {"user": user, "may_write": request.scope["may_write"], "version": VERSION}
@@ -282,7 +286,7 @@ class Api:
 
     @operation("GET", "/metrics", media="text/plain")
     async def metrics(self, request: Request) -> Response:
-        """Return the depth of the queue and the listeners of this process, for Prometheus."""
+        """Return the depth of the queue and the number of listening pages of this process, for Prometheus."""
         depth = await gateway_of(request).ask(lambda client: client.queue_depth())
         jobs = {name: value for name, value in to_jsonable_python(depth).items() if isinstance(value, int)}
         lines = ["# TYPE atoll_queue gauge", *(f'atoll_queue{{of="{name}"}} {value}' for name, value in jobs.items())]
@@ -302,7 +306,7 @@ class Api:
 
     @operation("GET", "/demo")
     async def demo(self, request: Request) -> dict[str, Any]:
-        """Return a small data set to try."""
+        """Return a small example data set."""
         return {"filename": "predator_prey.csv", "text": _resource("static/predator_prey.csv")}
 
     @operation("GET", "/events", media="text/event-stream")
@@ -310,31 +314,31 @@ class Api:
         """Send events and changes of jobs as they happen, as server-sent events."""
         last = request.headers.get("last-event-id")
         if last is not None and not (last.isdecimal() and int(last) < 2**63):
-            raise HTTPException(422, "Last-Event-ID is the number of an event")
+            raise HTTPException(422, "Last-Event-ID must be the number of an event")
         after = int(last) if last else query.after
-        if request.method == "HEAD":  # which would listen for ever and hear nothing
+        if request.method == "HEAD":  # a stream without a body would never end
             return Response(media_type="text/event-stream")
         gateway = gateway_of(request)
         feed = self._feeds.get(gateway)
         if feed is None:
             feed = self._feeds[gateway] = Feed(gateway, lambda job: self._results.pop((gateway, job), None))
         left = min(MAX_LISTENERS, most_connections() // 2) - sum(feed.listeners for feed in self._feeds.values())
-        if feed.listeners >= left:  # one user may hold at most half of the free places
-            raise HTTPException(429, "too many pages listen already; ask for the status now and then instead")
+        if feed.listeners >= left:  # one user may take at most half of the free places
+            raise HTTPException(429, "too many pages are listening; close one, or poll the status of a job instead")
         parts = feed.listen(None if "all" in query.jobs else query.jobs, after)
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
         return StreamingResponse(_until_unreachable(parts), media_type="text/event-stream", headers=headers)
 
     @operation("POST", "/messages", media=MESSAGE, sent=(MESSAGE,))
     async def messages(self, request: Request) -> Response:
-        """Answer a message of the bus, for programs of this version that a firewall keeps from the bus."""
+        """Pass a message of the bus to the coordinator, for programs of this version behind a firewall."""
         gateway = gateway_of(request)
         body = bytearray()
 
         def take(chunk: bytes) -> None:
             waiting = self._messages
             if waiting[gateway] + len(chunk) > MAX_OF_USER or waiting.total() + len(chunk) > MAX_OF_ALL:
-                raise HTTPException(429, "too many messages are being sent already; send this one later", _SOON)
+                raise HTTPException(429, "too many messages are being sent; send this message later", _SOON)
             waiting[gateway] += len(chunk)
             body.extend(chunk)
 
@@ -391,13 +395,13 @@ class Api:
 
     @operation("POST", "/outline", sent=_FILES)
     async def outline(self, request: Request, query: FileQuery) -> Response:
-        """Return how files are read, and the plan of the search."""
+        """Return how the files are read, and the plan of the search."""
         async with self._read(request, query, "outline") as answer:
             return Response(answer.read_bytes(), media_type="application/json")
 
     @operation("POST", "/preview", sent=_FILES)
     async def preview(self, request: Request, query: FileQuery) -> Response:
-        """Return smoothed curves and derivatives of files, before anything is searched."""
+        """Return smoothed curves and derivatives of the files, without a search."""
         async with self._read(request, query, "preview") as answer:
             return Response(answer.read_bytes(), media_type="application/json")
 
@@ -405,12 +409,12 @@ class Api:
     async def _read(
         self, request: Request, query: FileQuery, wanted: Literal["table", "outline", "preview"]
     ) -> AsyncIterator[Path]:
-        """Yield a file with the `wanted` view of the uploaded files and options: see `Readers.read`."""
+        """Yield a file with the `wanted` view (outline, preview or table) of the uploaded files: see `Readers.read`."""
         gateway, sizes = gateway_of(request), sizes_by_name(query.filename, query.bytes)
         media_type = request.headers.get("content-type", "").partition(";")[0] if query.of is None else TABLE
-        read_options(query.options)  # a mistake there is reported before the file has come
+        read_options(query.options)  # an error in the options is reported before the file has arrived
         if self._coming[gateway] >= MAX_COMING:
-            raise HTTPException(429, f"{MAX_COMING} files are being sent already; send this one later", _SOON)
+            raise HTTPException(429, f"{MAX_COMING} files are being sent; send this file later", _SOON)
         self._coming[gateway] += 1
         try:
             with tempfile.TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as folder, locked(Path(folder)):
@@ -438,12 +442,12 @@ class Api:
 
     @operation("POST", "/jobs/{job}/cancel")
     async def cancel(self, request: Request) -> JobView:
-        """End a job, which keeps its best equations."""
+        """Cancel a job; its best equations are kept."""
         return await self._ask_about_job(request, lambda client, job: client.cancel(job))
 
     @operation("POST", "/jobs/{job}/pause")
     async def pause(self, request: Request) -> JobView:
-        """Pause a job: it stops at a checkpoint and waits."""
+        """Pause a job: it stops at a checkpoint until it is resumed."""
         return await self._ask_about_job(request, lambda client, job: client.pause_job(job))
 
     @operation("POST", "/jobs/{job}/resume")
@@ -453,7 +457,7 @@ class Api:
 
     @operation("POST", "/jobs/{job}/retry", 201)
     async def retry(self, request: Request, query: RetryQuery) -> Response:
-        """Submit a failed or cancelled job once more, under another id."""
+        """Submit a failed or cancelled job again with another id."""
         again = query.id or uuid.uuid4().hex[:12]
         view = await self._ask_about_job(request, lambda client, job: client.retry(job, again))
         return JSONResponse(to_jsonable_python(view), 201, {"location": f"../{again}"})
@@ -465,7 +469,7 @@ class Api:
 
     @operation("PUT", "/jobs/{job}/sharing")
     async def set_sharing(self, request: Request, body: NewSharing) -> JobView:
-        """Let all users see a job, or only its submitter and admins."""
+        """Make a job visible to all users, or only to its submitter and admins."""
         return await self._ask_about_job(request, lambda client, job: client.share(job, shared=body.shared))
 
     async def _ask_about_job(self, request: Request, question: Callable[[Client, str], JobView]) -> JobView:
@@ -474,12 +478,12 @@ class Api:
 
     @operation("GET", "/jobs/{job}/logs")
     async def logs(self, request: Request, query: LogQuery) -> Events:
-        """Return the events of a job after a number, or the last ones."""
+        """Return the events of a job after an event number, or the last events."""
         return await self._events(request, _job(request), query)
 
     @operation("GET", "/logs")
     async def all_logs(self, request: Request, query: LogQuery) -> Events:
-        """Return the events of workers and of all visible jobs after a number, or the last ones."""
+        """Return the events of workers and of all visible jobs after an event number, or the last events."""
         return await self._events(request, None, query)
 
     async def _events(self, request: Request, job: str | None, query: LogQuery) -> Events:
@@ -498,12 +502,12 @@ class Api:
 
     @operation("GET", "/jobs/{job}/result")
     async def result(self, request: Request, query: ResultQuery) -> Response:
-        """Return result.json; while the job runs, the best so far."""
+        """Return result.json; while the job runs, with the best equations so far."""
         return _file(query, (await self._result(request)).to_json(), "result.json", "application/json")
 
-    @operation("GET", "/jobs/{job}/progress", _304="it has not changed")
+    @operation("GET", "/jobs/{job}/progress", _304="the charts have not changed")
     async def progress(self, request: Request) -> Response:
-        """Return the charts of the best equations so far; 304 where they have not changed."""
+        """Return the charts of the best equations so far; 304 if they have not changed."""
         key, result = (gateway_of(request), _job(request)), await self._result(request, may_be_late=True)
         known = self._packed.get(key)
         if known is None or known[0] is not result:
@@ -521,23 +525,23 @@ class Api:
 
     @operation("GET", "/jobs/{job}/simulation")
     async def simulation(self, request: Request, query: PickQuery) -> dict[str, Any]:
-        """Simulate the model from its first measured state, and along each measured trajectory, for pictures."""
+        """Simulate the model from the first measured state, and along each measured trajectory, for pictures."""
         return await run_in_threadpool(simulation_of, await self._picked(request, query.pick))
 
-    @operation("GET", "/jobs/{job}/report", media="text/html", _202="a worker makes it")
+    @operation("GET", "/jobs/{job}/report", media="text/html", _202="a worker is writing the report")
     async def report(self, request: Request) -> Response:
-        """Return the report as HTML; 202 while a worker makes it."""
+        """Return the report as HTML; 202 while a worker is writing it."""
         job = _job(request)
         waits_for, made = await gateway_of(request).ask(lambda client: client.analysis(job, *_REPORT))
         if made is None:
-            return JSONResponse({"waits_for": waits_for or "is made by a worker"}, 202, _SOON)
+            return JSONResponse({"waits_for": waits_for or "is being written by a worker"}, 202, _SOON)
         page = (await run_in_threadpool(answered, made)).text
         policy = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
         return Response(page, media_type="text/html", headers={"content-security-policy": policy})
 
     @operation("GET", "/jobs/{job}/exports")
     async def exports(self, request: Request) -> dict[str, Any]:
-        """List the formats of exports."""
+        """List the export formats."""
         return {"formats": [*LANGUAGES, *RESULT_FORMATS]}
 
     @operation("GET", "/jobs/{job}/exports/{format}", media="text/plain")
@@ -545,22 +549,22 @@ class Api:
         """Return the model in a format."""
         name, result = request.path_params["format"], await self._picked(request, query.pick)
         if name not in (*LANGUAGES, *RESULT_FORMATS):
-            raise HTTPException(404, f"there is no format {name[:64]!r} of an export")
+            raise HTTPException(404, f"there is no export format {name[:64]!r}")
         text = await run_in_threadpool(
             lambda: RESULT_FORMATS[name](result) if name in RESULT_FORMATS else written(Model(result), name)
         )
         return _file(query, text, f"{_job(request)}.{name}.txt", "text/plain")
 
     async def _picked(self, request: Request, picks: list[str]) -> Result:
-        """Return the result of a job, with other members of the fronts where these are picked; raises UsageError."""
+        """Return the result of a job, with the picked members of its fronts; raises UsageError."""
         wanted, result = parse_picks(picks), await self._result(request)
         return pick(result, wanted) if wanted else result
 
     async def _result(self, request: Request, *, may_be_late: bool = False) -> Result:
-        """Return the result of a job, which is fetched once a second at most, for pages (`may_be_late`) more seldom.
+        """Return the result of a job. It is fetched at most once a second, and less often for pages (`may_be_late`).
 
-        Pages are notified when the state of a job changes, and then fetch it again. The user's right to see the job
-        is checked each time.
+        Pages are notified when the state of a job changes, and then fetch the result again. The user's right to see the
+        job is checked each time.
         """
         job, gateway = _job(request), gateway_of(request)
         key = (gateway, job)
@@ -573,7 +577,7 @@ class Api:
         result = (await asyncio.shield(known.task))[0]
         try:
             await gateway.ask(lambda client: client.status(job))
-        except UnknownJobError:  # it was deleted, or is shared no more
+        except UnknownJobError:  # the job was deleted, or is no longer shared
             self._results.pop(key, None)
             self._packed.pop(key, None)
             raise
@@ -604,7 +608,7 @@ class Api:
 
     @operation("PUT", "/coordinator/queue")
     async def set_queue(self, request: Request, body: NewQueue) -> CoordinatorStatus:
-        """Pause or resume the queue: while it is paused, no further job starts."""
+        """Pause or resume the queue; while it is paused, no further job starts."""
         view = await gateway_of(request).ask(lambda client: client.pause_queue(paused=body.paused))
         return CoordinatorStatus(coordinator=view)
 
@@ -621,8 +625,8 @@ def require_same_version(hello: Hello) -> None:
     if (hello.protocol, hello.engine) != (PROTOCOL_VERSION, ENGINE_REVISION):
         raise HTTPException(
             409,
-            f"this program is Atoll {hello.version} (protocol {hello.protocol}), and {VERSION} (protocol "
-            f"{PROTOCOL_VERSION}) answers; install the same version",
+            f"your program is Atoll {hello.version} (protocol {hello.protocol}), but this service is {VERSION} "
+            f"(protocol {PROTOCOL_VERSION}); install the same version",
         )
 
 
@@ -636,7 +640,7 @@ def _resource(name: str) -> str:
 
 
 async def _until_unreachable(parts: AsyncIterator[str]) -> AsyncIterator[str]:
-    """End a stream when the coordinator does not answer: the page connects again."""
+    """End a stream when the coordinator does not answer; the page then connects again."""
     with contextlib.suppress(AtollError, BusyError):
         async for part in parts:
             yield part

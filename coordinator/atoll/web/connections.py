@@ -1,7 +1,8 @@
-"""Connections of uvicorn with limits of time and number, so that slow or many clients do not hold up others.
+"""Connections of uvicorn with limits on time and number, so that slow or many clients do not block other clients.
 
-A connection without a complete request, or whose answer is not read, is closed after a time. When there are too many,
-the one is closed that has waited longest for a request; when all are busy, the newest is refused.
+A connection is closed after a time without a complete request, or if its client does not read the answer. If there are
+too many connections, the connection that has waited longest for a request is closed; if all are busy, the newest
+connection is refused.
 """
 
 import asyncio
@@ -13,40 +14,42 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from atoll.web.problems import Problem
 
 WAIT_S: Final = 30.0
-"""How long a request may take to begin and to send all headers, on a new or a kept connection."""
+"""Time limit for all headers of a request, in seconds, on a new or a reused connection."""
 
 STALLED_S: Final = 30.0
-"""How long a client may read nothing while at least 64 kB wait for it."""
+"""Time limit for a client that reads nothing while at least 64 kB wait for it, in seconds."""
 
 MOST: Final = 4_096
-"""Connections at most: a browser opens six for a page."""
+"""Maximum number of connections; a browser opens six for a page."""
 
-_LATE: Final = Problem(408, f"the request did not come within {WAIT_S:.0f} s; send it at once", {"connection": "close"})
-_INVALID: Final = Problem(400, "this is not a request of HTTP/1.1", {"connection": "close"})
+_LATE: Final = Problem(
+    408, f"the request did not arrive within {WAIT_S:.0f} s; send it without pauses", {"connection": "close"}
+)
+_INVALID: Final = Problem(400, "this is not an HTTP/1.1 request", {"connection": "close"})
 _FULL: Final = Problem(
-    503, "too many connections are at work; come back later", {"connection": "close", "retry-after": "5"}
+    503, "too many connections are busy; try again later", {"connection": "close", "retry-after": "5"}
 )
 
 
 def most_connections() -> int:
-    """Return the limit of connections: at most half of the open files allowed, as requests need others."""
+    """Return the limit of connections: at most half of the allowed open files, because requests open files, too."""
     soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     return MOST if soft == resource.RLIM_INFINITY else min(MOST, soft // 2)
 
 
 def allow_open_files() -> None:
-    """Raise the limit of open files as far as connections need it and the system allows it."""
+    """Raise the limit of open files to the number for all connections, if the system allows it."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = 2 * MOST if hard == resource.RLIM_INFINITY else min(2 * MOST, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
-class Connection(H11Protocol):
-    """One connection."""
+class LimitedConnection(H11Protocol):
+    """One connection with limits."""
 
-    idle: ClassVar[dict["Connection", None]] = {}
-    """Connections that wait for a request, the longest first."""
+    idle: ClassVar[dict["LimitedConnection", None]] = {}
+    """Connections that wait for a request; the first has waited longest."""
 
     _timer: asyncio.TimerHandle | None = None
     _stall: asyncio.TimerHandle | None = None
@@ -75,7 +78,7 @@ class Connection(H11Protocol):
             self._wait_no_more()
 
     def pause_writing(self) -> None:
-        """Start the time limit of a client that reads nothing."""
+        """Start the time limit for a client that reads nothing."""
         super().pause_writing()
         self._stall = self.loop.call_later(STALLED_S, self.transport.abort)
 
@@ -86,7 +89,7 @@ class Connection(H11Protocol):
             self._stall.cancel()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the connection."""
+        """Unregister the connection."""
         self._wait_no_more()
         super().connection_lost(exc)
         if self._stall is not None:
@@ -104,11 +107,11 @@ class Connection(H11Protocol):
             self._timer = None
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse an invalid request; while an answer is being sent, without a sentence."""
+        """Refuse an invalid request; during another answer, close the connection without a message."""
         self._refuse(_INVALID if self.cycle is None or self.cycle.response_complete else None)
 
     def _end(self) -> None:
-        """Close the connection, with an answer if a request has begun."""
+        """Close the connection; if a request has begun, answer it first."""
         self._refuse(_LATE if self.conn.trailing_data[0] else None)
 
     def _refuse(self, problem: Problem | None) -> None:
@@ -117,5 +120,5 @@ class Connection(H11Protocol):
             head = "".join(f"{name.decode()}: {value.decode()}\r\n" for name, value in problem.raw_headers)
             self.transport.write(f"HTTP/1.1 {problem.status_code} \r\n{head}\r\n".encode() + bytes(problem.body))
         self.transport.close()
-        if self._stall is None:  # an answer that is not read must not keep it open
+        if self._stall is None:  # a client that reads no answer must not keep the connection open
             self._stall = self.loop.call_later(STALLED_S, self.transport.abort)

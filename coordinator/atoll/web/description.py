@@ -1,4 +1,4 @@
-"""The API's description in OpenAPI 3.1, built from the declared operations and their models.
+"""Builds the API's description in OpenAPI 3.1 from the declared operations and their models.
 
 ``python -m atoll.web.description`` writes ``openapi.json``; a test compares the two.
 """
@@ -28,7 +28,7 @@ _PROBLEM: Final[dict[str, Any]] = {
     "properties": {
         "type": _TEXT, "title": _TEXT, "status": {"type": "integer"}, "detail": _TEXT,
         "columns": {
-            "description": "columns of a refused file, for options that name one",
+            "description": "columns of a refused file, for options that name a column",
             "type": "array",
             "items": {"type": "object"},
         },
@@ -98,7 +98,7 @@ def _responses(declared: Operation, answer: Any, schemas: dict[str, Any]) -> dic
 
 
 def _schema(model: Any, schemas: dict[str, Any]) -> dict[str, Any]:
-    """Return a reference to the schema of a model, which is added to `schemas`; other answers are objects."""
+    """Return a reference to the schema of a model, and add the schema to `schemas`; other types become objects."""
     if not (isinstance(model, type) and issubclass(model, BaseModel)) or issubclass(model, Response):
         return _OBJECT
     schema = model.model_json_schema(ref_template=_REF, mode="serialization")
@@ -108,13 +108,13 @@ def _schema(model: Any, schemas: dict[str, Any]) -> dict[str, Any]:
 
 
 def _plain(schema: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of a query parameter, which is left out where it has no value."""
+    """Return the schema of a query parameter without null, because a parameter without a value is left out."""
     (*_, given) = ({}, *(one for one in schema.get("anyOf", [schema]) if one.get("type") != "null"))
     return {name: value for name, value in given.items() if name not in ("title", "default")}
 
 
 def to_text() -> str:
-    """Return the description as the file has it."""
+    """Return the description as the text of ``openapi.json``."""
     return json.dumps(describe(), indent=1, ensure_ascii=False) + "\n"
 
 

@@ -1,7 +1,12 @@
 """Sends the events and job views of a coordinator to any number of pages, as server-sent events.
 
-Events come from one subscription and have numbers, by which a page resumes. Views of open jobs are requested once a
-second for all pages, while a page listens; messages hold the fields that have changed.
+How it works: one subscription per user gets the events of the coordinator. Events have ascending numbers, so a page
+that connects again resumes after its last number. While at least one page listens, the views of open jobs are requested
+once a second for all pages, and pages get the fields that have changed. Each message is encoded once for all pages. A
+page that reads too slowly is disconnected and resumes, so memory stays bounded.
+
+Doubtful: views are polled, because the coordinator sends no event when only counters change. So the numbers on a page
+may be a second old, and one client in this process asks once a second even if nothing changes.
 """
 
 import asyncio
@@ -18,7 +23,7 @@ from pydantic_core import to_jsonable_python
 
 from atoll.client.client import Client
 from atoll.client.follower import Subscription
-from atoll.web.gateway import BusyError, Connection, Gateway
+from atoll.web.gateway import BusyError, Gateway, ThreadClient
 from atoll_core.errors import AtollError, UnknownJobError
 from atoll_core.wire.messages.limits import MAX_PAGE_JOBS
 from atoll_core.wire.messages.views import FINAL_STATES, EventView, JobView
@@ -26,27 +31,27 @@ from atoll_core.wire.messages.views import FINAL_STATES, EventView, JobView
 _LOG = logging.getLogger("coordinator.web")
 
 LOOK_S: Final = 1.0
-"""Interval of requests for the views of open jobs, while a page listens."""
+"""Interval of requests for the views of open jobs while a page listens, in seconds."""
 
 KEEP_ALIVE_S: Final = 10.0
-"""Interval of comments on a quiet stream, so that no proxy closes it."""
+"""Interval of comments on a quiet stream, in seconds, so that no proxy closes it."""
 
 MAX_BEHIND: Final = 2_000
-"""Messages that wait for a slow page; with more the stream ends, and the page resumes where it was."""
+"""Maximum number of messages that wait for a slow page; with more, the stream ends, and the page resumes."""
 
 MAX_LISTENERS: Final = 2_000
-"""Pages that listen, of all users; one user has at most half of the remaining number."""
+"""Maximum number of listening pages of all users; one user may have at most half of the remaining number."""
 
 PAGE: Final = 200
-"""Events per request."""
+"""Number of events per request."""
 
 _WAIT_S: Final = 0.5
 _AGAIN_S: Final = 1.0
 
 
 @dataclass(frozen=True)
-class Message:
-    """A message of the stream, about `job`; `number` is the number of the event, if it is one."""
+class ServerSentEvent:
+    """A message of the stream about `job`; `number` is the number of an event, None for other messages."""
 
     kind: str
     data: str
@@ -55,20 +60,20 @@ class Message:
 
     @cached_property
     def text(self) -> str:
-        """The server-sent event, made once for all pages; JSON has no line breaks."""
+        """The text of the server-sent event, made once for all pages; JSON has no line breaks."""
         identifier = f"id: {self.number}\n" if self.number is not None else ""
         return f"event: {self.kind}\n{identifier}data: {self.data}\n\n"
 
 
 @dataclass(eq=False)
-class _Listener:
-    """A page that listens to `jobs` (None: to all)."""
+class _ListeningPage:
+    """A page that listens to `jobs` (None: to all jobs)."""
 
     jobs: frozenset[str] | None
-    queue: asyncio.Queue[Message] = field(default_factory=lambda: asyncio.Queue(MAX_BEHIND))
+    queue: asyncio.Queue[ServerSentEvent] = field(default_factory=lambda: asyncio.Queue(MAX_BEHIND))
     is_behind: bool = False
 
-    def put(self, message: Message) -> None:
+    def put(self, message: ServerSentEvent) -> None:
         if self.jobs is not None and message.kind != "connection" and message.job not in self.jobs:
             return
         try:
@@ -78,16 +83,16 @@ class _Listener:
 
 
 class Feed:
-    """All pages of one user. Its thread and its task start with the first page."""
+    """Serves all pages of one user. Its thread and its task start with the first page."""
 
     def __init__(self, gateway: Gateway, changed: Callable[[str], object] = lambda job: None) -> None:
-        """`changed` is called with each job whose state has changed."""
+        """`changed` is called with the id of each job whose state has changed."""
         self._gateway = gateway
         self._changed = changed
-        self._listeners: set[_Listener] = set()
+        self._listeners: set[_ListeningPage] = set()
         self._views: dict[str, dict[str, Any]] = {}
         self._touched: set[str] = set()
-        self._connection = Message("connection", _encode({"connected": True, "reason": ""}))
+        self._connection = ServerSentEvent("connection", _encode({"connected": True, "reason": ""}))
         self._last: int | None = None
         self._newest: int | None = None
         self._stop = threading.Event()
@@ -96,15 +101,15 @@ class Feed:
 
     @property
     def listeners(self) -> int:
-        """How many pages listen."""
+        """Number of pages that listen."""
         return len(self._listeners)
 
     async def listen(self, jobs: Collection[str] | None, after: int | None) -> AsyncIterator[str]:
-        """Yield server-sent events of these jobs, or of all (None): after event number `after`, or from now on.
+        """Yield server-sent events of `jobs` (None: of all jobs), after the event number `after` (None: from now on).
 
         The views of the jobs come first. The stream ends when the page cannot keep up.
         """
-        listener = _Listener(None if jobs is None else frozenset(jobs))
+        listener = _ListeningPage(None if jobs is None else frozenset(jobs))
         self._listeners.add(listener)
         try:
             self._start()
@@ -131,7 +136,7 @@ class Feed:
         finally:
             self._listeners.discard(listener)
 
-    async def _missed_events(self, after: int, listener: _Listener) -> AsyncIterator[Message]:
+    async def _missed_events(self, after: int, listener: _ListeningPage) -> AsyncIterator[ServerSentEvent]:
         """Yield the stored events after number `after`."""
         while True:
             events = await self._gateway.ask(lambda client, after=after: client.events(None, max(after, 1), PAGE))  # type: ignore[misc]
@@ -160,14 +165,14 @@ class Feed:
     def _follow(self, loop: asyncio.AbstractEventLoop) -> None:
         """Pass on the subscription's events and changes until the process ends; runs in a separate thread."""
         while not self._stop.is_set():
-            connection = Connection(self._gateway.destination)
+            connection = ThreadClient(self._gateway.destination)
             try:
                 connection.ask(lambda client: self._follow_one(client, loop))
             except AtollError as error:
                 self._post(loop, self._take_connection, str(error))
                 self._stop.wait(_AGAIN_S)
-            except Exception:  # pages still receive later events
-                _LOG.exception("following the coordinator broke")
+            except Exception:  # the loop continues, so that pages still receive later events
+                _LOG.exception("the subscription to the coordinator failed")
                 self._stop.wait(_AGAIN_S)
             finally:
                 connection.close()
@@ -190,8 +195,8 @@ class Feed:
         if not loop.is_closed():
             loop.call_soon_threadsafe(take, *values)
 
-    def _greeting(self) -> Message:
-        """Return the state of the connection with the newest number, so that a page without events can resume, too."""
+    def _greeting(self) -> ServerSentEvent:
+        """Return the state of the connection with the newest event number, so that a page without events can resume."""
         return replace(self._connection, number=self._newest)
 
     def _take_number(self, last: int) -> None:
@@ -203,17 +208,17 @@ class Feed:
             self._newest = event.number
             if event.job is not None:
                 self._touched.add(event.job)
-            if event.event == "deleted":  # it names no job, since nothing of the job is kept
+            if event.event == "deleted":  # such an event names no job, because no data of the job are kept
                 self._touched |= self._watched_jobs()
             self._publish(_event_message(event))
 
     def _take_connection(self, reason: str | None) -> None:
-        message = Message("connection", _encode({"connected": reason is None, "reason": reason or ""}))
+        message = ServerSentEvent("connection", _encode({"connected": reason is None, "reason": reason or ""}))
         if message != self._connection:
             self._connection = message
             self._publish(message)
 
-    def _publish(self, message: Message) -> None:
+    def _publish(self, message: ServerSentEvent) -> None:
         for listener in self._listeners:
             listener.put(message)
 
@@ -228,7 +233,7 @@ class Feed:
                 except (AtollError, BusyError) as error:
                     self._take_connection(str(error) or "too many requests wait")
                 except Exception:
-                    _LOG.exception("looking at jobs broke")
+                    _LOG.exception("the request for views of jobs failed")
             await asyncio.sleep(max(0.1, LOOK_S - (time.monotonic() - began)))
 
     async def _look(self) -> None:
@@ -245,7 +250,7 @@ class Feed:
                 views[job] = await self._gateway.ask(lambda client, job=job: client.status(job))  # type: ignore[misc]
             except UnknownJobError:
                 if self._views.pop(job, None) is not None:
-                    self._publish(Message("job", _encode({"job": job, "changes": {}, "deleted": True}), job))
+                    self._publish(ServerSentEvent("job", _encode({"job": job, "changes": {}, "deleted": True}), job))
         self._take_connection(None)
         for view in views.values():
             self._take_view(view)
@@ -275,12 +280,12 @@ _AGEING: Final = {"elapsed", "point_evaluations_per_second"}
 
 
 def _encode(value: object) -> str:
-    return json.dumps(value, separators=(",", ":"))  # without blanks it is a tenth shorter
+    return json.dumps(value, separators=(",", ":"))  # without blanks the text is a tenth shorter
 
 
-def _changes(job: str, changes: Mapping[str, Any]) -> Message:
-    return Message("job", _encode({"job": job, "changes": changes}), job)
+def _changes(job: str, changes: Mapping[str, Any]) -> ServerSentEvent:
+    return ServerSentEvent("job", _encode({"job": job, "changes": changes}), job)
 
 
-def _event_message(event: EventView) -> Message:
-    return Message("happened", _encode(to_jsonable_python(event)), event.job, event.number)
+def _event_message(event: EventView) -> ServerSentEvent:
+    return ServerSentEvent("happened", _encode(to_jsonable_python(event)), event.job, event.number)

@@ -1,4 +1,4 @@
-"""Requests to the coordinator: clients of the bus in threads, since each client belongs to one thread."""
+"""Sends requests to the coordinator by clients of the bus in threads, since each client belongs to one thread."""
 
 import asyncio
 import contextlib
@@ -12,10 +12,10 @@ from atoll_core.errors import UnreachableError
 from atoll_core.wire.addresses import Destination
 
 THREADS: Final = 4
-"""Simultaneous requests: they take milliseconds, and an upload must not hold up others."""
+"""Number of simultaneous requests: most take milliseconds, but an upload must not delay other requests."""
 
 MAX_WAITING: Final = 256
-"""Limit of requests that wait for a thread; more are refused, so that memory stays bounded."""
+"""Maximum number of requests that wait for a thread; more are refused, so that memory stays bounded."""
 
 A = TypeVar("A")
 
@@ -31,15 +31,15 @@ class Gateway:
         self.destination: Final = destination
         self._pool = ThreadPoolExecutor(THREADS, "question")
         self._local = threading.local()
-        self._open: set[Connection] = set()
+        self._open: set[ThreadClient] = set()
         self._waiting = 0
 
     async def ask(self, question: Callable[[Client], A]) -> A:
-        """Return the result of `question`, which is called with a client in a thread.
+        """Call `question` with a client in a thread, and return its result.
 
         Raises:
-            BusyError: too many questions wait.
-            AtollError: from the client.
+            BusyError: too many requests wait.
+            AtollError: the client raised it.
         """
         if self._waiting >= MAX_WAITING:
             raise BusyError
@@ -50,9 +50,9 @@ class Gateway:
             self._waiting -= 1
 
     def _ask(self, question: Callable[[Client], A]) -> A:
-        connection: Connection | None = getattr(self._local, "connection", None)
+        connection: ThreadClient | None = getattr(self._local, "connection", None)
         if connection is None:
-            connection = self._local.connection = Connection(self.destination)
+            connection = self._local.connection = ThreadClient(self.destination)
             self._open.add(connection)
         return connection.ask(question)
 
@@ -63,8 +63,8 @@ class Gateway:
             connection.close()
 
 
-class Connection:
-    """A client for one thread, opened when it is needed, and again after a silence."""
+class ThreadClient:
+    """A client for one thread; opened when needed, and again after a request without an answer."""
 
     def __init__(self, destination: Destination) -> None:
         self._destination = destination
@@ -72,12 +72,12 @@ class Connection:
         self._client: Client | None = None
 
     def ask(self, question: Callable[[Client], A]) -> A:
-        """Return the result of `question`; raises the errors of the client."""
+        """Call `question` with the client and return its result; raises the errors of the client."""
         if self._client is None:
             self._client = self._stack.enter_context(connected(self._destination))
         try:
             return question(self._client)
-        except UnreachableError:  # the next request finds a coordinator with another store
+        except UnreachableError:  # then the next request also finds a coordinator with another store
             self.close()
             raise
 

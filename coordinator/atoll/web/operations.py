@@ -1,4 +1,4 @@
-"""Operations of the API. Each has one declaration, which gives its route, the validation of requests, and its
+"""Operations of the API. One declaration gives the route of an operation, the validation of requests, and its
 description.
 
 `operation` marks a handler with method and path. The types in the handler's signature declare the rest: `query` is a
@@ -18,20 +18,20 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 BODY_LIMIT_S: Final = 300.0
-"""Time limit for receiving a body."""
+"""Time limit for receiving a body, in seconds."""
 
 PATIENCE_S: Final = 20.0
 SLOWEST: Final = 32_000
-"""A body that has arrived at fewer bytes a second (a poor mobile network) for so long is refused."""
+"""A body that arrives at fewer bytes a second for this number of seconds is refused (a poor mobile network)."""
 
 MAX_JSON: Final = 64 * 1024
-"""Bytes of a JSON body."""
+"""Maximum bytes of a JSON body."""
 
 JSON: Final = "application/json"
 
 
 class Query(BaseModel):
-    """Query parameters; unknown ones are ignored."""
+    """Query parameters; unknown parameters are ignored."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -44,7 +44,7 @@ class Body(BaseModel):
 
 @dataclass(frozen=True)
 class Operation:
-    """The declaration of a handler. `further` has schemas of answers with other statuses, None: without a body."""
+    """The declaration of a handler. `further` has schemas of answers by other statuses; None: no body."""
 
     method: str
     path: str
@@ -54,7 +54,7 @@ class Operation:
     further: Mapping[int, str] = field(default_factory=dict)
 
     async def call(self, handler: Callable[..., Awaitable[Any]], request: Request) -> Response:
-        """Answer a request by the handler; raises HTTPException for query parameters or a body that do not fit."""
+        """Answer a request with the handler; raises HTTPException for an invalid query or body."""
         types, values = get_type_hints(handler), dict[str, BaseModel]()
         if "query" in types:
             fields, sent = types["query"].model_fields, request.query_params
@@ -75,12 +75,12 @@ def operation(
     """Mark a handler as an operation.
 
     Args:
-        method: of HTTP.
-        path: below ``/api/v1``, with names of parts in braces.
-        status: of the answer.
+        method: HTTP method.
+        path: path below ``/api/v1``, with the names of variable parts in braces.
+        status: status of the answer.
         media: media type of the answer.
         sent: media types of a body that is not JSON.
-        **further: descriptions of answers of other statuses, such as ``_304``.
+        **further: descriptions of answers with other statuses, by names such as ``_304``.
     """
     others = {int(name[1:]): text for name, text in further.items()}
 
@@ -97,7 +97,7 @@ def _validated(model: type[BaseModel], values: Any) -> Any:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the body"
-        is_id = first["type"] == "string_pattern_mismatch"  # ids alone have a pattern
+        is_id = first["type"] == "string_pattern_mismatch"  # only ids have a pattern
         message = "an id has 1 to 64 letters, digits, _ or -" if is_id else first["msg"].removeprefix("Value error, ")
         raise HTTPException(422, f"{where}: {message}") from None
 
@@ -118,9 +118,7 @@ async def receive(request: Request, most: int, take: Callable[[bytes], object]) 
                 take(chunk)
                 limit.reschedule(began + min(BODY_LIMIT_S, PATIENCE_S + received / SLOWEST))
     except TimeoutError:
-        sentence = (
-            f"the body came too slowly; {SLOWEST:,} bytes a second are expected, and all of it in {BODY_LIMIT_S:.0f} s"
-        )
+        sentence = f"the body arrived too slowly; send {SLOWEST:,} bytes a second, and all in {BODY_LIMIT_S:.0f} s"
         raise HTTPException(408, sentence, {"connection": "close"}) from None
     except ClientDisconnect:
-        raise HTTPException(400, "the connection ended before the whole body had come") from None
+        raise HTTPException(400, "the connection ended before the whole body had arrived") from None

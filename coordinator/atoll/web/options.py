@@ -1,4 +1,4 @@
-"""Options of a job as a page sends them: the options of the command line by name. Light to import."""
+"""Options of a job as a page sends them: the options of the command line by name. This module is light to import."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -12,40 +12,40 @@ from atoll_core.errors import UsageError
 
 LABELS: Final[Mapping[str, str]] = {
     "time": "Time column",
-    "step": "Time between rows, where no column has it",
+    "step": "Time between rows, if no column has times",
     "states": "State columns",
     "inputs": "Inputs: columns without an equation",
     "hold": "Inputs that keep their value until the next row",
     "trajectory": "A new trajectory begins where this column changes",
     "group": "Constants may differ between values of this column",
     "per_trajectory": "Constants may differ between runs",
-    "target": "Column to be explained by the others, without time",
+    "target": "Target column of a regression without time",
     "derivatives": "Measured derivatives",
     "order": "Order of the equations",
     "angle": "Angles",
     "only": "Search these equations only",
-    "offsets": "States measured up to an offset",
+    "offsets": "States with an unknown offset",
     "sheet": "Sheet of the workbook",
     "missing": "Missing values",
     "missing_value": "Number that stands for a missing value",
-    "robust": "Outliers lose their weight",
-    "stochastic": "Noise moves the system itself",
-    "holdout": "Trajectories held out to judge by",
+    "robust": "Robust smoothing: outliers get little weight",
+    "stochastic": "Stochastic: noise is part of the dynamics",
+    "holdout": "Held-out trajectories, to test the model",
     "weights": "Weights of rows",
     "unit": "Units",
     "seed": "Seed",
     "preset": "Settings of the search",
-    "operators": "What expressions are made of",
+    "operators": "Operators of expressions",
     "allow": "Variables that an equation may use",
     "require": "Variables that an equation must have",
     "bound": "Bounds on constants",
-    "guess": "Equations to begin from",
+    "guess": "Initial guesses of equations",
     "known": "Known equations",
     "islands": "Islands for each equation",
     "max_size": "Largest complexity",
     "max_time": "Time limit",
     "max_epochs": "Limit of epochs",
-    "target_error": "Error that counts as found",
+    "target_error": "Error at which an equation counts as found",
 }
 """Labels of options on a page, by name."""
 
@@ -71,7 +71,7 @@ def options_by_heading() -> dict[str, Any]:
 
 
 def read_options(text: str) -> tuple[dict[str, Any], JobConfig]:
-    """Return options (by name) that were sent as JSON, and the configuration they describe; raises UsageError."""
+    """Return the options by name from JSON, and the configuration that follows from them; raises UsageError."""
     try:
         sent = json.loads(text or "{}")
     except (ValueError, RecursionError):
@@ -91,7 +91,7 @@ def read_options(text: str) -> tuple[dict[str, Any], JobConfig]:
 
 
 def sizes_by_name(names: Sequence[str], sizes: Sequence[str]) -> dict[str, int | None]:
-    """Return the bytes of a body that belong to each file, in order (None: all); raises UsageError."""
+    """Return the bytes of each file in a body, in order (None: the whole body); raises UsageError."""
     plain = [PurePath(name.replace("\\", "/")).name for name in names or ["data.csv"]]
     for name in plain:
         if not name or name in (".", "..") or len(name.encode("utf-8", "replace")) > 200 or not name.isprintable():
@@ -100,5 +100,7 @@ def sizes_by_name(names: Sequence[str], sizes: Sequence[str]) -> dict[str, int |
     if len(plain) == 1 and not sizes:
         return {plain[0]: None}
     if len(known) != len(plain) or None in known or len({*plain}) < len(plain):
-        raise UsageError("each of several files needs a filename of its own, and bytes, a whole number")
+        raise UsageError(
+            "several files were sent; give a different `filename` and the size `bytes`, a whole number, for each file"
+        )
     return dict(zip(plain, known, strict=True))

@@ -1,4 +1,4 @@
-"""Charts of a result for pages, of bounded size; pure functions: equations, fronts, convergence, simulated curves."""
+"""Data for charts of a result, of bounded size: equations, fronts, convergence, simulated curves. Pure functions."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,13 +22,13 @@ from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError
 
 MAX_POINTS: Final = 2_000
-"""Points of all convergence curves of a job together: more than a screen is wide."""
+"""Maximum number of points of all convergence curves of a job together: more than the pixels of a screen's width."""
 
 MAX_CURVES: Final = 32
-"""Islands that are drawn one by one; of more islands the best, the median and the worst are drawn."""
+"""Maximum number of islands with a curve each; with more, only the best, the median and the worst have curves."""
 
 MOST_ROWS: Final = 1_000
-"""Rows of columns, and measured points of a picture, at most."""
+"""Maximum number of rows of a column, and of measured points of a picture."""
 
 
 def some(number: int, most: int) -> list[int]:
@@ -46,7 +46,7 @@ def _numbers(values: Iterable[Number], digits: int = 6) -> list[float | None]:
 
 
 def progress(result: Result) -> dict[str, Any]:
-    """Return how far a job has come, by equation, as plain data."""
+    """Return the progress of a job by equation, as plain data."""
     points = MAX_POINTS // max(1, len(result.equations))
     return {
         "job": result.job,
@@ -133,7 +133,7 @@ def _convergence_curves(curves: Sequence[Convergence], points: int) -> list[dict
 
 
 def _errors_at(generations: np.ndarray[Any, Any], curve: Convergence) -> np.ndarray[Any, Any]:
-    """Return the error of an island in these generations, by its last improvement."""
+    """Return the error of an island in each of `generations`: the error of its last improvement until then."""
     indices = np.searchsorted(curve.generations, generations, "right") - 1
     errors = np.asarray(curve.errors, dtype=float)[np.maximum(indices, 0)]
     return np.where(indices < 0, np.inf, errors)
@@ -153,9 +153,9 @@ def _convergence(name: int | str, generations: Iterable[Any], errors: Iterable[A
 
 
 def simulation_of(result: Result) -> dict[str, Any]:
-    """Return a simulation as columns, and the curves of trajectories next to the measured values.
+    """Return a simulation as columns, and simulated and measured curves of each trajectory.
 
-    Of a regression there are fitted values; without a model there is only a message.
+    A regression has fitted values instead; a result without a model has only a message.
     """
     answer: dict[str, Any] = {"time": result.time, "columns": {}, "trajectories": [], "fitted": None, "message": ""}
     try:
@@ -179,7 +179,7 @@ def simulation_of(result: Result) -> dict[str, Any]:
 
 
 def _simulated(model: Model, simulation: Simulation) -> Simulated:
-    """Return the simulation of an equation that was picked, from the first measured state, as a result lists it."""
+    """Return the simulation of a picked equation from the first measured state, in the form of a result."""
     beginning, names = initial_conditions(model), model.result.columns_by_symbol
     recorded = next((part for part in model.result.recorded if part.name == beginning.name), None)
     is_same = recorded is not None and len(recorded.times) == len(simulation.t)
@@ -213,7 +213,7 @@ def _trajectory(model: Model, part: Simulated) -> Mapping[str, Any]:
 
 
 def _fitted_values(model: Model) -> Mapping[str, Any] | None:
-    """Return measured and fitted values of a regression; None where the result has none."""
+    """Return measured and fitted values of a regression; None if the result has no such values."""
     known = model.result.regression
     if known is None or not known.measured:
         return None

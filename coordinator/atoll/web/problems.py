@@ -1,4 +1,4 @@
-"""Errors of the API as problem details (RFC 9457), with the same sentences as on the command line."""
+"""Errors of the API as problem details (RFC 9457), with the sentences of the command line."""
 
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
@@ -27,7 +27,7 @@ class Problem(JSONResponse):
 
 
 class UnreadableError(HTTPException):
-    """A file is refused; `columns` are the columns of its table, none when it could not be read at all."""
+    """Raised when a file is refused; `columns` has the columns of its table, empty if it could not be read at all."""
 
     def __init__(self, status_code: int, detail: str, columns: Sequence[Mapping[str, object]] = ()) -> None:
         super().__init__(status_code, detail)
@@ -40,7 +40,7 @@ def status_of(error: AtollError) -> int:
 
 
 def problem_of(request: Request, error: Exception) -> Response:
-    """Return the answer to a request that ended with an error: the handler of all exceptions of the application."""
+    """Return the answer to a request that raised an error; the application's handler of all exceptions."""
     if isinstance(error, HTTPException):
         members = {"columns": list(error.columns)} if isinstance(error, UnreadableError) and error.columns else {}
         return Problem(error.status_code, error.detail, error.headers, **members)
@@ -48,4 +48,4 @@ def problem_of(request: Request, error: Exception) -> Response:
         status = status_of(error)
         return Problem(status, str(error), {"retry-after": "1"} if status == 503 else None)
     assert isinstance(error, BusyError)
-    return Problem(503, "too many requests wait already; ask again in a moment", {"retry-after": "1"})
+    return Problem(503, "too many requests are waiting; send this request again in a second", {"retry-after": "1"})

@@ -1,6 +1,6 @@
-"""Uploaded files: their temporary folders, and their reading in another process, within limits.
+"""Uploaded files: their temporary folders, and reading them in another process, within limits.
 
-See `reading_process`. A web process that is killed leaves its folders; the user's next web process removes them.
+See `reading_process`. If a web process is killed, its folders remain; the user's next web process removes them.
 """
 
 import asyncio
@@ -24,36 +24,36 @@ from atoll.web.problems import UnreadableError
 from atoll_core.machine import total_memory_bytes
 
 TABLE: Final = "application/vnd.atoll.table"
-"""Media type of a table that has been read already, as clients of the bus upload it."""
+"""Media type of an encoded table, as clients of the bus upload it."""
 
 PREFIX: Final = "atoll-web-"
 _LOCK: Final = "lock"
 
 MAX_BODY: Final = 256 * 1024**2
-"""Bytes of the files that are sent; larger ones are submitted on the command line."""
+"""Maximum bytes of the files of a request; larger files must be submitted on the command line."""
 
 READERS: Final = 2
-"""Files that are read at the same time."""
+"""Maximum number of files that are read at the same time."""
 
 REFUSED: Final = 3
 """Exit code of a reader whose answer is JSON: status, sentence and columns of an `UnreadableError`."""
 
 _NOT_FORKED: Final = 255
-"""Exit code of a reader when the process that forks has ended."""
+"""Exit code of a reader when the fork server has ended."""
 
 _FORKS: Final = multiprocessing.get_context("forkserver")
 _FORKS.set_forkserver_preload(["atoll.web.reading_process"])
 
 LATE: Final = -int(signal.SIGALRM)
-"""Exit code of a reader that exceeded the total time."""
+"""Exit code of a reader that exceeded the limit `total_s`."""
 
 
 class Limits(BaseModel):
     """Limits on reading one file.
 
-    `memory` is in bytes: CSV takes 16 times its size (measured: 4.3 GB for 262 MB), and all readers together may take
-    half of the machine. `processor_s` are seconds of a processor: the largest CSV takes 80. `total_s` are seconds in
-    all, for a busy machine or a reader that waits for something.
+    `memory` is in bytes: reading CSV takes 16 times its size (measured: 4.3 GB for 262 MB), and all readers together
+    may take half of the machine's memory. `processor_s` is in processor seconds: the largest CSV takes 80. `total_s` is
+    in seconds of the clock, for a busy machine or a reader that waits.
     """
 
     memory: int = min(20 * MAX_BODY, total_memory_bytes() // (2 * READERS) or 20 * MAX_BODY)
@@ -61,16 +61,16 @@ class Limits(BaseModel):
     total_s: float = 300.0
 
     def too_much_memory(self, name: str) -> tuple[int, str]:
-        """Return status and sentence for a file that takes too much memory."""
-        return 413, f"{name} takes more than {self.memory // 10**6:,} MB when it is read; send fewer rows or columns"
+        """Return the HTTP status and the sentence for a file that takes too much memory."""
+        return 413, f"reading {name} takes more than {self.memory // 10**6:,} MB; send fewer rows or columns"
 
     def of_code(self, code: int, name: str) -> tuple[int, str]:
-        """Return status and sentence for the exit code of a reader; libraries in C and Rust abort without memory."""
+        """Return HTTP status and sentence for the exit code of a reader; C and Rust libraries abort without memory."""
         if code in (-signal.SIGKILL, -signal.SIGABRT):
             return self.too_much_memory(name)
         if code in (-signal.SIGXCPU, LATE):
             return 422, (
-                f"{name} takes more than {self.processor_s} s of a processor, or {self.total_s:.0f} s in all; "
+                f"{name} takes more than {self.processor_s} processor seconds, or {self.total_s:.0f} s in total; "
                 "send fewer rows, or use coordinator submit"
             )
         return 422, f"reading {name} crashed; save the file again, or as CSV"
@@ -79,7 +79,7 @@ class Limits(BaseModel):
 class Reading(BaseModel):
     """The task of a reader: write the `wanted` view of files into the file `answer`.
 
-    `options` are JSON; `media_type` says whether the file is a table that has been read already.
+    `options` is JSON; `media_type` says whether the file is an encoded table.
     """
 
     files: tuple[str, ...]
@@ -92,12 +92,12 @@ class Reading(BaseModel):
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a lock on a folder during the block; the system releases it however this process ends."""
+    """Hold a lock on a folder during the block; the system releases it when this process ends for any reason."""
     made = folder / f"{_LOCK}.new"
     descriptor = os.open(made, os.O_CREAT | os.O_RDWR, 0o600)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        made.rename(folder / _LOCK)  # only now can `remove_left` find it, so that it is never found unlocked
+        made.rename(folder / _LOCK)  # only from now on `remove_left` finds the folder, so it is never found unlocked
         yield
     finally:
         os.close(descriptor)
@@ -121,13 +121,13 @@ def remove_left() -> None:
 
 
 def split_files(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
-    """Split a body into its files, which follow each other, in a folder next to it; raises HTTPException."""
+    """Split a body into its files, in a folder next to it; raises HTTPException."""
     folder, there = body.parent / "sent", body.stat().st_size
     folder.mkdir()
     paths = [folder / name for name in sizes]
     lengths = [there if size is None else size for size in sizes.values()]
     if sum(lengths) != there:
-        sentence = f"the body has {there:,} bytes, but bytes says {sum(lengths):,}; give the bytes of each file"
+        sentence = f"the body has {there:,} bytes, but `bytes` adds up to {sum(lengths):,}; give the size of each file"
         raise HTTPException(422, sentence)
     if len(paths) == 1:
         return [body.rename(paths[0])]
@@ -138,7 +138,7 @@ def split_files(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
 
 
 class Readers:
-    """Has files read, a few at a time, each by a fork of a process that has loaded everything."""
+    """Lets forks of a process that has loaded all modules read files, a few at a time."""
 
     def __init__(self, limits: Limits | None = None) -> None:
         self.limits = limits or Limits()
@@ -147,9 +147,9 @@ class Readers:
     async def read(
         self, files: Sequence[Path], options: str, media_type: str, wanted: Literal["table", "outline", "preview"]
     ) -> Path:
-        """Return the file with the `wanted` view of files in one folder; it is next to that folder. See `Reading`.
+        """Return a file with the `wanted` view of files in one folder; the file is next to that folder. See `Reading`.
 
-        Raises HTTPException: a file or the options are refused, or reading exceeds its limits.
+        Raises HTTPException if a file or the options are refused, or reading exceeds its limits.
         """
         answer = files[0].parent.parent / "answer"
         task = Reading(
@@ -161,18 +161,20 @@ class Readers:
         if code == REFUSED:
             raise UnreadableError(**json.loads(answer.read_bytes()))
         if code == _NOT_FORKED:
-            raise HTTPException(503, "files cannot be read at the moment; ask again", {"retry-after": "1"})
+            raise HTTPException(
+                503, "files cannot be read at the moment; send the request again in a second", {"retry-after": "1"}
+            )
         if code:
             raise HTTPException(*self.limits.of_code(code, ", ".join(file.name for file in files)))
         return answer
 
     def start(self) -> None:
-        """Start the process that forks, unless it is running; it ends with this one. Raises OSError."""
+        """Start the fork server, unless it is running; it ends with this process. Raises OSError."""
         forkserver.ensure_running()
 
 
 async def _exit_code_of_fork(task: Reading) -> int:
-    """Return the exit code of a reader, which is killed, with its own children, if nobody waits for it any more."""
+    """Return the exit code of a reader; if the request is cancelled, kill the reader and its children."""
     process, ended = _FORKS.Process(target=_read, args=(task,), daemon=True), asyncio.Event()
     try:
         process.start()
@@ -191,7 +193,7 @@ async def _exit_code_of_fork(task: Reading) -> int:
 
 
 def _read(task: Reading) -> None:
-    """Read in a fork, without the end of an interpreter, which a file could disturb."""
+    """Read in a fork, and exit without the interpreter's cleanup, because a file could disturb it."""
     from atoll.web.reading_process import answer
 
     os._exit(answer(task))

@@ -1,7 +1,7 @@
 """Reads and smooths files for the web process, each file in a separate fork, within limits.
 
-The fork server of `multiprocessing` loads this module, and with it everything that reading needs, once: a fork costs
-milliseconds. Memory, time and crashes of one file's fork affect nothing else.
+The fork server of `multiprocessing` loads this module once, with all modules for reading, so that a fork takes
+milliseconds. A fork that needs too much memory or time, or crashes, affects no other process.
 """
 
 import importlib
@@ -23,10 +23,10 @@ from atoll_core.errors import AtollError
 from atoll_core.wire.messages.limits import MAX_UPLOAD
 
 MAX_ANSWER: Final = 4 * 1024**2
-"""Bytes of an outline or preview: enough for `submission.VALUES` values in ten thousand columns."""
+"""Maximum bytes of an outline or preview: enough for `submission.VALUES` values in ten thousand columns."""
 
 MAX_COLUMNS: Final = 1_000
-"""Columns named in the refusal of a table, for a page on which one of them can be chosen."""
+"""Maximum number of columns named in the refusal of a table; the page lets the user choose one of them."""
 
 
 class TooLargeError(AtollError):
@@ -36,7 +36,9 @@ class TooLargeError(AtollError):
 def _json(content: Mapping[str, object]) -> bytes:
     packed = json.dumps(content).encode()
     if len(packed) > MAX_ANSWER:
-        raise TooLargeError("the table has too many columns to be shown; submit it, or send fewer columns")
+        raise TooLargeError(
+            "the table has too many columns to be shown; submit it without a preview, or send fewer columns"
+        )
     return packed
 
 
@@ -49,9 +51,9 @@ ANSWERS: Final[Mapping[str, Callable[[Submission], bytes]]] = {
 
 
 def _load_ahead() -> None:
-    """Load the modules and kernels of reading and smoothing; an error here occurs again where it is answered.
+    """Load the modules and kernels for reading and smoothing; an error here occurs again in a fork, which reports it.
 
-    Not polars: its threads would be missing after a fork.
+    Polars is not loaded, because its threads would be missing after a fork.
     """
     for name in ("openpyxl", "h5py"):
         with suppress(Exception):
@@ -62,13 +64,13 @@ def _load_ahead() -> None:
 
 
 def answer(task: Reading) -> int:
-    """Write the answer of a fork and, next to it, the name of the data; return the exit code."""
+    """Write the answer of a fork and, next to it, a file with the name of the data; return the exit code."""
     os.setpgid(0, 0)
     signal.setitimer(signal.ITIMER_REAL, max(task.limits.total_s, 1e-3))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CPU, (task.limits.processor_s, task.limits.processor_s + 1))
     resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_UPLOAD, MAX_UPLOAD))
-    if sys.platform == "linux":  # elsewhere address space cannot be limited
+    if sys.platform == "linux":  # other systems cannot limit the address space
         pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
         most = pages * os.sysconf("SC_PAGE_SIZE") + task.limits.memory
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
@@ -98,7 +100,7 @@ def _refusal(error: BaseException, name: str, limits: Limits) -> tuple[int, str]
         return 413, str(error)
     if isinstance(error, AtollError):
         return status_of(error), str(error)
-    print(f"reading {name!r} broke: {type(error).__name__}: {str(error)[:500]!r}", file=sys.stderr)  # noqa: T201
+    print(f"reading {name!r} failed: {type(error).__name__}: {str(error)[:500]!r}", file=sys.stderr)  # noqa: T201
     return 422, f"reading {name} crashed; save the file again, or as CSV"
 
 

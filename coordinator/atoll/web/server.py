@@ -1,4 +1,4 @@
-"""The ASGI application, and serving it: addresses, users and their tokens, TLS beyond this machine, uvicorn."""
+"""Builds the ASGI application and serves it with uvicorn: addresses, users and their tokens, TLS for other machines."""
 
 import contextlib
 import ipaddress
@@ -24,7 +24,7 @@ from starlette.staticfiles import StaticFiles
 
 from atoll.web.access import LOCAL_HOSTS, Access, AccessMiddleware, digest_of
 from atoll.web.api import Api
-from atoll.web.connections import WAIT_S, Connection, allow_open_files
+from atoll.web.connections import WAIT_S, LimitedConnection, allow_open_files
 from atoll.web.gateway import BusyError, Gateway
 from atoll.web.problems import problem_of
 from atoll.web.reading import Readers, remove_left
@@ -37,15 +37,15 @@ _STATIC: Final = files("atoll.web").joinpath("static")
 _STOP_LIMIT_S: Final = 2
 
 _ENTRY: Final = {"token_sha256", "tls_ca", "tls_cert", "tls_key"}
-"""Keys of each user in a file of users."""
+"""Required keys of each user in the file of users."""
 
 _OTHERS: Final = stat.S_IRWXO | stat.S_IWGRP
-"""File modes that let other users guess or add tokens. A group may read the file, such as the group of a service."""
+"""File modes with which other users could read or change tokens. A group may read the file, such as a service's."""
 
 
 @dataclass(frozen=True)
 class Listener:
-    """Address, port, further host names, and the files for TLS."""
+    """Address, port, other allowed host names, and the files for TLS."""
 
     host: str
     port: int
@@ -55,7 +55,7 @@ class Listener:
 
     @property
     def is_local(self) -> bool:
-        """Whether only programs of this machine reach it."""
+        """Whether only programs of this machine can reach the listener."""
         if self.host == "localhost":
             return True
         try:
@@ -74,17 +74,17 @@ class Listener:
 def access_of(
     listener: Listener, at: Destination, token: str, users: Path | None, *, look_without_token: bool = False
 ) -> Access:
-    """Return the access rules; with `look_without_token` programs on this machine may look at all jobs.
+    """Return the access rules; with `look_without_token`, programs on this machine may read all jobs.
 
     Raises:
-        UsageError: the file of users cannot be used, there is no certificate for connections from other machines, or
-            `look_without_token` would show jobs beyond this machine or to users who may not see all of them.
+        UsageError: the file of users cannot be used; a certificate for connections from other machines is missing; or
+            `look_without_token` would show jobs to other machines or to users who may not see all jobs.
     """
     is_own = listener.is_local and not listener.names and at.credentials is None and users is None
     if look_without_token and not is_own:
         raise UsageError(
-            "--look-without-token shows all jobs to any user of the page: it needs a --listen on this machine, and "
-            "neither --allow-host, --users nor certificates of the bus; remove it, and give the token to users"
+            "--look-without-token shows all jobs to any user of the page, so it needs a --listen on this machine "
+            "without --allow-host, --users and certificates of the bus; remove it, and give the token to users"
         )
     if not listener.is_local and listener.certificate is None:
         raise UsageError(
@@ -100,7 +100,7 @@ def access_of(
 
 
 def _hosts(name: str) -> tuple[str, ...]:
-    """Return the forms of a name in a Host header: an IPv6 address in brackets, as given and as browsers write it."""
+    """Return the forms of a name in a Host header; IPv6 addresses in brackets, as given and as browsers write it."""
     name = name.lower().removeprefix("[").removesuffix("]")
     try:
         address = ipaddress.ip_address(name)
@@ -110,8 +110,9 @@ def _hosts(name: str) -> tuple[str, ...]:
 
 
 def _gateways(file: Path, at: Destination) -> dict[str, Gateway]:
-    """Return the gateways of users by the SHA-256 of their tokens, from a file such as
-    ``[ann]`` / ``token_sha256 = "…"`` / ``tls_cert = "ann.pem"`` / ``tls_key = "ann.key"`` / ``tls_ca = "ca.pem"``."""
+    """Return the gateways of users by the SHA-256 of their tokens, from a TOML file with a table per user: ``[ann]`` /
+    ``token_sha256 = "…"`` / ``tls_cert = "ann.pem"`` / ``tls_key = "ann.key"`` / ``tls_ca = "ca.pem"``.
+    """
     try:
         mode, text = file.stat().st_mode, file.read_text("utf-8")
         table: dict[str, Any] = tomllib.loads(text)
@@ -120,7 +121,7 @@ def _gateways(file: Path, at: Destination) -> dict[str, Gateway]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"--users {file} is not valid TOML: {error}") from error
     if mode & _OTHERS:
-        raise UsageError(f"--users {file} can be read by everybody or changed by its group; run: chmod 600 {file}")
+        raise UsageError(f"--users {file} can be read by all users or changed by its group; run: chmod 600 {file}")
     if not table:
         raise UsageError(f"--users {file} names no user; add [NAME] with {', '.join(sorted(_ENTRY))}")
     gateways: dict[str, Gateway] = {}
@@ -130,28 +131,28 @@ def _gateways(file: Path, at: Destination) -> dict[str, Gateway]:
             or set(entry) != _ENTRY
             or not all(isinstance(text, str) for text in entry.values())
         ):
-            raise UsageError(f"--users {file}: {name} needs {', '.join(sorted(_ENTRY))} as texts, and nothing else")
+            raise UsageError(f"--users {file}: {name} needs exactly the keys {', '.join(sorted(_ENTRY))}, as texts")
         token = entry["token_sha256"].lower()
         if not re.fullmatch("[0-9a-f]{64}", token) or token == digest_of(""):
             raise UsageError(
-                f"--users {file}: token_sha256 of {name} is not a SHA-256 of a token; printf %s TOKEN | sha256sum"
+                f"--users {file}: token_sha256 of {name} is no SHA-256 of a token; run: printf %s TOKEN | sha256sum"
             )
         if token in gateways:
-            raise UsageError(f"--users {file}: {name} has the token of another user; give each a token of its own")
+            raise UsageError(f"--users {file}: {name} has the token of another user; give each user another token")
         try:
             paths = {key: str(file.parent / entry[key]) for key in _ENTRY - {"token_sha256"}}
             credentials = credentials_of(paths, {}, "connect")
-        except (UsageError, ValueError) as error:  # the latter of a name that no file can have
+        except (UsageError, ValueError) as error:  # ValueError: a file name with a null byte
             raise UsageError(f"--users {file}: {name}: {error}") from error
         gateways[token] = Gateway(destination(str(at.address), credentials))
     return gateways
 
 
 def serve(listener: Listener, access: Access, say: Callable[[str], object]) -> None:
-    """Answer until SIGTERM or Ctrl-C.
+    """Answer requests until SIGTERM or Ctrl-C.
 
     Raises:
-        NotNowError: listening is impossible for a reason that may pass, such as an address in use.
+        NotNowError: listening is impossible for a temporary reason, such as an address in use.
         UsageError: listening is impossible, or the certificate cannot be used.
     """
     allow_open_files()
@@ -177,25 +178,25 @@ def serve(listener: Listener, access: Access, say: Callable[[str], object]) -> N
 
 
 def configure(application: Any, listener: Listener) -> uvicorn.Config:
-    """Return the configuration of uvicorn. It logs no requests, which may hold a token, and no errors of clients."""
+    """Return the configuration of uvicorn. It logs no requests, since they may hold a token, and no client errors."""
     return uvicorn.Config(
         application, log_level="error", access_log=False, server_header=False, date_header=False,
         timeout_graceful_shutdown=_STOP_LIMIT_S, timeout_keep_alive=int(WAIT_S), proxy_headers=False,
-        h11_max_incomplete_event_size=64 * 1024, http=Connection, ws="none",
+        h11_max_incomplete_event_size=64 * 1024, http=LimitedConnection, ws="none",
         ssl_certfile=listener.certificate, ssl_keyfile=listener.key,
-        ssl_keyfile_password="-",  # else OpenSSL would ask for one on the terminal
+        ssl_keyfile_password="-",  # otherwise OpenSSL would ask for a password on the terminal
     )  # fmt: skip
 
 
 def build_application(access: Access, readers: Readers | None = None) -> Starlette:
-    """Return the application, which closes its gateways at its end."""
+    """Return the application; it closes its gateways when it ends."""
     readers = readers or Readers()
     api = Api(readers)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         remove_left()
-        with contextlib.suppress(OSError):  # the sender of a file gets the error
+        with contextlib.suppress(OSError):  # the next request with a file reports the error
             readers.start()
         yield
         await api.close()
@@ -212,7 +213,7 @@ def build_application(access: Access, readers: Readers | None = None) -> Starlet
         exception_handlers=dict.fromkeys((AtollError, HTTPException, BusyError), problem_of),
         lifespan=lifespan,
     )
-    application.router.redirect_slashes = False  # a redirect would name an address that a proxy may not have
+    application.router.redirect_slashes = False  # a redirect would name an address that may differ behind a proxy
     return application
 
 

@@ -1,4 +1,4 @@
-"""Files and options as a page sends them: reading, outline and preview. Used by `reading_process` only."""
+"""Reads the files and options of a page, for an outline and a preview. Only `reading_process` uses this module."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -22,20 +22,20 @@ from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 
 PREVIEWED: Final = 500
-"""Rows of a trajectory in a preview."""
+"""Maximum number of rows of a trajectory in a preview."""
 
 VALUES: Final = 50_000
-"""Values of a table in a preview, about a megabyte."""
+"""Maximum number of values of a table in a preview, about a megabyte."""
 
 SHOWN: Final = 5
 
 TRAJECTORIES: Final = 20
-"""Trajectories in a preview: with more the page would be longer than most tables."""
+"""Maximum number of trajectories in a preview; with more, the page would be longer than most tables."""
 
 
 @dataclass(frozen=True)
 class Submission:
-    """Data and configuration of a job; `options` are as sent."""
+    """Data and configuration of a job; `options` are the options that the page has sent."""
 
     filenames: tuple[str, ...]
     table: Table
@@ -44,7 +44,7 @@ class Submission:
 
     @classmethod
     def of(cls, paths: Sequence[Path], options: str, media_type: str = "") -> "Submission":
-        """Read the files that were sent; their names say how.
+        """Read the files; the endings of their names give the formats.
 
         Raises:
             UsageError: an option is unknown or does not fit.
@@ -109,12 +109,12 @@ class Submission:
         return f"import atoll\n\nmodel = atoll.discover({files}{given})\nprint(model)"
 
     def preview(self) -> dict[str, Any]:
-        """Return measured and smoothed values and derivatives with standard errors; takes seconds."""
+        """Return measured values, and smoothed values and derivatives with standard errors; this takes seconds."""
         return preview_of(prepare(self.table, self.config))
 
 
 def preview_of(preparation: Preparation) -> dict[str, Any]:
-    """Return decimated curves of the first trajectories of a preparation; none if nothing was differentiated.
+    """Return thinned curves of the first trajectories of a preparation; no curves if no derivative was estimated.
 
     `sigma` and `derivative_sigma` are the standard errors of a measurement and of the derivative; None: unknown.
     """
@@ -155,7 +155,7 @@ def _role(name: str, roles: Roles) -> str:
 
 
 def _cell(table: Table, name: str, value: float) -> str:
-    """Return a value as in the file: a text, a date, or a number with six digits."""
+    """Return a value as in the file: a text, a date, or a number with six significant digits."""
     text = table.label(name, value)
     if text is not None:
         return text

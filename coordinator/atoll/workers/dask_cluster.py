@@ -1,7 +1,7 @@
-"""Island workers on a Dask cluster: a plugin makes each Dask worker start the program, also workers that join later.
+"""Island workers on a Dask cluster: a plugin starts the program on each Dask worker, including later Dask workers.
 
-When a Dask worker is retired or closed, the plugin hands its islands over first. When it is killed, the program hands
-them over by itself, because it watches its parent.
+When a Dask worker is retired or closed, the plugin first hands its islands over. When a Dask worker is killed, the
+program notices the end of its parent and hands its islands over by itself.
 """
 
 import asyncio
@@ -17,7 +17,7 @@ from atoll.workers.start import Handle, MachineWorkers, ProgramOptions, WorkerPr
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 
 ANSWER_LIMIT_S: Final = 30.0
-"""How long the Dask cluster may take to answer."""
+"""Time limit for an answer of the Dask cluster, in seconds."""
 
 
 _NO_ANSWER: Final = "the Dask cluster has not answered"
@@ -50,10 +50,10 @@ class DaskIslandWorkers(WorkerPlugin):  # type: ignore[misc]  # Dask's classes h
 
 
 class DaskHandle(Handle):
-    """The island workers of one call, by the plugin's name."""
+    """The island workers of one call of `start`; the plugin's name identifies them."""
 
     def __init__(self, client: Client, name: str, options: ProgramOptions, *, owns: bool) -> None:
-        """`owns`: whether the client is closed with this."""
+        """`owns`: whether `close` also closes the client."""
         self._client = client
         self._name = name
         self._drain_limit_s = drain_limit_s(options)
@@ -81,18 +81,18 @@ class DaskHandle(Handle):
 
 
 def start(client: Client | str, options: ProgramOptions, processes: int | None) -> DaskHandle:
-    """Make every Dask worker start the program."""
+    """Start the program on every Dask worker."""
     owns = isinstance(client, str)
     dask = _connected(client) if isinstance(client, str) else client
     if dask.asynchronous:
-        raise UsageError("an asynchronous distributed.Client was given; give one made without asynchronous=True")
+        raise UsageError("an asynchronous distributed.Client was given; give a client without asynchronous=True")
     name = f"atoll-island-workers-{uuid.uuid4().hex[:12]}"
     handle = DaskHandle(dask, name, options, owns=owns)
     plugin = DaskIslandWorkers(name, options, processes)
     try:
         limited(lambda: dask.register_plugin(plugin, name=name), ANSWER_LIMIT_S, _NO_ANSWER)
     except BaseException as error:
-        with contextlib.suppress(Exception):  # perhaps there is nothing to remove
+        with contextlib.suppress(Exception):  # there may be no plugin to remove
             handle.close()
         if isinstance(error, Exception) and not isinstance(error, AtollError):
             raise AtollError(
@@ -104,7 +104,7 @@ def start(client: Client | str, options: ProgramOptions, processes: int | None) 
 
 
 def state_on(name: str, dask_worker: Any) -> tuple[int, int | None] | None:
-    """Return the state of the plugin of this name; runs on a Dask worker, which Dask passes as an argument."""
+    """Return the state of the plugin `name`; runs on a Dask worker, which Dask passes as `dask_worker`."""
     plugin = dask_worker.plugins.get(name)
     return None if plugin is None else plugin.state()
 

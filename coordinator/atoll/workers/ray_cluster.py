@@ -1,7 +1,7 @@
-"""Island workers on a Ray cluster: one actor for each node starts the program there.
+"""Island workers on a Ray cluster: one actor on each node starts the program ``island-worker``.
 
-Actors belong to the caller and end with it. Ray restarts an actor whose process was killed. A thread polls the list of
-nodes, so nodes that join later get an actor within seconds.
+The caller owns the actors, so they end with the caller. Ray restarts an actor whose process was killed. A thread polls
+the list of nodes, so nodes that join later get an actor within seconds.
 """
 
 import contextlib
@@ -18,14 +18,14 @@ from atoll.workers.start import Handle, MachineWorkers, ProgramOptions, WorkerPr
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 
 LOOK_S: Final = 2.0
-"""Interval of polling the list of nodes: a machine takes longer to boot, and a poll costs milliseconds."""
+"""Interval of polling the list of nodes, in seconds; a machine takes longer to boot, a poll takes milliseconds."""
 
 ANSWER_LIMIT_S: Final = 10.0
-"""How long an actor may take to report its program; an actor that is not placed yet does not answer."""
+"""Time limit in seconds for an actor's report on its program; an actor without a node does not answer."""
 
 
 class RayIslandWorkers:
-    """An actor that keeps the program on its node. Only the name of this class, strings and numbers are sent there."""
+    """An actor that runs the program on its node. Only the name of this class, strings and numbers are sent there."""
 
     def __init__(self, options: ProgramOptions, processes: int) -> None:
         self._program = WorkerProgram(options, processes)
@@ -40,10 +40,10 @@ class RayIslandWorkers:
 
 
 class RayHandle(Handle):
-    """The actors of one call, by node."""
+    """The actors of one call of `start`, by node."""
 
     def __init__(self, options: ProgramOptions, processes: int | None, *, owns: bool) -> None:
-        """Start an actor on every node; `owns`: whether the connection to Ray is closed with this."""
+        """Start an actor on every node; `owns`: whether `close` also closes the connection to Ray."""
         self._options = options
         self._processes = processes
         self._owns = owns
@@ -64,7 +64,7 @@ class RayHandle(Handle):
                 reason = str(answer).strip().splitlines()[-1].strip()
                 raise AtollError(
                     f"the island workers of the Ray node {node} could not be started ({reason}); it needs the same "
-                    "version of Atoll as is here"
+                    "version of Atoll as this machine"
                 )
         super().check()
 
@@ -76,7 +76,7 @@ class RayHandle(Handle):
         return {node: _answer(reference) for node, reference in asked.items()}
 
     def close(self) -> None:
-        """End the programs, then the actors, also actors that are not placed yet."""
+        """End the programs, then the actors, including actors without a node."""
         if self._is_over.is_set():
             return
         self._is_over.set()
@@ -96,7 +96,7 @@ class RayHandle(Handle):
                 self._follow_nodes()
 
     def _follow_nodes(self) -> None:
-        """Start an actor on new nodes, and forget nodes that have left."""
+        """Start actors on new nodes, and remove the actors of nodes that have left."""
         alive = {node["NodeID"]: int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]}
         for node in [*self._actors]:
             if node not in alive:
@@ -121,7 +121,7 @@ def _answer(reference: Any) -> "MachineWorkers | RayError":
 
 
 def start(client: ModuleType | str, options: ProgramOptions, processes: int | None) -> RayHandle:
-    """Make every node of a Ray cluster start the program."""
+    """Start the program on every node of a Ray cluster."""
     owns = isinstance(client, str) and not ray.is_initialized()
     if isinstance(client, str) and owns:
         try:

@@ -1,5 +1,6 @@
-"""`start_on`, which checks its arguments before anything is sent to a cluster; the program that it starts on a machine,
-and the handle that it returns."""
+"""`start_on` with the checks of its arguments, the program that it starts on each machine, and the handle that it
+returns.
+"""
 
 import importlib
 import subprocess
@@ -18,23 +19,23 @@ from atoll_core.quoting import shown
 from atoll_core.wire.addresses import parse_address
 
 STOP_LIMIT_S: Final = 10.0
-"""How long the program may take to end, in addition to the grace; it kills its workers after five seconds."""
+"""Time limit for the end of the program in seconds, in addition to the grace; it kills workers after 5 seconds."""
 
 ENDS: Final = {
     0: "the coordinator ended, or the workers were asked to end",
     2: "bad options, or refused by the coordinator",
     3: "the coordinator could not be reached",
 }
-"""Meanings of exit codes of the program; any other code is a failure."""
+"""Meanings of exit codes of the program; all other codes are failures."""
 
 
 @dataclass(frozen=True)
 class ProgramOptions:
-    """Options of the program, as plain values.
+    """Options of the program ``island-worker``, as plain values.
 
-    `connect` is the coordinator's address, `tls` has the certificate files by ``ca``, ``cert``, ``key``, with their
-    paths on the machines of the cluster. The coordinator may be away for `wait_s` seconds; when the program is asked to
-    end, it hands islands over within `grace_s` seconds.
+    `connect` is the coordinator's address. `tls` has the paths of the certificate files ``ca``, ``cert`` and ``key`` on
+    the machines of the cluster. The coordinator may be unreachable for `wait_s` seconds. When the program is asked to
+    end, it hands its islands over within `grace_s` seconds.
     """
 
     connect: str
@@ -44,23 +45,24 @@ class ProgramOptions:
 
 
 def drain_limit_s(options: ProgramOptions) -> float:
-    """Return the seconds after which a program that is asked to end has ended, killed if necessary."""
+    """Return the seconds from the request to end until the program has ended; after them it is killed."""
     return options.grace_s + STOP_LIMIT_S
 
 
 class WorkerProgram:
-    """Several worker processes: one program, which restarts processes that die, and ends with this process.
+    """The program with several worker processes: it restarts processes that die, and ends with this process.
 
-    Should this process be killed, they hand over their islands before they end, see ADR 0062.
+    If this process is killed, the workers hand over their islands before they end, see ADR 0062.
     """
 
     def __init__(self, options: ProgramOptions, processes: int) -> None:
-        """Start it."""
+        """Start the program."""
         self.processes: Final = processes
         self._limit_s = drain_limit_s(options)
         command = worker_command(options.connect, None, processes, wait_s=options.wait_s, grace_s=options.grace_s)
         files = [word for name, file in options.tls.items() for word in (f"--tls-{name}", file)]
-        # Its output is this process's, so that it stands in the cluster's logs; certificates may be in the environment.
+        # It inherits stdout and stderr, so that the cluster's logs have its output, and certificates in the
+        # environment.
         self._process = subprocess.Popen(
             [*command, *files, "--supervise"], stdin=subprocess.DEVNULL, start_new_session=True
         )
@@ -70,7 +72,7 @@ class WorkerProgram:
         return self._process.poll()
 
     def drain(self) -> None:
-        """Have the workers hand over their islands and end; within a limit, then by force. Repeatable."""
+        """Make the workers hand over their islands and end; kill them after a time limit. Repeatable."""
         self._process.terminate()
         try:
             self._process.wait(self._limit_s)
@@ -80,7 +82,7 @@ class WorkerProgram:
 
 
 def ending(exit_code: int) -> str:
-    """Return how a program has ended, for people."""
+    """Return a clause on how a program has ended."""
     if exit_code < 0:
         return f"ended by signal {-exit_code}"
     return f"ended with exit code {exit_code}" + (f" ({ENDS[exit_code]})" if exit_code in ENDS else "")
@@ -88,7 +90,7 @@ def ending(exit_code: int) -> str:
 
 @dataclass(frozen=True)
 class MachineWorkers:
-    """The program on one machine: how many worker processes it keeps, and its exit code, None while it runs."""
+    """The program on one machine: its number of worker processes, and its exit code (None while it runs)."""
 
     processes: int
     exit_code: int | None
@@ -99,19 +101,21 @@ class Handle(ABC):
 
     @abstractmethod
     def machines(self) -> Mapping[str, MachineWorkers]:
-        """Return the programs by the machine's name in the cluster: a Dask worker's address, a Ray node's id."""
+        """Return the programs by the name of a machine in the cluster: the address of a Dask worker, the id of a Ray
+        node.
+        """
 
     @abstractmethod
     def close(self) -> None:
-        """End all of them: each hands over its islands first. Repeatable; machines that come later get none."""
+        """End all programs after they have handed over their islands. Repeatable; later machines start no program."""
 
     def check(self) -> None:
-        """Raise AtollError when the program has ended on a machine, with the reason that its exit code gives."""
+        """Raise AtollError if the program has ended on a machine, with the meaning of its exit code."""
         for name, workers in self.machines().items():
             if workers.exit_code is not None:
                 raise AtollError(
-                    f"the island workers of {name} have {ending(workers.exit_code)}; the log of that machine's process "
-                    "in the cluster says more"
+                    f"the island workers of {name} have {ending(workers.exit_code)}; see the log of the process "
+                    "of that machine in the cluster"
                 )
 
     def __enter__(self) -> Self:
@@ -127,9 +131,9 @@ A = TypeVar("A")
 
 
 def limited(call: Callable[[], A], limit_s: float, what: str) -> A:
-    """Return the result of `call`, or raise its error; UnreachableError with `what` when it takes longer.
+    """Return the result of `call`, or raise its error; raises UnreachableError with `what` after `limit_s` seconds.
 
-    Then its thread goes on waiting, and ends with this process at the latest.
+    After a timeout the thread of the call continues to wait, and ends with this process at the latest.
     """
     answers: list[A] = []
     errors: list[BaseException] = []
@@ -146,21 +150,23 @@ def limited(call: Callable[[], A], limit_s: float, what: str) -> A:
     if errors:
         raise errors[0]
     if not answers:
-        raise UnreachableError(f"{what} within {limit_s:g} s; a machine of it may hang: see its logs")
+        raise UnreachableError(
+            f"{what} within {limit_s:g} s; one of its machines may hang: see the logs of the cluster"
+        )
     return answers[0]
 
 
 WAIT_S: Final = 60.0
-"""How long the coordinator may be away; it is started again within that."""
+"""Default time in seconds for which the coordinator may be unreachable, enough for a restart."""
 
 GRACE_S: Final = 30.0
-"""As of ``island-worker --grace``."""
+"""Default of ``island-worker --grace``."""
 
 MOST_PROCESSES: Final = 1024
-"""As of ``island-worker --processes``."""
+"""Maximum of ``island-worker --processes``."""
 
 Start = Callable[[Any, ProgramOptions, int | None], Handle]
-"""Starts workers on a cluster, from a client, the options of the program and the number of processes a machine."""
+"""Starts workers on a cluster; arguments: client, options of the program, number of processes on each machine."""
 
 _LONGEST_S: Final = 1e9
 _TLS: Final = ("ca", "cert", "key")
@@ -176,28 +182,28 @@ def start_on(
     wait: float = WAIT_S,
     grace: float = GRACE_S,
 ) -> Handle:
-    """Start island workers on the machines of a Dask or a Ray cluster, also on machines that join later.
+    """Start island workers on the machines of a Dask or Ray cluster, including machines that join later.
 
-    Each Dask worker or Ray node starts one program ``island-worker``, which ends with it. Atoll is installed there, in
-    the same version. Machines that leave the cluster regularly hand over their islands first; a killed machine
-    costs a second or two of its work, and no result.
+    Each Dask worker or Ray node starts one program ``island-worker``, which ends with it. Each machine needs the same
+    version of Atoll. A machine that leaves the cluster regularly hands over its islands first; if a machine is killed,
+    one or two seconds of its work are repeated, and no result is lost.
 
     Args:
         client: a ``distributed.Client`` or a Dask scheduler's address such as ``tcp://host:8786``; or the module
             ``ray`` after ``ray.init``, or a Ray address such as ``auto`` or ``ray://host:10001``.
-        connect: address of the coordinator for the machines of the cluster, such as ``tcp/host:7447``.
-        workers: processes on each Dask worker or Ray node; None: one for each of its threads, or CPUs.
-        tls: files by ``ca``, ``cert`` and ``key`` for an address ``tls/…``, with their paths on those machines; None:
-            the files in their environment.
-        wait: seconds for which the coordinator may be away.
-        grace: seconds within which islands are handed over.
+        connect: address at which the machines of the cluster reach the coordinator, such as ``tcp/host:7447``.
+        workers: number of processes on each Dask worker or Ray node; None: its number of threads (Dask) or CPUs (Ray).
+        tls: for an address ``tls/…``, the paths of the files ``ca``, ``cert`` and ``key`` on those machines; None: the
+            paths in the environment of those machines.
+        wait: seconds for which the coordinator may be unreachable.
+        grace: time limit in seconds for handing over islands.
 
     Returns:
-        A handle; ``close()``, or the end of a ``with`` block, ends the workers.
+        A handle; its ``close()``, or the end of its ``with`` block, ends the workers.
 
     Raises:
         UsageError: an argument is wrong, or dask or ray is missing.
-        AtollError: the cluster does not start them.
+        AtollError: the cluster cannot start the workers.
     """
     options = _options(connect, tls, wait, grace)
     if workers is not None and (
@@ -228,7 +234,7 @@ def _starter(name: str, package: str) -> Start:
         importlib.import_module(package)
     except ImportError as error:
         raise UsageError(
-            f"{package} is not installed, which workers on such a cluster need; pip install 'atoll[{name}]'"
+            f"{package} is not installed, but workers on such a cluster need it; run: pip install 'atoll[{name}]'"
         ) from error
     start: Start = importlib.import_module(f"atoll.workers.{name}_cluster").start
     return start

@@ -35,7 +35,7 @@ Pair = tuple[Number, Number]
 """Lower and upper end of a range, null on an open side."""
 Curve = tuple[Real | None, ...]
 Curves = dict[Text, Curve]
-"""By name, one number for each of the times beside it."""
+"""Curves by name, each with one number for each of the times in the same part."""
 Numbers = dict[Text, Number]
 """By name."""
 

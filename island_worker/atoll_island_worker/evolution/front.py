@@ -1,13 +1,13 @@
-"""An island's front: the least error on all rows for each complexity, and how individuals get there.
+"""An island's front: the equations with the least error on all rows for each complexity, and how they are found.
 
 Only individuals that were measured on all rows enter. The best individual of each size is refitted on all rows. Its
 linear scaling can be written into the program in several ways (with or without the shift, coefficients near 1 exact or
 not); each way that improves the front is an addition. The path of an individual: list -> `FrontUpdater.offer` (refit in
 kernels, into a `Book`) -> `Formula` (short Python lists) -> canonical tape, measured again -> `FrontEntry`.
 
-The population knows neither bounds on constants nor required variables. Programs that would enter the front are fitted
-again within the bounds (`restrained`, ADR 0050). For noisy targets the next best programs of each size are kept, too
-(`RunnersUp`); nothing there measures anything.
+The population ignores bounds on constants. A program that would enter the front is checked for all required variables
+and fitted again within the bounds (`restrained`, ADR 0050). For noisy targets the next best programs of each size are
+kept, too (`RunnersUp`); this class only stores measured programs.
 """
 
 import math
@@ -137,7 +137,7 @@ def _joined(nodes: list[Node], top: int, node: int, a: float) -> int:
 
 
 def reductions(formula: Formula) -> Iterator[Formula]:
-    """Yield `formula` with one operator replaced by an argument of it or by a constant, from the output downwards.
+    """Yield `formula` with one operator replaced by one of its arguments or by a constant, from the output downwards.
 
     A difference is also replaced by its negative part alone.
     """
@@ -168,7 +168,8 @@ def _redirected(formula: Formula, old: int, new: int) -> Formula:
 
 
 Refit = Callable[[int], None]
-"""Fits the constants of the program of this many nodes on the canonical tape, except those that are held."""
+"""A function that fits the constants of the program on the canonical tape, whose number of nodes it takes. Held
+constants (`Work.held`) are not changed."""
 
 
 def restrained(program: Program, restrictions: Restrictions, scratch: Scratch, refit: Refit) -> Program | None:
@@ -210,16 +211,16 @@ def _fitted(program: Program, bounds: EquationBounds, scratch: Scratch, refit: R
 
 
 KNOWN = 4096
-"""Size of the table of structures that were offered before, a power of two; see `kernels_offers.choose_near`."""
+"""Size of the table of structures that were offered before, a power of two; see `kernels.offers.choose_near`."""
 
 _WRITTEN = 2 * MOST_TERMS + 2
-"""Most nodes by which a program grows when its coefficients are written into it."""
+"""Largest number of nodes that a program gains when its coefficients are written into it."""
 
 
 class RunnersUp:
-    """At most `most` entries of each complexity in addition to the front, by complexity and error.
+    """At most `most` entries of each complexity in addition to the front, sorted by complexity and error.
 
-    `known` are the structures that were offered before; empty when no runners-up are kept.
+    `known` (KNOWN,) are hashes of structures that were offered before; empty if no runners-up are kept.
     """
 
     def __init__(self, most: int) -> None:
@@ -248,9 +249,9 @@ class RunnersUp:
         return [entry for entry in self._entries if entry.key not in seen]
 
     def limits(self, sizes: int) -> npt.NDArray[np.float64]:
-        """Return, for programs of each size below `sizes` before their coefficients are written, the useful loss.
+        """Return the useful loss of programs by size (sizes,), before their coefficients are written into them.
 
-        A program with a larger loss ranks behind at least `most` others of its complexity, now and later.
+        A program with a larger loss ranks after at least `most` other entries of its complexity, now and later.
         """
         worst = [self._worst.get(complexity, math.inf) for complexity in range(sizes + _WRITTEN + 1)]
         return np.array([max(worst[size : size + _WRITTEN + 1]) for size in range(sizes)])
@@ -278,12 +279,13 @@ _NEAR = 2.0
 _NEAR_EXACT = 1e-6
 _PROMISING = 10.0
 _POLISHED = 0.95
-"""Largest expected reduction: refining constants again leaves a program at least this share of its loss."""
+"""Refining the constants of a program again is expected to reduce its loss at most to this share."""
 
 _SLACK = 1.2
 """If runners-up are kept: constants are refined for individuals with a loss up to this factor above the useful loss."""
 
 Tag = tuple[int, int, int]
+"""Epoch, generation and island of an entry."""
 Additions = tuple[list[FrontEntry], list[FrontEntry]]
 """Additions to the front and to the runners-up, each in the order found."""
 
@@ -310,11 +312,11 @@ class Front:
         return self._entries[-1].error if self._entries else None
 
     def error_at(self, complexity: int) -> float:
-        """Return the least error of entries up to that complexity; inf if there is none."""
+        """Return the least error of entries with at most this complexity; inf if there is none."""
         return min((e.error for e in self._entries if e.complexity <= complexity), default=math.inf)
 
     def least_by_size(self, sizes: int) -> Floats:
-        """Return `error_at` each complexity below `sizes`; not to be written to."""
+        """Return `error_at` for each complexity below `sizes`, shape (sizes,); the caller must not change it."""
         if self._least is None or len(self._least) != sizes:
             self._least = np.full(sizes, math.inf)
             for entry in self._entries:
@@ -322,7 +324,7 @@ class Front:
         return self._least
 
     def add(self, entry: FrontEntry) -> bool:
-        """Add `entry` unless an entry as simple is as good; return whether it was added."""
+        """Add `entry` if its error is smaller than `error_at` its complexity; return whether it was added."""
         if not entry.error < self.error_at(entry.complexity):
             return False
         self._entries = merge(self._entries, (entry,))
@@ -333,8 +335,8 @@ class Front:
 class FrontUpdater:
     """Offers individuals to a front, and to its runners-up if these are kept.
 
-    `offered` and `offered_loss` (by size) remember the last structure offered to the front; `sample` are rows spread
-    evenly over all.
+    `offered` and `offered_loss` (sizes,) are hash and loss of the last structure of each size that was offered to the
+    front. `sample` are rows spread evenly over all rows.
     """
 
     def __init__(self, setup: IslandSetup, front: Front, runners_up: RunnersUp) -> None:
@@ -432,10 +434,10 @@ class FrontUpdater:
         return variants
 
     def _is_wanted(self, size: int, loss: float) -> bool:
-        """Return whether the program on the canonical tape, of about that loss, is worth measuring.
+        """Return whether the program on the canonical tape, with about this `loss`, is worth measuring.
 
-        If runners-up are kept, many programs are offered that are not better than the present ones, or whose structure
-        was measured in this epoch already.
+        If runners-up are kept, many offered programs are not better than the present ones, or have a structure that was
+        measured in this epoch already.
         """
         if not self._runners_up.most:
             return True
@@ -480,10 +482,11 @@ class FrontUpdater:
         return FrontEntry(len(program), self._error(), float(self._result[1]), *tag, program.to_bytes())
 
     def prune(self, target: float, counters: Ints, tag: Tag) -> list[FrontEntry]:
-        """Remove all parts of the best program without which its error is still at most `target`; return the additions.
+        """Remove parts of the simplest program that reaches `target` while its error stays at most `target`.
 
         One operator at a time is replaced by one of its arguments or by a constant, and the constants are fitted again.
-        The first reduction that meets the target is kept, until there is none.
+        The first reduction that meets the target is kept, and the search for reductions begins again. Returns the
+        additions to the front.
         """
         additions: list[FrontEntry] = []
         if not self._setup.fit.steps:

@@ -171,10 +171,10 @@ LOOKS_BESIDE = 5
 class Island:
     """One island of one variable. Mutable, but only through `advance` and `immigrate`, in turn.
 
-    The life of an island: ``Island(...)`` (epoch 0, random population), then for every epoch: `advance` until it
-    returns True or no more is needed, `report`, and, unless the archipelago ended, `emigrants` to send and `immigrate`
-    with all that is due here (own ones included), which begins the next epoch. `generation` counts the generations of
-    the current epoch that have passed.
+    The order of calls: ``Island(...)`` (epoch 0, random population); then for every epoch `advance`, until it returns
+    True or no further generation is needed, and `report`. Unless the archipelago has ended, `emigrants` returns the
+    blocks to be sent, and `immigrate` takes the blocks of all senders and of this island and begins the next epoch.
+    `generation` is the number of generations done in the current epoch.
 
     Raises:
         LocalProtocolError: a field of `config` that must be resolved is not, or a method is called out of turn.
@@ -290,7 +290,8 @@ class Island:
     def immigrate(self, blocks: Mapping[int, bytes]) -> None:
         """Rebuild the population by slot from the blocks of exactly `senders()` and of this island, keyed by source.
 
-        Raises RemoteProtocolError when a block is malformed or the slots do not add up; the island is then unchanged.
+        Raises RemoteProtocolError if a block is malformed or a slot is missing or occurs twice; the island is then
+        unchanged.
         """
         if not self._begun:
             raise LocalProtocolError(f"island {self._setup.island} cannot take immigrants before its epoch has run")
@@ -318,7 +319,7 @@ class Island:
         }
 
     def to_bytes(self) -> bytes:
-        """Return all state, between epochs, that can influence later bits or counters; used for checkpoints."""
+        """Return the state between two epochs, for checkpoints: all data that can influence later bits or counters."""
         if self._begun:
             raise LocalProtocolError("an island is written between epochs only, before generation 0")
         arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}
@@ -346,7 +347,7 @@ class Island:
         return restored
 
     def _check(self) -> None:
-        """Raise RemoteProtocolError unless all nodes and rows that kernels will use exist; epoch 0 has none."""
+        """Raise RemoteProtocolError unless all nodes and rows that kernels will use exist; epoch 0 is not checked."""
         setup, coevolution = self._setup, self._coevolution
         if self.epoch == 0:
             return
@@ -359,7 +360,7 @@ class Island:
             raise RemoteProtocolError("the predictors in the state of an island name rows that do not exist")
 
     def _retrain(self) -> None:
-        """Compute the trainers' losses by row again, which follow from the trainers; not counted."""
+        """Compute the losses of the trainers at all rows again, uncounted; checkpoints do not contain them."""
         setup = self._setup
         if setup.coevolving.enabled and self.epoch > 0:
             for t in range(self._coevolution.exact.shape[0]):

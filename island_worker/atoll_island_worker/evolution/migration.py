@@ -25,7 +25,7 @@ _KINDS: Final = {"slots": "i4", "code": "i1", "left": "i4", "right": "i4", "cons
 
 
 def destinations(config: JobConfig, variable: str, epoch: int) -> Slots:
-    """Return, for every place (island * population + slot), the place its solution goes to; shape (islands, P)."""
+    """Return the destination of every solution, shape (islands, P); a place is island * population + slot."""
     return _destinations(config.seed, variable, epoch, config.evolution.islands, config.evolution.population)
 
 
@@ -42,7 +42,7 @@ def senders(config: JobConfig, variable: str, epoch: int, island: int) -> frozen
 
 
 def pack(lists: Lists, places: Slots) -> dict[int, bytes]:
-    """Return a block by destination island; `places` (P,) are where the solutions of this island go."""
+    """Return a block for each destination island; `places` (P,) are the destinations of this island's solutions."""
     population = lists.code.shape[0]
     islands = places // population
     return {
@@ -58,7 +58,7 @@ def _block(lists: Lists, rows: Slots, slots: Slots) -> bytes:
 
 
 def exchange(populations: Sequence[Lists], places: Slots) -> list[Lists]:
-    """Return the populations of all islands after a reshuffle; `places` (islands, P) are where each solution goes."""
+    """Return the populations of all islands after a reshuffle; `places` (islands, P) are the destinations."""
     population = places.shape[1]
     columns = []
     for parts in zip(*populations, strict=True):

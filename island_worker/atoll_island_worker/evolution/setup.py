@@ -47,7 +47,7 @@ class IslandSetup:
     """
 
     def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
-        if problem.groups is not None:  # migrating solutions meet the rows of all groups
+        if problem.groups is not None:  # migration brings solutions to islands with the rows of other groups
             problem = problem.of_group(island % (int(problem.groups.max()) + 1))
         self.config = config
         self.variable = problem.target.variable
@@ -131,7 +131,7 @@ class IslandSetup:
 def _shared_scratch(thread: int, population: int, nodes: int, variables: int, sample: int, rows: int) -> Scratch:
     """Return the scratch arrays of all islands of one shape that a thread advances, one at a time.
 
-    They hold nothing between two calls of a kernel, and with 100,000 rows they weigh 40 MB.
+    No data stay in them between two calls of a kernel. With 100,000 rows they have 40 MB.
     """
     del thread  # only tells scratch arrays of different threads apart
     return empty_scratch(population, nodes, variables, sample, rows)
@@ -178,8 +178,7 @@ def _space(problem: Problem, config: JobConfig) -> Space:
 
 
 def _scales(problem: Problem) -> FloatArray:
-    """Return the powers of two next to the mean magnitude of each column and the target, without magnitudes of order
-    one.
+    """Return the power of two above the mean magnitude of each column and of the target, if not within 1/64 ... 64.
 
     At least one number is returned, because an empty array means constants in [-10, 10].
     """

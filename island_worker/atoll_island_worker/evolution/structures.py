@@ -1,8 +1,8 @@
 """The arrays that kernels work on, grouped.
 
-Letters: P population, L list length, T terminals, V variables, K predictors, R rows.
-NamedTuples of arrays, since numba passes them as they are; shapes are set once, in `allocate`-style functions here, and
-trusted by the kernels.
+Letters: P population, L list length, T terminals, V variables, K predictors (in `Book`: programs), R rows. The groups
+are NamedTuples of arrays, because numba can pass them as arguments. The functions ``empty_...`` set the shapes, and
+the kernels do not check them.
 """
 
 from typing import NamedTuple
@@ -21,36 +21,36 @@ Hashes = npt.NDArray[np.uint64]
 
 
 class Lists(NamedTuple):
-    """Operation lists of several individuals, dead nodes included. Node i < T is a terminal; the last is the output."""
+    """Operation lists of P individuals, dead nodes included. T terminals come first; the last node is the output."""
 
     code: Bytes
     """(P, L) operator codes."""
     left: Shorts
     """(P, L) earlier node, or the variable's index at VARIABLE nodes."""
     right: Shorts
-    """(P, L) earlier node; kept, and varied, also where the operator is unary."""
+    """(P, L) earlier node; unary operators have one, too, which is varied but not used."""
     constants: Floats
-    """(P, L) value at CONSTANT nodes; elsewhere dormant."""
+    """(P, L) value at CONSTANT nodes; not used at other nodes."""
     scale: Floats
     """(P, 1 + MOST_TERMS) b, a_1, ...: the output is b + a_1 t_1 + ... for the list's top-level terms t_j."""
 
 
 class Space(NamedTuple):
-    """The space that lists are drawn from."""
+    """The space from which lists are drawn: `terminals` T, `nodes` L, `variables` V, probabilities of variation."""
 
     terminals: int
     nodes: int
     variables: int
     operators: Ints
-    """Codes to choose from."""
+    """Codes of the allowed operators."""
     scales: Floats
-    """Scales of columns and target (powers of two, 1 when of order 1), for drawing constants; empty: [-10, 10]."""
+    """Scales of columns and target for drawing constants, powers of two; empty: constants are drawn from [-10, 10]."""
     crossover: float
     mutation: float
     steps: int = 0
-    """How a constant is moved, see `variation`: 0: relative steps, 1: log-uniform ones."""
+    """How the mutation of a constant moves it, see `variation`; 0: by relative steps, 1: by log-uniform steps."""
     moves: float = 0.5
-    """Share of mutated constants that are moved; the others are drawn anew."""
+    """Share of mutated constants that are moved; the others are drawn again."""
 
 
 class Fit(NamedTuple):
@@ -59,38 +59,38 @@ class Fit(NamedTuple):
     steps: int
     """Levenberg-Marquardt steps for the constants inside terms; 0: none."""
     terms: int
-    """Most top-level terms with a fitted coefficient; 0: the program is taken as it stands."""
+    """Largest number of top-level terms with a fitted coefficient; 0: no coefficients are fitted."""
     least: int
-    """Inner constants that may be fitted however few rows there are."""
+    """Number of inner constants that may be fitted even if there are few rows."""
     loss: int
     """0: mean absolute error, 1: mean squared error."""
     gate: float
-    """A child takes steps only when its loss is at most this share of its worse parent's."""
+    """Steps are taken for a child only if its loss is at most this share of the loss of its worse parent."""
     required: int = 0
-    """Bits of the variables that individuals must have, those below `MOST_REQUIRED`; others have no finite loss."""
+    """Bits of the required variables below `MOST_REQUIRED`; the loss of individuals without them is infinity."""
 
 
 class Rows(NamedTuple):
-    """Rows of the problem that a measurement is made on, padded to a multiple of LANES by repeating the last."""
+    """Rows on which individuals are measured; their number is padded to a multiple of LANES by repeating the last."""
 
     inputs: Floats
-    """(V, padded)."""
+    """(V, padded) input variables."""
     waves: Floats
-    """(2 V, padded) sine and cosine of each input; (0, padded) when they are computed where they are needed."""
+    """(2 V, padded) sine and cosine of each input; (0, padded) if they are not stored but computed when needed."""
     target: Floats
-    """(1, padded)."""
+    """(1, padded) target."""
     mask: Floats
-    """(1, padded) 1 before the padding, 0 in it."""
+    """(1, padded) 1 for rows, 0 in the padding."""
     centred: Floats
-    """(1, padded) target less its mean; 0 in the padding."""
+    """(1, padded) target minus its mean; 0 in the padding."""
     facts: Floats
-    """(2,) mean of the target and of its square."""
+    """(2,) mean of the target, mean square of the target."""
     length: int
-    """Rows before the padding."""
+    """Number of rows without the padding."""
 
 
 class Tape(NamedTuple):
-    """Scratch for one program's live nodes, see `atoll_core.expression.kernels.tape`."""
+    """Scratch for the live nodes of one program, arrays (nodes,), see `atoll_core.expression.kernels.tape`."""
 
     code: Ints
     left: Ints
@@ -99,88 +99,95 @@ class Tape(NamedTuple):
     wanted: Booleans
     """Nodes that are to be evaluated."""
     depends: Booleans
-    """Nodes that depend on a constant that is being fitted."""
+    """Nodes that depend on a fitted constant."""
     origin: Ints
-    """Index in the list that each live node came from."""
+    """Index in the list of each node on the tape."""
     live: Ints
-    """(L,) index on the tape of each live node of the list; of dead ones anything."""
+    """Index on the tape of each live node of the list; undefined for dead nodes."""
     bits: Hashes
-    """Live nodes of the list, 64 to a word."""
+    """(words,) bits of the live nodes of the list, 64 nodes per word."""
 
 
 class Work(NamedTuple):
     """Scratch of the fit for rows of one length: values, adjoints and normal equations."""
 
     values: Floats
-    """(nodes, padded rows)."""
+    """(nodes, padded rows) values of the nodes."""
     adjoints: Floats
-    """(nodes + 1, LANES); the last row is scratch."""
+    """(nodes + 1, LANES) adjoints of the nodes in one block; the last row is scratch."""
     basis: Floats
-    """(MOST_TERMS, padded rows) the terms, centred and made orthogonal one after the other."""
+    """(MOST_TERMS, padded rows) the terms, centred and orthogonalised in their order."""
     columns: Floats
     """(MOST_FITTED, padded rows) columns of the Jacobian."""
     residual: Floats
-    """(1, padded rows) target less output; 0 in the padding."""
+    """(1, padded rows) target minus output; 0 in the padding."""
     matrix: Floats
+    """(MOST_FITTED, MOST_FITTED) products of the Jacobian's columns, lower triangle."""
     damped: Floats
+    """(MOST_FITTED, MOST_FITTED) Cholesky factor of the damped matrix; the diagonal holds inverses."""
     gradient: Floats
+    """(MOST_FITTED,) half the gradient of the sum of squared residuals."""
     step: Floats
+    """(MOST_FITTED,) step of the fitted constants."""
     means: Floats
     """(MOST_TERMS,) means of the terms."""
     inverse: Floats
-    """(MOST_TERMS,) one over the squared length of each row of `basis`; 0 where the term cannot be used."""
+    """(MOST_TERMS,) inverse of the squared length of each row of `basis`; 0 if the term cannot be used."""
     ratio: Floats
-    """(MOST_TERMS, MOST_TERMS) how much of each earlier row of `basis` was in a term."""
+    """(MOST_TERMS, MOST_TERMS) coefficients of the earlier rows of `basis` in each term."""
     terms: Ints
-    """Tape indices of the top-level terms; `number` of them."""
+    """Tape indices of the top-level terms; `number` (1,) is how many there are."""
     number: Ints
     fitted: Ints
-    """Tape indices of the constants that are fitted."""
+    """(MOST_FITTED,) tape indices of the fitted constants."""
     kept: Floats
+    """(MOST_FITTED,) fitted constants before the step."""
     kept_scale: Floats
+    """(1 + MOST_TERMS,) scale of the best trial so far."""
     trial: Floats
+    """(2,) mean absolute and mean squared error of the last trial."""
     settled: Booleans
-    """(1,) whether further steps of the last fit would be of no use."""
+    """(1,) whether further steps of the last fit would not improve it."""
     functions: int
     """Address of the compiled functions, see `atoll_core.expression.kernels.functions`."""
     held: Booleans
-    """(nodes,) constants on the tape that are not fitted."""
+    """(nodes,) constants on the tape that must not be fitted."""
 
 
 class Coevolution(NamedTuple):
     """Fitness predictors and their trainers (paper, section 2.3)."""
 
     predictors: Ints
-    """(K, rows) indices of rows, repeats allowed."""
+    """(K, sample) row indices of each predictor; an index may occur several times."""
     quality: Floats
-    """(K,) mean absolute difference of predicted and exact fitness over the trainers; lower is better."""
+    """(K,) mean absolute difference of predicted and exact loss over the trainers; lower is better."""
     trainers: Lists
     exact: Floats
-    """(trainers,) exact fitness."""
+    """(trainers,) exact loss."""
     losses: Floats
-    """(trainers, R) loss at every row; follows from the trainers, so it is not part of a checkpoint."""
+    """(trainers, R) loss at every row; not part of a checkpoint, because it can be computed from the trainers."""
     born: Ints
-    """(trainers,) predictor generation at which each was taken on."""
+    """(trainers,) predictor generation in which each became a trainer."""
     best: Ints
-    """(1,) index of the predictor that measures the solutions now."""
+    """(1,) index of the best predictor, whose rows measure the solutions."""
     clock: Ints
-    """(1,) predictor generations so far."""
+    """(1,) number of predictor generations so far."""
     due: Booleans
-    """(2,) whether a trainer is to be renewed now, and whether the best predictor has changed."""
+    """(2,) whether a trainer must be renewed now, and whether the best predictor has changed."""
 
 
 class Coevolving(NamedTuple):
-    """Whether and how predictors coevolve."""
+    """Whether and how predictors coevolve; `effort` and `renewal` as in `atoll_core.config.PredictorConfig`."""
 
     enabled: int
     effort: float
     renewal: int
     relative: int = 0
-    """1: predicted and exact loss are compared by their ratio, 0: by their difference."""
+    """How predicted and exact loss are compared; 0: by their difference, 1: by their relative difference."""
 
 
 class Book(NamedTuple):
-    """Programs that improve a front, as fitted to all rows: (K,) or (K, N) each, see `Tape`."""
+    """K programs that improve a front, fitted to all rows; arrays are (K,), or (K, nodes) as in `Tape`."""
 
     size: Ints
     code: Ints
@@ -188,29 +195,34 @@ class Book(NamedTuple):
     right: Ints
     constants: Floats
     number: Ints
-    """Number of terms; 0 when the program is taken as it stands."""
+    """(K,) number of terms; 0 if no coefficients were fitted."""
     terms: Ints
-    """(K, MOST_TERMS) nodes."""
+    """(K, MOST_TERMS) node of each term."""
     scale: Floats
     """(K, 1 + MOST_TERMS) b, a_1, ..."""
     loss: Floats
     variants: Floats
-    """(K, 4) loss with the coefficients as they are; without b; with simple ones; with simple ones and without b."""
+    """(K, 4) loss with the fitted coefficients; without b; with simple coefficients (exactly 1 or -1 if close to it);
+    with simple coefficients and without b."""
 
 
 class Scratch(NamedTuple):
-    """Everything a generation needs besides the island's own state."""
+    """Arrays that a generation needs in addition to the island's own state."""
 
     order: Ints
+    """(P,) random order of the individuals; neighbours are parents together."""
     settled: Booleans
-    """(P,) of the island under way: no further step would change the individual's constants."""
+    """(P,) whether further steps would not improve the constants of an individual of this island."""
     children: Lists
+    """Lists of two children."""
     child_loss: Floats
+    """(2,) losses of the children."""
     child_settled: Booleans
+    """(2,) `settled` of the children."""
     signature: Ints
-    """(P + 2, L) signatures of the population, while generations advance, and of the two children."""
+    """(P + 2, L) signatures of the population and of the two children; valid while generations advance."""
     live: Hashes
-    """(P + 2, words) live nodes of each of them, 64 to a word."""
+    """(P + 2, words) bits of the live nodes of each of them, 64 nodes per word."""
     signed: Ints
     """(2,) row of `signature` that belongs to each child."""
     apart: Ints
@@ -218,32 +230,38 @@ class Scratch(NamedTuple):
     tape: Tape
     canonical: Tape
     near: Work
-    """For rows of a predictor's length."""
+    """Scratch for fits on the rows of a predictor."""
     work: Work
-    """For all rows."""
+    """Scratch for fits on all rows."""
     result: Floats
+    """(2,) mean absolute and mean squared error."""
     spare: Rows
-    """Rows for one predictor at a time."""
+    """Rows of one predictor at a time."""
     predictor_children: Ints
+    """(2, sample) two predictors."""
     best_of_size: Ints
+    """(sizes,) an individual of each size, -1 without one."""
     taken: Ints
+    """(sizes,) number of individuals taken of each size."""
     hashes: Hashes
+    """(P,) hashes of the individuals' structures."""
     book: Book
 
 
 MOST_FITTED = 12
-"""Constants inside terms that are fitted at most in one program."""
+"""Largest number of constants inside terms that are fitted in one program."""
 
 MOST_TERMS = 4
-"""Top-level terms with a coefficient of their own, at most."""
+"""Largest number of top-level terms with a fitted coefficient."""
 
 
 MOST_REQUIRED = 62
-"""Variables of higher index are required of what enters a front alone: an integer has no more bits."""
+"""Only required variables below this index are checked in the population, because an integer has no more bits. The
+front checks all of them."""
 
 
 def empty_lists(population: int, nodes: int) -> Lists:
-    """Return lists of `population` individuals with `nodes` nodes each, all zero, unscaled."""
+    """Return the lists of `population` individuals with `nodes` nodes each, all zero and unscaled."""
     shape = (population, nodes)
     scale = np.zeros((population, 1 + MOST_TERMS))
     scale[:, 1] = 1.0
@@ -251,7 +269,7 @@ def empty_lists(population: int, nodes: int) -> Lists:
 
 
 def empty_tape(nodes: int) -> Tape:
-    """Return scratch for a tape of at most `nodes` nodes, all wanted."""
+    """Return a tape for at most `nodes` nodes, all marked as wanted."""
     ints = [np.zeros(nodes, np.int64) for _ in range(5)]
     wanted, depends = np.ones(nodes, np.bool_), np.zeros(nodes, np.bool_)
     bits = np.zeros(-(-nodes // 64), np.uint64)
@@ -259,7 +277,7 @@ def empty_tape(nodes: int) -> Tape:
 
 
 def empty_work(nodes: int, rows: int) -> Work:
-    """Return scratch to fit programs of at most `nodes` nodes on at most `rows` rows."""
+    """Return scratch for fits of programs with at most `nodes` nodes on at most `rows` rows."""
     length = padded(rows)
     return Work(
         values=np.zeros((nodes, length)),
@@ -287,7 +305,7 @@ def empty_work(nodes: int, rows: int) -> Work:
 
 
 def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows: int) -> Scratch:
-    """Return scratch for an island: `sample` rows in a predictor, `rows` in all."""
+    """Return scratch for an island; `sample` is the number of rows of a predictor, `rows` the number of all rows."""
     space = nodes + 4 + 3 * MOST_TERMS
     return Scratch(
         order=np.zeros(population, np.int64),
@@ -314,7 +332,7 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
 
 
 def empty_book(programs: int, nodes: int) -> Book:
-    """Return room for `programs` programs of at most `nodes` nodes each."""
+    """Return an empty book for `programs` programs of at most `nodes` nodes each."""
     code, left, right = (np.zeros((programs, nodes), np.int64) for _ in range(3))
     return Book(
         np.zeros(programs, np.int64), code, left, right, np.zeros((programs, nodes)), np.zeros(programs, np.int64),
@@ -324,7 +342,7 @@ def empty_book(programs: int, nodes: int) -> Book:
 
 
 def empty_rows(variables: int, length: int, waves: int) -> Rows:
-    """Return `length` rows to be filled; `waves` is 2 for each variable whose sine and cosine are kept, else 0."""
+    """Return `length` empty rows; `waves` is the first dimension of `Rows.waves`: 2 `variables`, or 0."""
     wide = padded(length)
     mask = np.zeros((1, wide))
     mask[0, :length] = 1.0

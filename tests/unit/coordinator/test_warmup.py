@@ -42,7 +42,7 @@ def test_every_kernel_is_ready_after_the_warm_up() -> None:
 
 COUNTED = """
 import sys, importlib
-from atoll_core.compilation.jit import on_ready
+from atoll_core.compilation.cache import on_ready
 ready = []
 on_ready.append(lambda: ready.append(1))
 module = importlib.import_module(sys.argv[1])

@@ -1,16 +1,17 @@
-"""sin, cos, exp, log, tanh and pow of our own: the same bits on every processor, and loops over them vectorise.
+"""Implementations of sin, cos, exp, log, tanh and pow with the same bits on every processor. Loops over them vectorise.
 
-Only IEEE 754 double + - * /, comparisons, selections and integer operations on the bit pattern: no fused
-multiply-add, no call of a mathematical library, no table and no branch, so that a plain loop in a `kernel` becomes
-packed instructions. Largest errors measured, in ulp: sin 1.6, cos 1.4, exp 1.0, log 0.8, tanh 2.5, pow 1.1
-(``benchmarks/kernels/elementary.py``; it prints the speed as well).
+They use only IEEE 754 double + - * /, comparisons, selections and integer operations on the bit pattern. There is no
+fused multiply-add, no call of a mathematical library, no table and no branch, so that a simple loop in a `kernel` is
+compiled to packed instructions. Largest measured errors, in ulp: sin 1.6, cos 1.4, exp 1.0, log 0.8, tanh 2.5, pow 1.1
+(``benchmarks/kernels/elementary.py``, which also prints the speed).
 
-Each function takes and returns a float64 (or, with the JIT off, a float and an ``np.float64``; overflow then warns
-unless ``np.errstate`` silences it). Signs, zeros, infinities and NaN follow IEEE 754's recommended functions, but for
-sin and cos beyond `LIMIT` and for pow where `strict_pow` says so. The payload and the sign of a NaN mean nothing.
+Each function takes and returns a float64. With the JIT off, it takes a float and returns an ``np.float64``; overflow
+then warns unless ``np.errstate`` silences it. Signs, zeros, infinities and NaN follow IEEE 754's recommended functions,
+except sin and cos beyond `LIMIT` and the cases of pow that `strict_pow` names. The payload and the sign of a NaN are
+arbitrary.
 
-Polynomials are split into even and odd halves or into groups: with 16 rows a loop waits for the longest chain of
-dependent operations, not for their number.
+Polynomials are split into even and odd halves or into groups. In loops over 16 rows the time depends on the longest
+chain of dependent operations, not on the number of operations.
 """
 
 from typing import Final
@@ -24,13 +25,13 @@ LIMIT: Final = TRIGONOMETRIC_LIMIT
 NAN: Final = float("nan")
 INFINITY: Final = float("inf")
 
-# Adding 1.5 * 2**52 rounds to the nearest integer and leaves it, in two's complement, in the low bits of the pattern.
+# Adding 1.5 * 2**52 rounds to the nearest integer. The low bits of the sum then hold this integer in two's complement.
 ROUNDER: Final = 6755399441055744.0
 SIGN_BIT: Final = -(2**63)
 MAGNITUDE_BITS: Final = 2**63 - 1
 
 TWO_OVER_PI: Final = 0.6366197723675814
-# pi/2 in parts of 37, 37 and 53 bits: |n| < 2**16 times one of the first two is exact.
+# pi/2 in parts of 37, 37 and 53 bits: the product of n, |n| < 2**16, with each of the first two parts is exact.
 HALF_PI_1: Final = 1.5707963267923333
 HALF_PI_2: Final = 2.5633441515839558e-12
 HALF_PI_3: Final = 1.0562999066987428e-23
@@ -50,14 +51,14 @@ C5: Final = 2.08757232129817482790e-09
 C6: Final = -1.13596475577881948265e-11
 
 ONE_OVER_LN2: Final = 1.4426950408889634
-# ln 2 in parts of 40 and 53 bits: |n| < 2**13 times the first is exact.
+# ln 2 in parts of 40 and 53 bits: the product of n, |n| < 2**13, with the first part is exact.
 LN2_1: Final = 0.6931471805592082
 LN2_2: Final = 7.371002565167799e-13
 EXP_OVERFLOW: Final = 710.0
 EXP_UNDERFLOW: Final = -746.0
-# `ROUNDER` + 2 * 1023: the low bits then hold n + 2046, which is positive for every n that is needed.
+# `ROUNDER` + 2 * 1023: the low bits of the sum then hold n + 2046, which is positive for every n that occurs.
 EXP_ROUNDER: Final = ROUNDER + 2046.0
-# exp(r) = 1 + r + r**2 E(r), |r| <= ln(2)/2: own minimax fit (Remez exchange, relative error 2**-57.9).
+# exp(r) = 1 + r + r**2 E(r), |r| <= ln(2)/2: minimax fit of this project (Remez exchange, relative error 2**-57.9).
 E0: Final = 0.5000000000000011
 E1: Final = 0.16666666666666413
 E2: Final = 0.04166666666653027
@@ -87,7 +88,8 @@ L4: Final = 2.222219843214978396e-01
 L5: Final = 1.818357216161805012e-01
 L6: Final = 1.531383769920937332e-01
 L7: Final = 1.479819860511658591e-01
-# log(1 + f) = 2 s + s (2/3 z + z**2 T(z)) for pow: own minimax fit (Remez exchange, error of z**2 T(z) 2**-65).
+# log(1 + f) = 2 s + s (2/3 z + z**2 T(z)), z = s**2, for pow: minimax fit of this project (Remez exchange, error of
+# z**2 T(z) 2**-65).
 T0: Final = 0.40000000000002256
 T1: Final = 0.2857142857010008
 T2: Final = 0.22222222519821935
@@ -98,8 +100,9 @@ T6: Final = 0.13196214139636542
 TWO_THIRDS_1: Final = 0.6666666666666666
 TWO_THIRDS_2: Final = 3.700743415417188e-17
 HUGE_POWER: Final = 1e300
-"""An exponent beyond this overflows, underflows or leaves 1; it would spoil `_two_product`."""
-SPLITTER: Final = 134217729.0  # 2**27 + 1: the halves of a number, 26 bits each
+"""Exponents are limited to this magnitude, because `_two_product` fails beyond 1e300. A power with a larger exponent is
+infinity, 0 or 1 anyway."""
+SPLITTER: Final = 134217729.0  # 2**27 + 1: splits a number into two halves of 26 bits
 
 
 @inlined
@@ -116,7 +119,10 @@ def _from_bits(pattern: np.int64) -> float:
 
 @inlined
 def _quarter_turns(x: float) -> tuple[float, float, np.int64]:
-    """Return r, its error and n (low bits) with x = n pi/2 + r + error, |r| <= pi/4 (Cody and Waite 1980)."""
+    """Return r, its error and n with x = n pi/2 + r + error, |r| <= pi/4 (Cody and Waite 1980).
+
+    Only the low bits of the returned n are meaningful.
+    """
     shifted = x * TWO_OVER_PI + ROUNDER
     n = shifted - ROUNDER
     first = x - n * HALF_PI_1
@@ -148,7 +154,7 @@ def _cosine(r: float) -> float:
 
 @inlined
 def strict_sin(x: float) -> float:
-    """Return sin(x); NaN for |x| > LIMIT and for what is not finite. sin(-0.0) is 0.0."""
+    """Return sin(x); NaN for |x| > LIMIT and for x that is not finite. sin(-0.0) is 0.0."""
     r, error, turns = _quarter_turns(x)
     sine = _sine(r, error)
     cosine = _cosine(r)
@@ -159,7 +165,7 @@ def strict_sin(x: float) -> float:
 
 @inlined
 def strict_cos(x: float) -> float:
-    """Return cos(x); NaN for |x| > LIMIT and for what is not finite."""
+    """Return cos(x); NaN for |x| > LIMIT and for x that is not finite."""
     r, error, turns = _quarter_turns(x)
     sine = _sine(r, error)
     cosine = _cosine(r)
@@ -180,7 +186,7 @@ def _exponential_minus_one(r: float) -> float:
 
 @inlined
 def _exponential(x: float, addend: float) -> float:
-    """Return exp(x + addend), |addend| < 1e-6; scaled in two steps, for the sake of overflow and subnormals."""
+    """Return exp(x + addend), |addend| < 1e-6; scaled in two steps, for correct overflow and subnormal results."""
     clamped = EXP_OVERFLOW if x > EXP_OVERFLOW else x
     clamped = EXP_UNDERFLOW if clamped < EXP_UNDERFLOW else clamped
     shifted = clamped * ONE_OVER_LN2 + EXP_ROUNDER
@@ -218,7 +224,7 @@ def _logarithm_series(z: float) -> float:
 
 @inlined
 def strict_log(x: float) -> float:
-    """Return log(x); -infinity at 0, NaN below."""
+    """Return log(x); -infinity at 0, NaN for negative x."""
     n, f = _binary_logarithm_split(x)
     s = f / (2.0 + f)
     half_square = (0.5 * f) * f
@@ -258,9 +264,9 @@ def _two_product(a: float, b: float) -> tuple[float, float]:
 
 @inlined
 def _logarithm_pair(x: float) -> tuple[float, float]:
-    """Return log(x) as an unevaluated sum, good to about 2**-63 relative; x positive and finite.
+    """Return log(x) as a pair of numbers whose sum is log(x), with relative error about 2**-63; x positive and finite.
 
-    2 s + s**3 (2/3 + ...) with s = f/(2 + f), where s, s**2, 2/3 and the products are pairs themselves.
+    The series is 2 s + s**3 (2/3 + ...) with s = f/(2 + f), where s, s**2, 2/3 and the products are also pairs.
     """
     n, f = _binary_logarithm_split(x)
     d = 2.0 + f
@@ -290,17 +296,18 @@ def _logarithm_pair(x: float) -> tuple[float, float]:
 
 @inlined
 def _is_whole(magnitude: float) -> bool:
-    """Tell whether a number >= 0 is an integer; from 2**52 on (and infinity) all are."""
+    """Return whether a number >= 0 is an integer; all numbers from 2**52 on, and infinity, count as integers."""
     rounded = (magnitude + TWO_52) - TWO_52
     return (magnitude if magnitude >= TWO_52 else rounded) == magnitude
 
 
 @inlined
 def strict_pow(x: float, y: float) -> float:
-    """Return x**y for x > 0, x = 0 <= y and x < 0 with integer y; elsewhere NaN, never a complex number or a pole.
+    """Return x**y for x > 0, for x = 0 <= y, and for x < 0 with integer y; NaN for all other arguments.
 
-    x**0 is 1 (0**0 too, not NaN**0), 1**infinity is 1; infinite arguments follow IEEE 754. Measured within 1.1 ulp,
-    for subnormal results too: the logarithm is carried as a pair of numbers.
+    So negative powers of 0 are NaN, not infinity. x**0 is 1, also 0**0, but NaN**0 is NaN. 1**infinity is 1. Infinite
+    arguments follow IEEE 754. The measured error is at most 1.1 ulp, also for subnormal results, because the logarithm
+    is a pair of numbers.
     """
     magnitude = abs(x)
     high, low = _logarithm_pair(magnitude)

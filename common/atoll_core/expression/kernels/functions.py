@@ -1,7 +1,7 @@
-"""The operators that are functions, and their partial derivatives, over one block of rows.
+"""The operators that are functions (sin, exp, ...), and their partial derivatives, over one block of rows.
 
-They are compiled once and called by address: they are long, and a compiler that works through all callees anew in
-every caller would spend its minute on them.
+They are compiled once and called by address. Their code is long, and compiling it again in every caller would take most
+of the minute that all kernels take.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,9 +26,10 @@ Int = int | np.int64
 
 _LANES: Final = np.int64(LANES)
 LEFT: Final = 32
-"""Added to an operator's code: its partial derivative by the left argument."""
+"""An operator's code plus this number is the code of its partial derivative with respect to the left argument."""
 RIGHT: Final = 64
-"""Added to an operator's code: its partial derivative by the right argument, whose place the value takes."""
+"""An operator's code plus this number is the code of its partial derivative with respect to the right argument. This
+function takes the left argument and the operator's value."""
 
 
 @inlined
@@ -46,7 +47,7 @@ STRICT: Final = definitions(
         strict_sin, strict_cos, strict_exp, strict_log, square_root, abs, strict_tanh, strict_pow, _sign, _base_log
     )
 )
-"""The operators of the search: the same bits on every machine."""
+"""The operators of the search, with the same bits on every machine."""
 
 
 _CODES: Final = definitions(
@@ -58,7 +59,7 @@ _CODES: Final = definitions(
 
 
 def left_partial_code(code: int) -> int:
-    """Return the code of the function of a block that gives an operator's partial derivative by its left argument."""
+    """Return the code of the block function for an operator's partial derivative with respect to the left argument."""
     factors = _CODES[code].left.factors
     return LEFT + code if len(factors) > 1 else int(factors[0](0.0, 0.0, 0.0))
 
@@ -66,7 +67,7 @@ def left_partial_code(code: int) -> int:
 def product(
     factors: Sequence[PartialFactor], compiled: Callable[[PartialFactor], PartialFactor] = lambda part: part
 ) -> PartialFactor:
-    """Return the product of one or two factors of a partial derivative, each `compiled` if it is called by another."""
+    """Return the product of one or two factors of a partial derivative; if there are two, each is `compiled` first."""
     if len(factors) == 1:
         return factors[0]
     first, second = map(compiled, factors)
@@ -74,7 +75,7 @@ def product(
 
 
 def _value(code: int) -> Any:
-    """Return the loop of an operator over a block."""
+    """Return a loop that applies an operator to a block."""
     function = inlined(STRICT[code].value)
 
     @inlined
@@ -86,7 +87,7 @@ def _value(code: int) -> Any:
 
 
 def _left(code: int) -> Any:
-    """Return the loop of its partial derivative by the left argument."""
+    """Return a loop over a block for the partial derivative with respect to the left argument."""
     factor = inlined(product(STRICT[code].left.factors, inlined))
 
     @inlined
@@ -98,7 +99,7 @@ def _left(code: int) -> Any:
 
 
 def _right(code: int) -> Any:
-    """Return the loop of its partial derivative by the right argument, see `RIGHT`."""
+    """Return a loop over a block for the partial derivative with respect to the right argument, see `RIGHT`."""
     factor = inlined(product(STRICT[code].right.factors, inlined))
 
     @inlined
@@ -118,9 +119,10 @@ _choice: Final = choose(
 
 
 def _apply(operator: Int, count: Int, out: Any, a: Any, b: Any) -> None:
-    """Write function `operator` of `count` numbers at place `a` (and `b`) to place `out`.
+    """Write function `operator` of the `count` numbers at place `a` (and `b`) to place `out`.
 
-    `count` is always LANES, which the compiler must not know: it would write the loops out one number at a time.
+    `count` is always LANES, but the compiler must not know this. If it does, it unrolls the loops into operations on
+    single numbers instead of vectors.
     """
     _choice(operator, count, out, a, b)
 
@@ -137,10 +139,10 @@ if IS_COMPILED:
 else:
 
     def apply_function(address: Int, operator: Int, out: Any, a: Any, b: Any) -> None:
-        """Interpreted: the function itself; `address` means nothing."""
+        """Interpreted: call the Python function; `address` is ignored."""
         _apply(operator, LANES, out, a, b)
 
 
 def functions_address() -> int:
-    """Return where the compiled function lies in this process; 0 when interpreted."""
+    """Return the address of the compiled function in this process; 0 when interpreted."""
     return int(_COMPILED.address) if IS_COMPILED else 0

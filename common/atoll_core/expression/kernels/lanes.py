@@ -1,9 +1,10 @@
-"""One block of rows at a time: 16 float64 in vector registers, from memory to memory, in one operation each.
+"""Operations on one block of rows: each loads 16 float64 numbers into vector registers, computes, and stores them.
 
-Compiled, an operation is a handful of vector instructions emitted directly: a loop over 16 numbers would first have to
-prove that its arrays do not overlap. Interpreted (``NUMBA_DISABLE_JIT=1``), it is numpy on views, with the same bits.
-A *place* names 16 numbers in an array: an address there, a view here. Only IEEE 754 + - * / and square roots of single
-lanes; `total` adds the lanes by one fixed tree. No bounds are checked.
+A compiled operation is a few vector instructions that this module emits directly. A loop over 16 numbers would need a
+proof that its arrays do not overlap before it is vectorised. An interpreted operation (``NUMBA_DISABLE_JIT=1``) is
+numpy on views, with the same bits. A *place* is a reference to 16 numbers in an array: an address when compiled, a view
+when interpreted. Each lane uses only IEEE 754 + - * / and square roots. `total` adds the lanes in one fixed tree. No
+bounds are checked.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,7 @@ LANES: Final = 16
 """Rows in a block."""
 
 CHUNK: Final = 32
-"""Numbers that `move` copies, and `blend` and `differing` take, in a few instructions: a list of preset ``paper``."""
+"""Numbers that `move`, `blend` and `differing` process in a few instructions: the list length of preset ``paper``."""
 
 
 def square_root(x: Any) -> Any:
@@ -30,8 +31,9 @@ def _lane_operation(function: Callable[..., Any], *, onto: bool = False, ignored
 
     Args:
         function: computes with + - * /, `abs`, `square_root` and literal numbers.
-        onto: whether the first argument of `function` is what `out` holds.
-        ignored: the number of further arguments, so that operations can be called alike.
+        onto: whether the first argument of `function` is the content of `out`.
+        ignored: the number of further arguments that the operation accepts and ignores, so that all operations can be
+            called in the same way.
     """
     count = function.__code__.co_argcount
 
@@ -43,12 +45,12 @@ def _lane_operation(function: Callable[..., Any], *, onto: bool = False, ignored
 
 
 def _place(array: Any, row: int, start: int) -> Any:
-    """Return the place of the LANES numbers of `array`[row] from `start` on; `array` is C-contiguous."""
+    """Return the place of the LANES numbers in array[row, start:]; `array` is C-contiguous."""
     return array[row, start : start + LANES]
 
 
 def _place_in(array: Any, start: int) -> Any:
-    """Return the place of the LANES numbers of one-dimensional `array` from `start` on."""
+    """Return the place of the LANES numbers in array[start:]; `array` is one-dimensional."""
     return array[start : start + LANES]
 
 
@@ -80,19 +82,19 @@ def _total_magnitude(a: Any, b: Any) -> float:
 
 
 def _move(out: Any, p: int, source: Any, q: int, first: int, last: int) -> None:
-    """Copy source[q, first:last] to out[p, first:last]; both are C-contiguous and of one type."""
+    """Copy source[q, first:last] to out[p, first:last]; both arrays are C-contiguous and have the same type."""
     out[p, first:last] = source[q, first:last]
 
 
 def _blend(out: Any, p: int, one: Any, i: int, other: Any, j: int, start: int, cut: int) -> None:
-    """Write to out[p] the CHUNK numbers from `start` on: those of one[i] before index `cut`, of other[j] from it on."""
+    """Write CHUNK numbers to out[p, start:]: from one[i] before index `cut`, from other[j] at `cut` and after it."""
     middle = min(max(cut, start), start + CHUNK)
     out[p, start:middle] = one[i, start:middle]
     out[p, middle : start + CHUNK] = other[j, middle : start + CHUNK]
 
 
 def _differing(one: Any, p: int, other: Any, q: int, start: int) -> np.uint64:
-    """Return bit k set for each of the CHUNK numbers from `start` on whose bits differ in one[p] and other[q]."""
+    """Compare the bits of CHUNK numbers from `start` on in one[p] and other[q]; bit k is set where number k differs."""
     width = f"u{one.dtype.itemsize}"
     a, b = one[p, start : start + CHUNK].view(width), other[q, start : start + CHUNK].view(width)
     return np.uint64(sum(1 << int(k) for k in np.flatnonzero(a != b)))
@@ -156,7 +158,7 @@ if IS_COMPILED:
         return ir.Constant(_VECTOR, [ir.Constant(_DOUBLE, number)] * LANES)
 
     class _Registers:
-        """A block in vector registers, on which arithmetic writes instructions."""
+        """A block in vector registers; its arithmetic operators emit instructions."""
 
         def __init__(self, builder: Any, value: Any) -> None:
             self._builder = builder
@@ -203,7 +205,7 @@ if IS_COMPILED:
         return result(*(_NUMBERS[kind] for kind in kinds))
 
     def _operation(kinds: str, result: Any, emit: Callable[[Any, tuple[Any, ...]], Any]) -> Any:
-        """Return the intrinsic that `emit` writes, its arguments of `kinds`: p for place, i for index, x for number."""
+        """Return the intrinsic whose code `emit` writes; argument `kinds`: p (place), i (index), x (number)."""
         signature = _signature(kinds, result)
 
         def generate(context: Any, builder: Any, _: Any, arguments: tuple[Any, ...]) -> Any:
@@ -226,7 +228,7 @@ if IS_COMPILED:
         return intrinsic(typed[len(kinds)])
 
     def _unary(function: Callable[[Any, Any], Any]) -> Any:
-        """Return out = function(a)."""
+        """Return the operation ``out = function(a)`` on places."""
 
         def emit(builder: Any, arguments: tuple[Any, ...]) -> None:
             out, a = arguments
@@ -264,7 +266,7 @@ if IS_COMPILED:
         builder.store(arguments[2], _pointer(builder, *arguments[:2]))
 
     def _address(context: Any, builder: Any, kind: Any, array: Any, offsets: list[tuple[Any, Any]]) -> Any:
-        """Return the address of the number at `offsets`: pairs of index and bytes from one index to the next."""
+        """Return the address of the number at `offsets`: pairs of an index and its stride in bytes."""
         place = builder.ptrtoint(context.make_array(kind)(context, builder, array).data, _WORD)
         for index, step in offsets:
             place = builder.add(place, builder.mul(index, step))
@@ -315,7 +317,7 @@ if IS_COMPILED:
         return types.void(*[types.int64] * 6), generate
 
     def _width(context: Any, kind: Any) -> int:
-        """Return the bytes of one number of an array of type `kind`."""
+        """Return the size in bytes of one number in an array of type `kind`."""
         return int(context.get_abi_sizeof(context.get_data_type(kind.dtype)))
 
     def _bytes_at(context: Any, builder: Any, kind: Any, array: Any, row: Any, start: Any) -> Any:
@@ -327,7 +329,7 @@ if IS_COMPILED:
         return builder.inttoptr(address, ir.IntType(8).as_pointer())
 
     def _chunk(context: Any, builder: Any, kind: Any, array: Any, row: Any, start: Any) -> tuple[Any, int]:
-        """Return a typed pointer to the CHUNK numbers of array[row] from `start` on, as integers, and their width."""
+        """Return a pointer to the CHUNK numbers in array[row, start:], typed as integers, and their width in bytes."""
         width = _width(context, kind)
         pointer = ir.VectorType(ir.IntType(8 * width), CHUNK).as_pointer()
         return builder.bitcast(_bytes_at(context, builder, kind, array, row, start), pointer), width

@@ -1,4 +1,4 @@
-"""One of several compiled functions, chosen by a code: how kernels go from an operator to what it does."""
+"""Call one of several compiled functions, chosen by a code. Kernels call the function of an operator in this way."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,10 +7,11 @@ from atoll_core.compilation.jit import inlined
 
 
 def choose(branches: dict[int, Callable[..., Any]], otherwise: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of a code and further arguments, which hands these to the branch of the code.
+    """Return a function of a code and further arguments, which calls the branch of this code with these arguments.
 
-    `otherwise` takes the code as well. All are such as compiled code can call, and return the same type. The choice is
-    written out for 15 branches, one for each operator: each function that calls another is compiled with it anew.
+    For other codes it calls `otherwise` with the code and the arguments. All functions must be callable from compiled
+    code and return the same type. The choice is one function with 15 branches, one for each operator. A chain of
+    smaller functions would take longer to compile, since each function is compiled again in its caller.
     """
     pairs = list(branches.items())
     pairs += [(-1, pairs[0][1])] * (15 - len(pairs))
@@ -57,4 +58,4 @@ def choose(branches: dict[int, Callable[..., Any]], otherwise: Callable[..., Any
 
 @inlined
 def nothing(code: int, *arguments: Any) -> None:
-    """Do nothing: for codes that do not occur."""
+    """Do nothing; used as `otherwise` for codes that do not occur."""

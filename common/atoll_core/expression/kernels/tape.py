@@ -1,8 +1,9 @@
-"""Evaluate a tape of operations over blocks of rows, forward and with gradient. The innermost loops of everything.
+"""Evaluate a tape of operations over blocks of rows, forward and with gradient. The innermost loops of all programs.
 
-A *tape* is a program's live nodes in order: `code` (N,) int64, `left`, `right` (N,) int64 indices of earlier nodes (for
-VARIABLE, `left` is the input's index), `constants` (N,) float64. Rows are handled `LANES` at a time, in vector
-registers (`atoll_core.expression.kernels.lanes`); arrays of rows are padded to a multiple of it.
+A *tape* holds the live nodes of a program in order: `code` (N,) int64; `left` and `right` (N,) int64, the indices of
+earlier nodes (for VARIABLE, `left` is the input's index); `constants` (N,) float64. Rows are processed in blocks of
+`LANES`, in vector registers (`atoll_core.expression.kernels.lanes`). The number of rows in arrays is padded to a
+multiple of `LANES`.
 """
 
 from typing import Any, Final
@@ -46,7 +47,7 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Booleans = npt.NDArray[np.bool_]
 Int = int | np.int64
-"""A whole number of whatever origin; to the compiler both are int64."""
+"""An integer of Python or numpy; to the compiler both are int64."""
 
 _ZERO: Final = np.int64(0)
 
@@ -68,7 +69,7 @@ apply_operator: Final = choose(
     },
     _function_value,
 )
-"""Write operator `op` of the numbers at places `a` and `b` to place `out`: ``(op, out, a, b, functions)``."""
+"""``(op, out, a, b, functions)``: write the result of operator `op` for the numbers at places `a` and `b` to `out`."""
 
 
 @inlined
@@ -85,10 +86,11 @@ def forward_block(
     values: Floats,
     functions: Int,
 ) -> None:
-    """Write the value of each `wanted` of `count` nodes at rows [start, start + LANES) into those columns of `values`.
+    """Write the values of the `wanted` nodes at rows [start, start + LANES) into the same columns of `values`.
 
-    `inputs` is (V, R) and `values` (>= count, >= R), R padded; `waves` (2 V, R) holds sine and cosine of each input, or
-    nothing. Operators are not protected: what has no finite value becomes NaN or infinity.
+    Only the first `count` nodes are considered. `inputs` is (V, R) and `values` (>= count, >= R), with R padded.
+    `waves` is (2 V, R), sine and cosine of each input, or (0, R) if they are to be computed here. Operators are not
+    protected: results that are undefined or too large become NaN or infinity.
     """
     for i in range(count):
         if not wanted[i]:
@@ -121,13 +123,13 @@ def forward(
     values: Floats,
     functions: Int,
 ) -> None:
-    """Write the value of each `wanted` of `count` nodes at rows [0, rows), padded, into `values`."""
+    """Write the values of the `wanted` nodes among the first `count` at rows [0, rows), padded, into `values`."""
     for start in range(_ZERO, rows, LANES):
         forward_block(count, code, left, right, constants, wanted, inputs, waves, start, values, functions)
 
 
 def _pulled(partial: Partial) -> Any:
-    """Return what a partial derivative adds to an adjoint, as an operation on places: see `_pull_left`."""
+    """Return the operation on places that adds a partial derivative times `g` to an adjoint, see `_pull_left`."""
     factor, divisor = product(partial.factors) if partial.factors else None, partial.divisor
 
     def pulled(target: Any, g: Any, a: Any, b: Any, v: Any) -> Any:
@@ -143,7 +145,7 @@ def _pull_by(function: Any) -> Any:
 
 
 def _pulled_by_function(sign: int, code: int, *, takes_value: bool = False) -> Any:
-    """Return the same for a partial derivative that is one factor, the function of this code."""
+    """Return the same operation for a partial derivative with one factor, the block function of this `code`."""
     operation = lane_operation(lambda t, g, s: t + g * s if sign > 0 else t - g * s, onto=True)
 
     @inlined
@@ -162,15 +164,16 @@ _pull_left: Final = choose(
     | {op: _pulled_by_function(STRICT[op].left.sign, left_partial_code(op)) for op in (SIN, COS, ABS, POW)},
     nothing,
 )  # fmt: skip
-"""Add to `target` the adjoint `g` times an operator's partial derivative by its left argument, where its value is `v`:
-``(op, target, g, a, b, v, scratch, functions)``."""
+"""``(op, target, g, a, b, v, scratch, functions)``: add the adjoint `g` times the partial derivative of operator `op`
+with respect to its left argument to `target`. All but `op` and `functions` are places: arguments `a` and `b`, value
+`v`."""
 
 _pull_right: Final = choose(
     {op: _pulled(STRICT[op].right) for op in (ADD, SUBTRACT, MULTIPLY, DIVIDE)}
     | {POW: _pulled_by_function(STRICT[POW].right.sign, RIGHT + POW, takes_value=True)},
     nothing,
 )
-"""The same for the right argument."""
+"""The same as `_pull_left`, with respect to the right argument."""
 
 
 @inlined
@@ -185,11 +188,11 @@ def reverse_block(
     adjoints: Floats,
     functions: Int,
 ) -> None:
-    """Carry the adjoints of the outputs down to every node that `depends` on a fitted constant.
+    """Propagate the adjoints of the outputs to every node that `depends` on a fitted constant.
 
-    `adjoints` (> count, LANES) holds d(result)/d(node) for the nodes that are outputs and zero for the others that
-    depend; on return it is complete; its last row is scratch. `values` are those of `forward_block` at rows
-    [start, start + LANES). One reverse sweep over the list (reverse-mode differentiation).
+    This is one reverse sweep over the tape (reverse-mode differentiation). On entry `adjoints` (> count, LANES) holds
+    d(result)/d(node) for the output nodes, and zero for the other dependent nodes. On return it holds the adjoints of
+    all dependent nodes. Its last row is scratch. `values` come from `forward_block` at rows [start, start + LANES).
     """
     scratch = place(adjoints, adjoints.shape[0] - 1, _ZERO)
     for i in range(count - 1, -1, -1):

@@ -1,4 +1,4 @@
-"""A bus that counts messages and bytes by kind: report, pull, status, ask and so on, as the key says."""
+"""A bus that counts messages and bytes by the kind in their keys: report, pull, status, ask and so on."""
 
 from collections import Counter, defaultdict
 from functools import lru_cache

@@ -177,7 +177,7 @@ class Timers:
 
 
 class Outbox:
-    """Answers that wait for a thread that sends them, by party; large ones and small ones apart."""
+    """Answers of each party that wait for a sending thread; large and small answers wait separately."""
 
     def __init__(self) -> None:
         self._small = _Senders("sending answers", _MAX_SMALL_OF_PARTY, 8 * _MAX_SMALL_OF_PARTY)

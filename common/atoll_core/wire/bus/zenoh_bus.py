@@ -13,7 +13,8 @@ a router gets more threads than zenoh starts by default. Closing a socket must n
 10 s on each TCP socket, and the thread that closes a socket is one of the few that read messages for all clients: if
 the other side reads nothing, ``close`` blocks it for 10 s. Zenoh has no setting for this, so `LingerRemover` resets the
 option on each socket when its link comes up. ``close`` then returns at once, and the operating system still sends the
-buffered data. Whether a later version of zenoh makes this unnecessary has to be tested, not read.
+buffered data. A later version of zenoh may make this unnecessary; only a test with clients that read nothing can show
+it.
 """
 
 import contextlib
@@ -109,8 +110,8 @@ def sockets_of(port: int) -> Iterator[socket.socket]:
 
 _WAIT_FOR_PEER_US: Final = 1_000_000
 _GIVEN_UP: Final = 0.9
-"""Share of `_WAIT_FOR_PEER_US` after which zenoh soon gives up an answer, so that waiting `_CLOSING_S` longer is
-cheap."""
+"""If an answer took at least this share of `_WAIT_FOR_PEER_US`, zenoh has probably given it up and is closing the link;
+waiting `_CLOSING_S` more is then little."""
 
 _CLOSING_S: Final = 0.1
 _LEASE_MS: Final = 4_000
@@ -122,7 +123,7 @@ _CLOSE_LIMIT_S: Final = 5.0
 _FREE_PORT_ATTEMPTS: Final = 20
 _RUNTIME: Final = "ZENOH_RUNTIME"
 _THREADS: Final = 8
-"""Reading threads of a router, and writing ones: the number of links that may be closing while others are served."""
+"""Number of reading threads of a router, and of its writing threads. Each link that is closing may block one thread."""
 
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
@@ -139,7 +140,7 @@ _SIZE_LIMITS: Final = {
         f"{ROOT}/*/client/*/changes",
     ),
 }
-"""Largest put or query in bytes, by its key; a router drops larger ones unread."""
+"""By largest size in bytes: the keys of the puts and queries with this limit. A router drops larger ones unread."""
 
 
 def open_router(
@@ -148,7 +149,7 @@ def open_router(
     """Start a router listening on `listen` (port 0: any free one, see `ZenohBus.endpoint`) and return a bus in it.
 
     Args:
-        listen: such as ``tcp/0.0.0.0:7447``, or with credentials.
+        listen: an address such as ``tcp/0.0.0.0:7447``, or a destination with credentials.
         settings: further zenoh settings by path, such as ``{"transport/unicast/max_sessions": 100}``.
         role_bindings: permissions by the names in certificates; None: every participant may send anything.
 

@@ -94,7 +94,7 @@ class Status(Frozen):
 
 
 class ListWorkers(Frozen):
-    """List workers whose names begin with `prefix`, by name, from the one after `after` on, at most `limit` of them."""
+    """List workers whose names begin with `prefix`, sorted by name, after the name `after`, at most `limit` of them."""
 
     kind: Literal["workers"] = "workers"
     prefix: Id | Literal[""] = ""
@@ -103,7 +103,7 @@ class ListWorkers(Frozen):
 
 
 class GetQueueDepth(Frozen):
-    """Return how much work waits."""
+    """Return the numbers of jobs, tasks and workers in `QueueDepth`."""
 
     kind: Literal["get-queue-depth"] = "get-queue-depth"
 
@@ -264,7 +264,7 @@ class JobList(Frozen):
 
 
 class JobStatus(Frozen):
-    """One job; the answer to all requests that change one."""
+    """One job; the answer to all requests that change a job."""
 
     kind: Literal["job-view"] = "job-view"
     job: JobView
@@ -323,7 +323,7 @@ class JobChange(Frozen):
 
 
 class Following(Frozen):
-    """The client receives changes for `lease_s` seconds; `change` is what it does not have yet, None: nothing."""
+    """The client receives changes for `lease_s` seconds; `change` has the changes that it does not have yet, if any."""
 
     kind: Literal["following"] = "following"
     lease_s: Seconds

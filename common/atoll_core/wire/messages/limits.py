@@ -11,10 +11,10 @@ MAX_UPLOAD: Final = 1024 * 1024 * 1024
 """Largest table a client may upload, in bytes."""
 
 MAX_PAGE_JOBS: Final = 100
-"""Most jobs in one list of them."""
+"""Largest number of jobs in one list."""
 
 MAX_PAGE_WORKERS: Final = 500
-"""Most workers in one list of them: each has a few thousand bytes of counters."""
+"""Largest number of workers in one list; each has a few thousand bytes of counters."""
 
 CHUNK_LIMIT_S: Final = 120.0
 """Seconds for which a client tries to upload one chunk over a slow line."""

@@ -76,7 +76,7 @@ class UserView(Frozen):
 class CoordinatorView(Frozen):
     """The coordinator itself as `workers` shows it; `seconds` since its start.
 
-    `queued` jobs wait, `under_way` ones have places; while the queue is `paused`, none is started. `lag_s` is the
+    `queued` jobs wait, `under_way` jobs have places; while the queue is `paused`, no job is started. `lag_s` is the
     largest delay of its event loop in the last minute, in seconds. `users` are the users with the most jobs that have
     not ended, limited to jobs that the client may see.
     """
@@ -158,7 +158,7 @@ class TaskView(Frozen):
 
 
 class JobView(Frozen):
-    """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or what it waits for.
+    """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or why it waits.
 
     `fault` is why the job failed: unusable data, two workers that diverged, islands that killed their workers (poison),
     or an internal error. `stalls` says where it makes no progress, and why; `ahead` counts jobs before it in the queue.
@@ -227,11 +227,11 @@ class WorkerView(Frozen):
 
 
 MAX_DETAILS: Final = 8
-"""Most notes of workers that are getting ready."""
+"""Largest number of notes of compiling workers."""
 
 
 class Workforce(Frozen):
-    """Numbers of workers that are alive and that are getting ready, and the first notes of the latter in order."""
+    """Numbers of workers that are alive and that are compiling, and the first notes of the compiling ones, sorted."""
 
     alive: Annotated[int, Field(ge=0)] = 0
     compiling: Annotated[int, Field(ge=0)] = 0

@@ -226,7 +226,7 @@ class WorkerStatus(Frozen):
 # ---------------------------------------------------------------------------------------------- log
 
 MAX_LINES: Final = 100
-"""Lines in one message."""
+"""Largest number of lines in one message."""
 
 
 class LogLine(Frozen):

@@ -88,7 +88,7 @@ def checked_role_bindings(entries: Mapping[str, object], source: str) -> RoleBin
 Flow = Literal["ingress", "egress"]
 
 _PUT: Final = ("status", "report", "result", "log")
-"""Keys under its own names on which a worker puts."""
+"""Ends of the keys under its own name on which a worker puts messages."""
 
 _ANYBODY: Final = "(anybody)"
 _SPEAKING: Final = ("put",)
@@ -117,7 +117,7 @@ _TRUSTED: Final = tuple(Permission(flow, _ALL, (f"{ROOT}/**",)) for flow in get_
 
 
 def permissions(name: str, role: Role) -> tuple[Permission, ...]:
-    """Return what the principal `name` may send and receive; everything else is denied."""
+    """Return all permissions of the principal `name`; every other message is denied."""
     asked, heard = _own(name, "client/{}/ask") + _hello(name), _own(name, "client/{}/changes")
     match role:
         case "coordinator" | "router":

@@ -1,4 +1,4 @@
-"""A function for each verb; it takes the parsed options and returns the exit code.
+"""The functions of the verbs: each takes the parsed options and returns the exit code.
 
 ``run`` searches on this machine, ``submit`` on a coordinator. ``serve`` has the services, ``web`` the
 page. ``jobs`` asks a coordinator about jobs and workers, ``results`` analyses and exports results, ``texts`` prints

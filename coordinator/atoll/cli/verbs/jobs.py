@@ -1,7 +1,8 @@
 """The verbs about the jobs and workers of a coordinator.
 
-They show: ``ping``, ``jobs``, ``status``, ``workers``, ``logs``. They change a job: ``cancel``, ``delete``, ``pause``,
-``resume``, ``priority``, ``share``, ``retry``. For admins: ``cordon``, ``uncordon``, ``drain``, ``queue``.
+Verbs that show: ``ping``, ``jobs``, ``status``, ``workers``, ``logs``. Verbs that change a job: ``cancel``, ``delete``,
+``pause``, ``resume``, ``priority``, ``share``, ``retry``. Verbs for admins: ``cordon``, ``uncordon``, ``drain``,
+``queue``.
 """
 
 import argparse
@@ -36,7 +37,7 @@ from atoll_core.wire.messages.views import (
 )
 
 _MOST_NAMED: Final = 20
-"""Jobs and workers that a message lists at most."""
+"""Maximum number of jobs or workers that a message lists."""
 
 _JOB_HEADS: Final = (
     "ID", "NAME", "STATE", "PRIORITY", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND", "NOTE",
@@ -48,19 +49,19 @@ _WORKER_HEADS: Final = (
 _TRAFFIC_HEADS: Final = ("KIND", "MESSAGES IN", "BYTES IN", "MESSAGES OUT", "BYTES OUT")
 _LEVELS: Final = ("info", "warning", "error")
 _WAIT_S: Final = 1.0
-"""How long `logs --follow` waits for a change at a time, so that Ctrl-C is handled."""
+"""Longest single wait of `logs --follow` for a change, in seconds, so that Ctrl-C is handled."""
 
 
-def _tell(options: argparse.Namespace, views: object, text: str) -> int:
-    """Print views as JSON where ``--json`` is given, else the text; return exit code 0."""
+def _print_views(options: argparse.Namespace, views: object, text: str) -> int:
+    """Print the views as JSON if ``--json`` is given, else the text; return exit code 0."""
     say(as_json(to_jsonable_python(views)) if options.json else text)
     return DONE
 
 
 def ping(options: argparse.Namespace) -> int:
-    """Greet the coordinator and print how long it took; UnreachableError without an answer within ``options.wait``.
+    """Greet the coordinator and print the time to its answer; raises UnreachableError after ``options.wait`` seconds.
 
-    The loop of the coordinator answers; a coordinator that hangs does not.
+    The main loop of the coordinator answers, so a coordinator that hangs does not answer.
     """
     address = address_of(options)
     began = time.monotonic()
@@ -68,7 +69,7 @@ def ping(options: argparse.Namespace) -> int:
         seconds, welcome = time.monotonic() - began, client.welcome
     answer = {"version": welcome.version, "incarnation": welcome.incarnation, "seconds": seconds}
     start = f"start {welcome.incarnation}"
-    return _tell(
+    return _print_views(
         options, answer, f"coordinator {welcome.version} at {address} answers, in {1000 * seconds:.0f} ms ({start})"
     )
 
@@ -77,11 +78,11 @@ def ping(options: argparse.Namespace) -> int:
 
 
 def jobs(options: argparse.Namespace) -> int:
-    """List all jobs, or the jobs whose id begins with ``options.job``, or the ``options.last`` of them."""
+    """List all jobs, or the jobs whose id begins with ``options.job``; at most the newest ``options.last`` jobs."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         views = client.jobs(options.job or "", last=options.last)
-    text = "no job is here; submit one with: coordinator submit DATA"
-    return _tell(options, views, table(_JOB_HEADS, [_job_row(view) for view in views]) if views else text)
+    text = "no jobs; submit one with: coordinator submit DATA"
+    return _print_views(options, views, table(_JOB_HEADS, [_job_row(view) for view in views]) if views else text)
 
 
 def _job_row(view: JobView) -> tuple[str, ...]:
@@ -95,7 +96,7 @@ def _job_row(view: JobView) -> tuple[str, ...]:
 
 
 def status(options: argparse.Namespace) -> int:
-    """Show one job, or all jobs that have not ended; with ``--follow`` one job until it ends, with its exit code."""
+    """Show one job, or all jobs that have not ended; ``--follow``: show a job until its end, return its exit code."""
     address = address_of(options)
     if options.follow:
         return _follow_job(options, address)
@@ -107,7 +108,9 @@ def status(options: argparse.Namespace) -> int:
         notes = [f"  no progress: {stall}" for stall in view.stalls]
         notes += [f"  {with_kind(warning, view.notes)}" for warning in view.warnings]
         texts.append("\n".join([*plain_lines(view, workforce, f"island-worker --connect {address}"), *notes]))
-    return _tell(options, views if options.job is None else views[0], "\n\n".join(texts) or "no job is under way")
+    return _print_views(
+        options, views if options.job is None else views[0], "\n\n".join(texts) or "all jobs have ended"
+    )
 
 
 def _follow_job(options: argparse.Namespace, address: Whereabouts) -> int:
@@ -125,18 +128,18 @@ def _follow_job(options: argparse.Namespace, address: Whereabouts) -> int:
 
 
 def cancel(options: argparse.Namespace) -> int:
-    """Cancel a job, by default the only one under way; its best equations are kept."""
+    """Cancel a job (default: the only job that has not ended); its best equations are kept."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         job = _chosen_job(client, options.job)
         had_ended = client.status(job).state in FINAL_STATES
         view = client.cancel_and_wait(job)
     if had_ended:
-        text = f"job {job} had ended already: {view.state}"
+        text = f"job {job} had already ended: {view.state}"
     elif view.state not in FINAL_STATES:
         text = f"job {job} is being cancelled; its result is not complete yet: coordinator status {job}"
     else:
         text = f"job {job} is cancelled{end_of_cancelled(view, f'; its best equations: coordinator result {job}')}"
-    return _tell(options, view, text)
+    return _print_views(options, view, text)
 
 
 def delete(options: argparse.Namespace) -> int:
@@ -144,18 +147,18 @@ def delete(options: argparse.Namespace) -> int:
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         job = client.resolve(options.job)
         client.delete(job)
-    return _tell(options, {"deleted": job}, f"job {job} is deleted")
+    return _print_views(options, {"deleted": job}, f"job {job} is deleted")
 
 
 def _chosen_job(client: Client, prefix: str | None) -> str:
-    """Return the id of the job that is named, or of the only one under way."""
+    """Return the id of the job that begins with `prefix`; None: the only job that has not ended."""
     if prefix is not None:
         return client.resolve(prefix)
     views = client.jobs(is_open=True, last=_MOST_NAMED + 1)
     if len(views) != 1:
         names = ", ".join(view.job for view in views[-_MOST_NAMED:]) or "none"
         names += " and others" if len(views) > _MOST_NAMED else ""
-        raise UsageError(f"no job was named, and the jobs under way are: {names}; name one")
+        raise UsageError(f"no job was named, and several jobs have not ended: {names}; name one")
     return views[0].job
 
 
@@ -163,28 +166,28 @@ def pause(options: argparse.Namespace) -> int:
     """Stop a job at a checkpoint until it is resumed."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         view = client.pause_job(client.resolve(options.job))
-    return _tell(options, view, f"job {view.job} is paused; continue it with: coordinator resume {view.job}")
+    return _print_views(options, view, f"job {view.job} is paused; continue it with: coordinator resume {view.job}")
 
 
 def resume(options: argparse.Namespace) -> int:
     """Continue a job that was paused."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         view = client.pause_job(client.resolve(options.job), paused=False)
-    return _tell(options, view, f"job {view.job} continues" + (f": it {view.reason}" if view.reason else ""))
+    return _print_views(options, view, f"job {view.job} continues" + (f": it {view.reason}" if view.reason else ""))
 
 
 def priority(options: argparse.Namespace) -> int:
     """Change the priority of a job."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         view = client.set_priority(client.resolve(options.job), options.priority)
-    return _tell(options, view, f"job {view.job} has priority {view.priority}")
+    return _print_views(options, view, f"job {view.job} has priority {view.priority}")
 
 
 def share(options: argparse.Namespace) -> int:
     """Make a job visible to all users, or only to its submitter and admins."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         view = client.share(client.resolve(options.job), shared=not options.private)
-    return _tell(options, view, f"job {view.job} is {'shared with everybody' if view.shared else 'private'}")
+    return _print_views(options, view, f"job {view.job} is {'shared with everybody' if view.shared else 'private'}")
 
 
 def retry(options: argparse.Namespace) -> int:
@@ -192,20 +195,20 @@ def retry(options: argparse.Namespace) -> int:
     new_id = job_id(options.id)
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         view = client.retry(client.resolve(options.job), new_id)
-    return _tell(options, view, view.job)
+    return _print_views(options, view, view.job)
 
 
 # ------------------------------------------------------------------------------------------------ logs
 
 
 def logs(options: argparse.Namespace) -> int:
-    """Print the last events of a job, or of the coordinator; with ``--follow`` also new ones, until the job ends."""
+    """Print the last events of a job or of all jobs; with ``--follow`` also new events, until the job ends."""
     with raising_interrupts(), connected(address_of(options), CONNECT_LIMIT_S) as client:
         job = client.resolve(options.job) if options.job is not None else None
         events = _wanted(client.events(job, 0, options.lines, of_workers=options.workers), options)
         if not options.follow:
             nothing = f"no events of job {job}" if job is not None else "no events yet"
-            return _tell(options, events, "\n".join(line(event) for event in events) or nothing)
+            return _print_views(options, events, "\n".join(line(event) for event in events) or nothing)
         _print(events, options.json)
         subscription = Subscription(client, job, events[-1].number if events else 0)
         while True:
@@ -218,7 +221,7 @@ def logs(options: argparse.Namespace) -> int:
 
 
 def _wanted(events: Iterable[EventView], options: argparse.Namespace) -> list[EventView]:
-    """Return the events that the options ask for; events of the coordinator have the level of their kind."""
+    """Return the events that the options select; the kind of a coordinator's event determines its level."""
     least = _LEVELS.index(options.level)
     return [
         event
@@ -240,7 +243,7 @@ def _print(events: Iterable[EventView], as_objects: bool) -> None:
 
 
 def line(event: EventView) -> str:
-    """Return an event on one line: time, kind, text, and the job, island or worker that it is about."""
+    """Return an event on one line: time, kind, text, and its job, island or worker."""
     place = [
         ("job", event.job), ("variable", event.variable), ("term", event.term), ("epoch", event.epoch),
         ("island", event.island), ("worker", event.worker),
@@ -254,19 +257,19 @@ def line(event: EventView) -> str:
 
 
 def workers(options: argparse.Namespace) -> int:
-    """List all workers, or the workers whose name begins with ``options.job``; or show the coordinator's counters."""
+    """List all workers or those with names that begin with ``options.job``, or show the coordinator's counters."""
     address = address_of(options)
     with connected(address, CONNECT_LIMIT_S) as client:
         views = client.workers(options.job or "")
         own = client.coordinator() if options.coordinator else None
     if options.coordinator:
-        return _tell(options, own, coordinator_lines(own))
-    text = f"no worker is here; start one with: island-worker --connect {address}"
-    return _tell(options, views, worker_table(views) if views else text)
+        return _print_views(options, own, coordinator_lines(own))
+    text = f"no workers; start one with: island-worker --connect {address}"
+    return _print_views(options, views, worker_table(views) if views else text)
 
 
 def worker_table(views: Sequence[WorkerView]) -> str:
-    """Return the workers, one a line."""
+    """Return a table with one line for each worker."""
     return table(_WORKER_HEADS, [_worker_row(view) for view in views])
 
 
@@ -287,13 +290,13 @@ def _worker_row(view: WorkerView) -> tuple[str, ...]:
 def coordinator_lines(view: CoordinatorView | None) -> str:
     """Return the coordinator's state, and its traffic by kind of message."""
     if view is None:
-        return "the coordinator reports nothing about itself"
+        return "the coordinator reports no state of its own"
     counters, store = view.counters, view.store
     mean = store.total_s / store.transactions if store.transactions else 0.0
     lines = [
-        f"coordinator {view.version}, start {view.incarnation}, for {duration(view.seconds)}",
+        f"coordinator {view.version}, start {view.incarnation}, running for {duration(view.seconds)}",
         f"memory {size(counters.memory_bytes)}, CPU {duration(counters.cpu_s)}, "
-        f"{counters.refused} messages refused, {counters.dropped} dropped, {counters.broken} events broke",
+        f"{counters.refused} messages refused, {counters.dropped} dropped, {counters.broken} events failed",
         f"store: {store.transactions} transactions, {1000 * mean:.1f} ms each, {1000 * store.worst_s:.1f} ms at most",
     ]
     rows = [
@@ -304,7 +307,7 @@ def coordinator_lines(view: CoordinatorView | None) -> str:
 
 
 def size(number_of_bytes: int) -> str:
-    """Return a number of bytes with a unit and three digits."""
+    """Return a number of bytes with a unit and three significant digits."""
     number = float(number_of_bytes)
     for unit in ("B", "kB", "MB"):
         if number < 999.5:
@@ -320,14 +323,14 @@ def trouble(counters: Counters) -> str:
 
 
 _SERVICES: Final[dict[str, tuple[WorkerService, str]]] = {
-    "cordon": ("cordoned", "keeps the islands that it has, and gets no more"),
+    "cordon": ("cordoned", "keeps its islands, and gets no more"),
     "uncordon": ("open", "gets islands again"),
     "drain": ("draining", "hands over its islands, and gets no more"),
 }
 
 
 def serve_islands(options: argparse.Namespace) -> int:
-    """Change whether a worker gets islands, and whether it keeps those that it has: see `_SERVICES`."""
+    """Change whether a worker gets new islands and whether it keeps its present islands: see `_SERVICES`."""
     service, sentence = _SERVICES[options.verb]
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         name = options.job
@@ -336,9 +339,9 @@ def serve_islands(options: argparse.Namespace) -> int:
         if len(matches) > 1:
             shown = ", ".join(matches[:_MOST_NAMED])
             raise UsageError(f"{len(matches)} workers have names that begin with {name!r}: {shown}; name one")
-        worker = matches[0] if matches else name  # the coordinator refuses a worker that it does not know
+        worker = matches[0] if matches else name  # the coordinator refuses unknown workers
         views = client.set_worker(worker, service)
-    return _tell(options, [view for view in views if view.worker == worker], f"worker {worker} {sentence}")
+    return _print_views(options, [view for view in views if view.worker == worker], f"worker {worker} {sentence}")
 
 
 cordon = uncordon = drain = serve_islands
@@ -349,8 +352,8 @@ def queue(options: argparse.Namespace) -> int:
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         view = client.pause_queue(paused=options.change == "pause") if options.change else client.coordinator()
     if view is None:
-        return _tell(options, view, "the coordinator reports nothing about its queue")
+        return _print_views(options, view, "the coordinator reports no state of its queue")
     state = "is paused; continue it with: coordinator queue resume" if view.paused else "is open"
     running = "1 job is" if view.under_way == 1 else f"{view.under_way} jobs are"
     waiting = f"{view.queued} {'waits' if view.queued == 1 else 'wait'}"
-    return _tell(options, view, f"the queue {state}; {running} under way, {waiting}")
+    return _print_views(options, view, f"the queue {state}; {running} under way, {waiting}")

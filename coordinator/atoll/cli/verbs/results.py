@@ -1,5 +1,5 @@
-"""The verbs about a result, saved or of a job: ``result``, ``report``, ``compare``, ``simulate``, ``analyse``,
-``suggest`` and ``export``.
+"""The verbs about a saved result or the result of a job: ``result``, ``report``, ``compare``, ``simulate``,
+``analyse``, ``suggest`` and ``export``.
 
 Analyses of a saved result run in this process; analyses of a coordinator's job run on a worker. Both go through `ask`.
 Modules that only some verbs need are imported in their functions, because ``coordinator result`` should print at once.
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def result(options: argparse.Namespace) -> int:
-    """Print the result of ``options.job``, a job's id or a saved result; of a running job, the best so far."""
+    """Print the result of ``options.job``, a job's id or a saved result; for a running job, the best so far."""
     from atoll.text.render import parse_picks, pick, render, render_text
 
     if options.json and options.format not in (None, "json"):
@@ -60,11 +60,11 @@ def result(options: argparse.Namespace) -> int:
 
 
 def simulate(options: argparse.Namespace) -> int:
-    """Simulate the model of ``options.result``, or draw paths; warnings and an early end are printed on stderr."""
+    """Simulate the model of ``options.result`` or draw paths; print warnings and reasons of an early end on stderr."""
     model = _load(options)
     if model.is_regression:
         raise UsageError("the model is a regression without time, so there is nothing to simulate; see its result")
-    start = _start_of(model, options.initial)
+    start = _initial_state(model, options.initial)
     times = _chosen_times(model, start, options)
     inputs: dict[str, InputCurve | float] = {**start.inputs, **_held_inputs(model, options)}
     paths = if_given(natural_number, options.paths, "--paths")
@@ -84,11 +84,13 @@ def simulate(options: argparse.Namespace) -> int:
             note(f"coordinator: {ensemble.message}")
         return DONE
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SimulationWarning)  # printed below, one a line
+        warnings.simplefilter("ignore", SimulationWarning)  # printed below, one per line
         simulation = model.simulate(start.state, times, inputs)
     deliver(as_json(simulation.as_dict()) if options.json else simulation.to_csv(), options.output)
     if model.result.process is not None:
-        note("coordinator: the drift was simulated, without the noise of the process; --paths draws paths with it")
+        note(
+            "coordinator: the drift was simulated without the noise of the process; --paths N draws N paths with noise"
+        )
     if simulation.remark:
         note(f"coordinator: warning: {simulation.remark}")
     if simulation.status != "finished":
@@ -96,7 +98,7 @@ def simulate(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _start_of(model: Model, text: str | None) -> FileStart:
+def _initial_state(model: Model, text: str | None) -> FileStart:
     """Return the initial state of ``--initial``: numbers by name, or a data file; raises UsageError or DataError."""
     if text is None:
         return FileStart()
@@ -127,7 +129,7 @@ def _held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
 def ask(options: argparse.Namespace, *questions: "Question", name: str | None = None) -> "list[Analysed]":
     """Return the answers to questions about the result `name` (None: `options.result`), in order.
 
-    With ``--data``, these measurements replace the measurements in the result.
+    Measurements given with ``--data`` replace the measurements in the result.
     """
     from atoll.api.tables import table_of
     from atoll.experiments.fits import config_of
@@ -160,7 +162,7 @@ def ask(options: argparse.Namespace, *questions: "Question", name: str | None = 
 
 
 def analyse(options: argparse.Namespace) -> int:
-    """AnalyseDynamics the model of ``options.result``."""
+    """Analyse the dynamics of the model of ``options.result``, or how well the data determine its constants."""
     from atoll.tasks.analyses import AnalyseDynamics, Form, Profile, Question
 
     if (options.parameter is None) != (options.range is None):
@@ -169,7 +171,7 @@ def analyse(options: argparse.Namespace) -> int:
     vary = None if options.parameter is None else (options.parameter, interval(options.range, "--range"))
     bounds, held = intervals(options.box, "--box"), numbers(options.hold, "--hold", "u=1")
     if options.data is not None and not options.identifiability:
-        raise UsageError("--data was given without --identifiability, which alone uses it; give both")
+        raise UsageError("--data was given without --identifiability, but only --identifiability uses data; give both")
     form: Form = "json" if options.json else "text"
     questions: list[Question] = [AnalyseDynamics(box=bounds, inputs=held, vary=vary, form=form)]
     if options.identifiability:
@@ -204,7 +206,7 @@ def suggest(options: argparse.Namespace) -> int:
 
 
 def _alternative(text: str) -> dict[str, str]:
-    """Split ``dx=EXPR; dy=EXPR`` into right-hand sides by left-hand side."""
+    """Split ``dx=EXPR; dy=EXPR`` into a mapping from left-hand to right-hand sides."""
     equations: dict[str, str] = {}
     for equation in filter(None, (part.strip() for part in text.split(";"))):
         side, separator, right = (part.strip() for part in equation.partition("="))
@@ -217,10 +219,10 @@ def _alternative(text: str) -> dict[str, str]:
 
 
 def report(options: argparse.Namespace) -> int:
-    """Write the page of each of ``options.result``, and its pictures if ``--pictures`` names a folder.
+    """Write a page for each result in ``options.result``, and its pictures if ``--pictures`` names a folder.
 
-    If one of several results cannot be read, the pages of the others are written all the same; the exit code is that
-    of the first error.
+    If one of several results cannot be read, the other pages are written nevertheless; the first error determines the
+    exit code.
     """
     paths = [Path(name) for name in options.result]
     if len(paths) == 1:
@@ -244,7 +246,7 @@ def report(options: argparse.Namespace) -> int:
 
 
 def _page(path: Path, options: argparse.Namespace) -> Path:
-    """Return where the page of a result is written without --output; the page of a job goes to the current folder."""
+    """Return the default path of the page: next to a saved result, or in the current folder for a job."""
     if not is_saved(str(path), options):
         return Path(f"{path.name}.html")
     return (path if path.is_dir() else path.parent) / REPORT
@@ -280,7 +282,9 @@ def compare(options: argparse.Namespace) -> int:
     first, number = _name_and_candidate(options.first)
     second, other = _name_and_candidate(options.second)
     if not first:
-        raise UsageError(f"A is {options.first!r}, but a result was expected, such as runs/JOB{options.first}")
+        raise UsageError(
+            f"A is {options.first!r}, but the name of a result was expected, such as runs/JOB{options.first}"
+        )
     models = [_candidate(name, place, options) for name, place in ((first, number), (second or first, other))]
     files: list[str] | None = options.data
     table = None if files is None else table_of(files, config_of(models[0].result).data)
@@ -291,7 +295,7 @@ def compare(options: argparse.Namespace) -> int:
 
 
 def _name_and_candidate(text: str) -> tuple[str, int | None]:
-    """Return the name of a result, and the number of its candidate; None: the equations that it shows."""
+    """Return the name of a result and the number of its candidate (None: the displayed equations)."""
     found = re.fullmatch(r"(.*):(\d+)", text, re.DOTALL)
     if found is None or Path(text).exists():
         return text, None
@@ -318,37 +322,37 @@ def export(options: argparse.Namespace) -> int:
     from atoll.export.formats import LANGUAGES, PETAB, RESULT_FORMATS, write
 
     if options.format == PETAB:
-        model = _chosen(_load(options), options)
+        model = _chosen_equations(_load(options), options)
         if options.output is None:
             raise UsageError("petab is a folder of several files; name it with -o FOLDER")
         model.to_petab(options.output, None if options.data is None else _trajectories(model, options.data))
         return DONE
     if options.data is not None:
-        raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
+        raise UsageError("--data was given without --format petab, the only format with measurements; leave --data out")
     if options.format in RESULT_FORMATS:
-        # A result without a model will do, unless a group or other equations are chosen.
+        # A result without a model is enough, unless a group or other equations are chosen.
         is_plain = options.group is None and options.candidate is None and not options.pick
-        found = result_of(options.result, options) if is_plain else _chosen(_load(options), options).result
+        found = result_of(options.result, options) if is_plain else _chosen_equations(_load(options), options).result
         deliver(RESULT_FORMATS[options.format](found), options.output)
         return DONE
-    model = _chosen(_load(options), options)
+    model = _chosen_equations(_load(options), options)
     language = LANGUAGES[options.format]
-    description = describe(model, *_beginning(model, options), language.without_tables)
+    description = describe(model, *_initial_state_and_times(model, options), language.without_tables)
     deliver(write(description, language), options.output)
     for sentence in description.zeros:
         note(f"coordinator: {sentence}; give --hold{' or --initial FILE' if language.has_tables else ''}")
     return DONE
 
 
-def _chosen(model: Model, options: argparse.Namespace) -> Model:
-    """Return the selected model, or the members of fronts or the candidate that options choose instead."""
+def _chosen_equations(model: Model, options: argparse.Namespace) -> Model:
+    """Return the model, with the members of the fronts (``--pick``) or the candidate that the options choose."""
     if options.pick and options.candidate is not None:
         raise UsageError("--pick and --candidate both choose equations; give one of them")
     if options.candidate is not None:
         number: int = options.candidate
         candidates = model.candidates
         if number > len(candidates):
-            raise UsageError(f"--candidate {number} is not there: the result has {len(candidates)} candidates")
+            raise UsageError(f"--candidate {number} does not exist; the result has {len(candidates)} candidates")
         return candidates[number - 1]
     if options.pick:
         from atoll.text.render import parse_picks, pick
@@ -358,20 +362,20 @@ def _chosen(model: Model, options: argparse.Namespace) -> Model:
     return model
 
 
-def _beginning(
+def _initial_state_and_times(
     model: Model, options: argparse.Namespace
 ) -> tuple[Mapping[str, float] | None, FloatArray | None, dict[str, InputCurve | float] | None]:
-    """Return initial state, times and inputs, as far as options give them."""
+    """Return the initial state, times and inputs that the options give."""
     if model.is_regression:
         return None, None, None
-    start = _start_of(model, options.initial)
+    start = _initial_state(model, options.initial)
     has_times = options.until is not None or options.step is not None or start.times is not None
     times = _chosen_times(model, start, options) if has_times else None
     return start.state, times, {**start.inputs, **_held_inputs(model, options)}
 
 
 def _trajectories(model: Model, files: list[str]) -> list[ReadColumns]:
-    """Return the measured columns of files, trajectory by trajectory, read like the data of the result."""
+    """Return the measured columns of each trajectory in files, read with the data settings of the result."""
     from atoll_coordinator.data.columns.examination import examine
     from atoll_coordinator.data.reading.files import read_table
     from atoll_core.config import DataConfig, JobConfig
@@ -395,7 +399,7 @@ def _load(options: argparse.Namespace) -> Model:
 
 
 def deliver(text: str, output: str | None) -> None:
-    """Write a text with a newline at its end to the file `output`, or on stdout; raises UsageError."""
+    """Write a text and a newline to the file `output` (None: stdout); raises UsageError if it cannot be written."""
     if output is None:
         say(text)
     else:

@@ -1,6 +1,6 @@
 """``coordinator run``: a search on this machine, through a real router, in the same way as on many machines.
 
-Workers are started first, and only then this process loads its own modules: each takes about half a second.
+Workers are started before this process loads its own modules: both steps take about half a second and overlap.
 """
 
 import argparse
@@ -27,7 +27,7 @@ _COORDINATOR_LOG: Final = "coordinator.log"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Search equations for ``options.data``; return the exit code."""
+    """Search equations for the files ``options.data``; return the exit code."""
     started = time.monotonic()
     if options.dry_run:
         from atoll.cli.request import request_of
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _log_in(folder: Path) -> Iterator[None]:
-    """Create the folder and write the coordinator's log into it while the block lasts; raises UsageError.
+    """Create the folder and write the coordinator's log into it during the block; raises UsageError.
 
     If bad input or an interrupt ends the block, the logs are removed.
     """
@@ -80,5 +80,5 @@ def _remove_logs(folder: Path) -> None:
         return
     for name in (_WORKER_LOG, _COORDINATOR_LOG):
         (folder / name).unlink(missing_ok=True)
-    with contextlib.suppress(OSError):  # something else is in there
+    with contextlib.suppress(OSError):  # the folder has other files
         folder.rmdir()

@@ -1,8 +1,8 @@
 """``coordinator serve``, ``router``, ``backup`` and ``restore``: services that run until they are stopped.
 
-``serve`` has a router, a coordinator and a store for workers and clients on any machine. ``router`` is a router only:
-for a site whose workers should share one connection to the central router, or in front of a coordinator
-(`serve --router`), so that connections stay while the coordinator is restarted.
+``serve`` runs a router, a coordinator and a store for workers and clients on any machine. ``router`` runs a router
+without a coordinator. It has two uses: the workers of a site share one connection to the central router; or connections
+stay open while the coordinator behind it (`serve --router`) is restarted.
 """
 
 import argparse
@@ -43,7 +43,7 @@ _LOCAL: Final = ("127.0.0.1", "localhost")
 
 
 def read_options(options: argparse.Namespace, router: str | None = None) -> tuple[Destination, RoleBindings | None]:
-    """Return where to listen, or the `router` to join, and the roles of users; start logging. Raises UsageError."""
+    """Start logging; return the address to listen at or of the `router` to join, and the roles. Raises UsageError."""
     credentials = credentials_of(vars(options), os.environ, "serve" if router is None else "connect")
     at = destination(options.listen if router is None else router, credentials, listens=router is None)
     if at.others:
@@ -81,7 +81,7 @@ def warnings_of(at: Destination, role_bindings: RoleBindings | None) -> list[str
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether only this machine can reach a listener on `host`."""
+    """Return whether only this machine can reach a listener on `host`."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -89,7 +89,7 @@ def is_loopback(host: str) -> bool:
 
 
 def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
-    """Return the addresses to connect to, addresses for other machines first; with a certificate, the names in it."""
+    """Return the addresses to connect to, first for other machines; with a certificate, only hosts that it names."""
     address = at.address
     if is_behind_router or address.is_socket:
         return [str(address)]
@@ -97,55 +97,56 @@ def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
 
 
 def own_address_of(at: Destination, is_behind_router: bool = False) -> str:
-    """Return the address at which programs of this machine dial our listener.
+    """Return the address at which programs of this machine connect to our listener.
 
-    With a certificate this is the name in it on which the listener listens, else a name of this machine, else the first
-    name, which may lead elsewhere.
+    With a certificate, the host is one of its names: the name at which the listener listens, else a name of this
+    machine, else the first name, which may belong to another machine.
     """
     address = at.address
     if is_behind_router or address.is_socket:
         return str(address)
     hosts = _dialable_hosts(at)
-    host = next((host for host in (address.host, *_LOCAL, *heard_on(address.host)) if host in hosts), hosts[0])
+    host = next(
+        (host for host in (address.host, *_LOCAL, *listener_addresses(address.host)) if host in hosts), hosts[0]
+    )
     return str(Address(address.protocol, host, address.port))
 
 
 def _require_dialable(at: Destination) -> None:
-    """Raise UsageError if no name of the certificate leads to the listener."""
+    """Raise UsageError if no name in the certificate resolves to the listener."""
     address = at.address
     if address.is_socket or _dialable_hosts(at):
         return
     names = ", ".join(dict.fromkeys(at.credentials.hosts)) if at.credentials is not None else ""
     anywhere = "::" if ":" in address.host else "0.0.0.0"
     raise UsageError(
-        f"no client could dial a listener on {address}: its certificate has the names {names}, but an IPv4 address or "
-        f"a host name that leads to {address.host} was expected; listen on "
+        f"no client could connect to {address}: its certificate has the names {names}, but an IPv4 address or "
+        f"a host name that resolves to {address.host} was expected; listen on "
         f"{Address(address.protocol, anywhere, address.port)}, or make a certificate with such a name "
         "(deploy/tls/make-authority DIR --coordinator HOST,...)"
     )
 
 
 def _dialable_hosts(at: Destination) -> list[str]:
-    """Return the hosts by which a listener is dialled: with a certificate, the names in it that lead there.
-
-    A name that is unknown here, or leads elsewhere, may lead there from other machines, unless the listener is only for
-    this machine.
+    """Return the hosts at which clients connect: with a certificate, its names that resolve to the listener. A listener
+    on all interfaces also keeps names that do not resolve here, because they may resolve on other machines. If no name
+    resolves to a listener that other machines can reach, all names of other hosts are kept.
     """
     address = at.address
     if at.credentials is None:
-        return heard_on(address.host)
+        return listener_addresses(address.host)
     names = dict.fromkeys(at.credentials.hosts)
     named = [host for host in names if Address(address.protocol, host, address.port).is_dialable]
-    leading = [host for host in named if _leads(host, address.host)]
+    resolving = [host for host in named if _resolves_to(host, address.host)]
     if address.host in _EVERYWHERE:
-        return [host for host in named if host in leading or resolved(host) is None]
-    if leading or is_loopback(address.host):
-        return leading
+        return [host for host in named if host in resolving or resolved(host) is None]
+    if resolving or is_loopback(address.host):
+        return resolving
     return [host for host in named if not is_loopback(resolved(host) or host)]
 
 
-def _leads(host: str, listener: str) -> bool:
-    """Tell whether a host leads to a listener of this machine when it is dialled from here, as far as is known."""
+def _resolves_to(host: str, listener: str) -> bool:
+    """Return whether `host` resolves, on this machine, to the listener; False if it does not resolve."""
     there = resolved(host)
     if there is None:
         return False
@@ -154,12 +155,12 @@ def _leads(host: str, listener: str) -> bool:
     return there == resolved(listener)
 
 
-def heard_on(host: str) -> list[str]:
+def listener_addresses(host: str) -> list[str]:
     """Return the addresses of a listener on `host`: for ``0.0.0.0``, all addresses of this machine."""
     if host not in _EVERYWHERE:
         return [host]
-    heard = [address for _, name in socket.if_nameindex() if (address := _interface_address(name))]
-    others = [address for address in heard if not address.startswith("127.")]
+    addresses = [address for _, name in socket.if_nameindex() if (address := _interface_address(name))]
+    others = [address for address in addresses if not address.startswith("127.")]
     return [*others, "127.0.0.1"]
 
 
@@ -178,7 +179,7 @@ def _interface_address(name: str) -> str | None:
 _LOG = logging.getLogger(__name__)
 
 CHECK_INTERVAL_S: Final = 5.0
-"""How often the router looks for a coordinator until it finds one, and again after it was lost."""
+"""Interval of the router's checks for a coordinator, until one answers and again after it was lost."""
 
 CHECK_LIMIT_S: Final = 1.0
 _REMIND_S: Final = 60.0
@@ -203,14 +204,14 @@ def router(options: argparse.Namespace) -> int:
 
 
 def upstream_settings(upstream: list[str]) -> dict[str, object]:
-    """Return the settings of a router that keeps dialling other routers and does not wait for them."""
+    """Return the settings of a router that connects to other routers, retries, and does not wait for them."""
     if not upstream:
         return {}
     return {"connect/endpoints": upstream, "connect/timeout_ms": -1, "connect/exit_on_failure": False}
 
 
 def router_greeting(here: Destination, upstream: list[str], role_bindings: RoleBindings | None = None) -> str:
-    """Return the commands with which a user starts workers and a coordinator at this router."""
+    """Return the commands that start workers and a coordinator at this router."""
     passes = f", passes on to {', '.join(upstream)}" if upstream else ""
     lines = [f"router of Atoll {VERSION} listens on {here}{passes}", "start a worker with:"]
     lines += [f"  island-worker --connect {address}" for address in addresses_of(here)]
@@ -220,7 +221,7 @@ def router_greeting(here: Destination, upstream: list[str], role_bindings: RoleB
 
 
 def _log_coordinator(bus: "ZenohBus", principal: str, stop: threading.Event) -> None:
-    """Log when a coordinator is found and lost, until `stop` is set: a router without one is useless."""
+    """Log when a coordinator is found or lost, until `stop` is set; a router has no use without a coordinator."""
     known: str | None = None
     reminded_at = -_REMIND_S
     while not stop.is_set():
@@ -245,7 +246,7 @@ def coordinator_behind(bus: "Bus", principal: str = "client") -> str | None:
 
 
 def backup(options: argparse.Namespace) -> int:
-    """Copy the store in ``options.state``, while it is served, into the file ``options.file``."""
+    """Copy the store in ``options.state`` into the file ``options.file``; the store may be in use."""
     from atoll_coordinator.service.store.backup import back_up
 
     target = Path(options.file)
@@ -271,13 +272,13 @@ def restore(options: argparse.Namespace) -> int:
     lines = [
         f"{options.state}: restored from {options.file}, jobs {store.copy.jobs}; start it with: "
         f"coordinator serve --state {options.state}",
-        f"it is now cluster {store.cluster}; if {store.copy.cluster} is still served elsewhere, both continue the same "
-        "jobs, and neither knows of the other",
+        f"it is now cluster {store.cluster}; if a coordinator still serves {store.copy.cluster} elsewhere, both "
+        "coordinators continue the same jobs without contact; stop one of them",
     ]
     lines += [f"the old store is now {former}; remove it when you no longer need it"] if former is not None else []
     if store.aside and former is None:
         lines.append(
-            "these files with the last writes of a store that was moved away were left, and are put aside: "
+            "the folder had files with the last writes of a store that is no longer there; they are now "
             f"{', '.join(map(str, store.aside))}; to open that store, move them next to it under its name"
         )
     say(as_json(facts) if options.json else "\n".join(lines))
@@ -287,12 +288,12 @@ def restore(options: argparse.Namespace) -> int:
 ANOTHER_LIMIT_S: Final = 0.5
 """How long another coordinator behind the same router may take to answer."""
 
-LEAVING_LOOKS: Final = 10
-"""Interval at which a coordinator that has taken over a store checks that its predecessor has ended: ten ticks."""
+PREDECESSOR_CHECKS: Final = 10
+"""Number of checks, after a takeover of a store, whether its former coordinator has ended."""
 
 
 def serve(options: argparse.Namespace) -> int:
-    """Serve until SIGTERM or Ctrl-C; return 0. After SIGHUP, limits and roster are read again.
+    """Serve until SIGTERM or Ctrl-C; return 0. SIGHUP makes it read limits and roster again.
 
     Raises UsageError (exit code 2) for unusable options. Temporary errors have other exit codes, so that a supervisor
     restarts the program: StoreError and NotNowError (1), UnreachableError (3).
@@ -300,7 +301,9 @@ def serve(options: argparse.Namespace) -> int:
     wanted, role_bindings = read_options(options, options.router)
     limits = _limits(options)
     if options.http is not None and role_bindings is not None and options.http_users is None:
-        raise UsageError("--http needs --http-users where there is a --roster, for the rights of users on the page")
+        raise UsageError(
+            "--http was given with --roster but without --http-users; give it, for the rights of users on the page"
+        )
     if options.standby:
         refuse_network(Path(options.state))
     from atoll_coordinator.service.monitoring.metrics import served
@@ -314,14 +317,14 @@ def serve(options: argparse.Namespace) -> int:
     def reload_policy() -> None:
         if reload.is_set():
             reload.clear()
-            _read_again(service, options)
+            _reload_policy(service, options)
 
     with stopping(stop), reloading(reload) if options.limits or options.roster else contextlib.nullcontext():
-        store = _awaited(options, wanted, stop) if options.standby else Store.open(Path(options.state))
+        store = _wait_for_store(options, wanted, stop) if options.standby else Store.open(Path(options.state))
         if store is None:
-            note("coordinator: stopped on standby; another one serves")
+            note("coordinator: stopped on standby; another coordinator serves this store")
             return DONE
-        with served(options.metrics) as metrics, store, _joined(options, wanted, role_bindings) as bus:
+        with served(options.metrics) as metrics, store, _open_bus(options, wanted, role_bindings) as bus:
             dependencies = Dependencies(retention=Retention(*options.keep))
             service = Service(bus, store, dependencies=dependencies, role_bindings=role_bindings, metrics=metrics)
             service.set_policy(limits, role_bindings)
@@ -344,7 +347,7 @@ def _limits(options: argparse.Namespace) -> "Limits":
     return read_limits(Path(options.limits)) if options.limits is not None else NO_LIMITS
 
 
-def _read_again(service: "Service", options: argparse.Namespace) -> None:
+def _reload_policy(service: "Service", options: argparse.Namespace) -> None:
     """Read limits and roster again and apply them; if they cannot be read, the old ones stay in force."""
     try:
         limits = _limits(options)
@@ -356,7 +359,7 @@ def _read_again(service: "Service", options: argparse.Namespace) -> None:
     _LOG.info("limits and roster were read again")
 
 
-def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None) -> "ZenohBus":
+def _open_bus(options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None) -> "ZenohBus":
     """Return a bus with its own router, or a bus that joined the router at ``options.router``.
 
     Raises UsageError if no program can listen there, NotNowError if another program listens there or another
@@ -369,11 +372,11 @@ def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: Rol
         return open_router(wanted, role_bindings=role_bindings)
     bus = open_client(wanted, wait_s=options.wait)
     try:
-        for left in reversed(range(LEAVING_LOOKS if options.standby else 1)):
+        for left in reversed(range(PREDECESSOR_CHECKS if options.standby else 1)):
             try:
                 refuse_another(bus, bus.endpoint)
                 break
-            except NotNowError:  # the coordinator whose store was taken over ends at its next tick
+            except NotNowError:  # the former coordinator of the store ends at its next tick
                 if not left:
                     raise
     except BaseException:
@@ -382,12 +385,12 @@ def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: Rol
     return bus
 
 
-def _awaited(options: argparse.Namespace, wanted: Destination, stop: threading.Event) -> "Store | None":
+def _wait_for_store(options: argparse.Namespace, wanted: Destination, stop: threading.Event) -> "Store | None":
     """Wait until no other coordinator serves the store in ``options.state``; None if `stop` was set before."""
     from atoll_coordinator.service.store.standby import Standby
 
     def obstacle() -> str | None:
-        """Tell why we cannot listen while another coordinator hangs; behind a router we can."""
+        """Return why we cannot listen at our address, None if we can; behind a router no address is needed."""
         try:
             if options.router is None:
                 bindable(wanted.address)
@@ -399,25 +402,25 @@ def _awaited(options: argparse.Namespace, wanted: Destination, stop: threading.E
 
 
 def refuse_network(state: Path) -> None:
-    """Raise UsageError where the death or the writes of another coordinator would go unnoticed."""
+    """Raise UsageError if the store is on a network file system, which may hide another coordinator's end or writes."""
     kind = file_system(state.absolute())
     if is_networked(kind):
         raise UsageError(
             f"--standby needs the store on a disk of this machine, but {state} is on a network file system ({kind}), "
-            "where a lock may outlive its machine and SQLite's shared memory does not reach another one; use a copy "
+            "where a lock may remain after its machine has died, and machines do not share SQLite's memory; use a copy "
             "(coordinator backup, Litestream) for other machines"
         )
 
 
 def refuse_another(bus: "Bus", router: str) -> None:
-    """Raise NotNowError if another coordinator answers behind `router`: workers could not distinguish the two."""
+    """Raise NotNowError if another coordinator answers behind `router`: workers could not distinguish them."""
     from atoll.client.client import Client
 
     try:
         Client(bus, router).greet(ANOTHER_LIMIT_S)
     except UnreachableError:
         return
-    except RefusedError:  # one of another version
+    except RefusedError:  # a coordinator of another version
         pass
     raise NotNowError(
         f"another coordinator already answers behind the router {router}; stop it first, or use another router"
@@ -427,7 +430,7 @@ def refuse_another(bus: "Bus", router: str) -> None:
 def greeting(
     at: Destination, state: str, role_bindings: RoleBindings | None = None, is_behind_router: bool = False
 ) -> str:
-    """Return the commands with which a user starts workers and submits jobs, one line for each address."""
+    """Return the commands that start workers and submit jobs, one line for each address."""
     addresses = addresses_of(at, is_behind_router)
     manner = "is behind the router" if is_behind_router else "listens on"
     lines = [f"coordinator {VERSION} {manner} {at}, state in {state}", "start a worker with:"]

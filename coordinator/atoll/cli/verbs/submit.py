@@ -1,4 +1,4 @@
-"""``coordinator submit``, the part of ``coordinator run`` that follows the job, and the next command to propose."""
+"""``coordinator submit``; the part of ``coordinator run`` that follows the job; and the proposal of a next command."""
 
 import argparse
 import contextlib
@@ -27,20 +27,20 @@ from atoll_core.signals import raising_interrupts
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 _OPTION: Final = re.compile(r"--(robust|stochastic)\b")
-"""Options without a value that a verdict's reason or a warning proposes."""
+"""Finds options without a value in a warning or in the reason of a verdict."""
 
 _ADDED: Final = re.compile(
     r"\badd --(missing-value|hold|order|per-trajectory|inputs|states)(?: ('[^']*'|[^\s;,.]\S*?))?(?=[;,.]?(?:\s|$))"
 )
-"""Options, with values, that a warning about the columns proposes."""
+"""Finds options and their values in a warning about the columns."""
 
 _WHY: Final = {
-    "missing-value": "a code for missing values was treated as a measured value",
+    "missing-value": "a number that stands for missing values was treated as a measured value",
     "hold": "the inputs seem to be constant between rows",
-    "order": "the same values are passed with different velocities",
-    "per-trajectory": "the trajectories seem to differ in a constant",
-    "inputs": "a column, or the time, seems to act from outside",
-    "states": "the columns determine each other",
+    "order": "trajectories pass the same state with different velocities",
+    "per-trajectory": "a constant seems to differ between trajectories",
+    "inputs": "a column, or the time, seems to be an external input",
+    "states": "some columns are functions of the others",
 }
 """The proposed options, the most useful first, and the reasons."""
 
@@ -49,28 +49,28 @@ _NOT_STOCHASTIC: Final = ("order", "target", "derivatives", "only", "robust", "w
 
 _MORE_OPERATORS: Final = "+,-,*,/,sin,cos,exp,sqrt,tanh"
 _LONGER: Final = "the search ended before it had converged"
-_NOT_REFINED: Final = "the time was over before the equations were fitted to trajectories and compared"
+_NOT_REFINED: Final = "the time limit ended the job before equations were fitted to trajectories and compared"
 
 _Proposal = tuple[list[str], str]
-"""The words of a command, and its purpose."""
+"""The words of a command line, and its purpose."""
 
 
 def next_step(result: Result, folder: Path, words: Sequence[str], program: str = "coordinator") -> str | None:
-    """Return a command and, after two spaces and ``#``, its purpose; None if there is nothing to propose.
+    """Return the proposed next command and, after two spaces and ``#``, its purpose; None without a proposal.
 
     `result` is the result of a job that has ended, written into `folder`; `words` are the command line of the job, and
     `program` is how the program is called.
     """
     if result.state == "cancelled" and result.refining == "not refined":
         why = "it was interrupted before the equations were fitted to trajectories and compared"
-        proposal = _elsewhere(words), why
+        proposal = _without_id_and_folder(words), why
     elif result.state != "done" or not result.equations:
         return None
     else:
         proposal = (
             _again_with_columns(result, words)
             or _again_with_option(result, words)
-            or _again_for_longer(result, words)
+            or _again_with_larger_budget(result, words)
             or _again_with_operators(result, words)
             or _with_result(result, str(folder))
         )
@@ -88,72 +88,76 @@ def _again_with_option(result: Result, words: Sequence[str]) -> _Proposal | None
     if not free:
         return None
     fitting = f"--{free[0]}"
-    why = "some measurements look like outliers" if fitting == "--robust" else "noise may be part of the law"
-    return [*_elsewhere(words), fitting], why
+    why = "some measurements look like outliers" if fitting == "--robust" else "the noise may be part of the dynamics"
+    return [*_without_id_and_folder(words), fitting], why
 
 
 def _again_with_columns(result: Result, words: Sequence[str]) -> _Proposal | None:
-    """Propose an option about columns, unless all equations are good; about missing values in any case."""
+    """Propose an option about missing values; if an equation is not good, also options about other columns."""
     added = {match[1]: match[2] for sentence in reversed(result.warnings) for match in _ADDED.finditer(sentence)}
     is_good = all(equation.verdict in ("exact", "good") for equation in result.equations)
     for option, why in _WHY.items():
         if option in added and not (is_good and option != "missing-value"):
             flag, value = f"--{option}", [*shlex.split(added[option] or "")]
-            before = _elsewhere(words)
+            before = _without_id_and_folder(words)
             return [*(before if option == "missing-value" else _without(before, flag)), flag, *value], why
     return None
 
 
-def _again_for_longer(result: Result, words: Sequence[str]) -> _Proposal | None:
-    """Propose twice the budget if it stopped the search or the refining of an equation that is not good."""
+def _again_with_larger_budget(result: Result, words: Sequence[str]) -> _Proposal | None:
+    """Propose twice the budget if the budget ended the search or the refining, and an equation is not good."""
     ends = {equation.why for equation in result.equations if equation.verdict not in ("exact", "good")}
     budget = result.settings("budget")
     is_cut = bool(ends) and result.refining in ("not refined", "max-time")
     if ("max-time" in ends or is_cut) and budget.get("max_time") is not None:
         seconds = _seconds(words) or cast(float, budget["max_time"])
-        again = [*_without(_elsewhere(words), "--max-time"), "--max-time", f"{2.0 * seconds:g}s"]
+        again = [*_without(_without_id_and_folder(words), "--max-time"), "--max-time", f"{2.0 * seconds:g}s"]
         return again, _NOT_REFINED if is_cut else _LONGER
     if "max-epochs" in ends and budget.get("max_epochs") is not None and not budget.get("max_epochs_of"):
         epochs = f"{2 * cast(int, budget['max_epochs'])}"
-        return [*_without(_elsewhere(words), "--max-epochs"), "--max-epochs", epochs], _LONGER
+        return [*_without(_without_id_and_folder(words), "--max-epochs"), "--max-epochs", epochs], _LONGER
     return None
 
 
 def _again_with_operators(result: Result, words: Sequence[str]) -> _Proposal | None:
-    """Propose more operators if nothing was found with the usual ones."""
+    """Propose more operators if an equation has no model and the operators were the default ones."""
     is_nothing = any(equation.verdict == "no model" for equation in result.equations)
     if not is_nothing or result.settings("space"):
         return None
-    return [*_elsewhere(words), "--operators", _MORE_OPERATORS], "expressions may need more than the usual operators"
+    return [
+        *_without_id_and_folder(words),
+        "--operators",
+        _MORE_OPERATORS,
+    ], "expressions may need more than the default operators"
 
 
 def _with_result(result: Result, folder: str) -> _Proposal:
-    """Propose next commands for the equations."""
+    """Propose a command that uses the equations."""
     kind = result.columns.kind
     if kind == "regression":
         return ["result", f"{folder}/result.json", "--format", "latex"], "the equation for a paper"
     if any(equation.verdict == "no model" for equation in result.equations):
         return ["result", f"{folder}/result.json"], "the best expression of each size"
     is_driven = kind == "process" or result.columns.inputs
-    is_told = result.simulated or result.recorded  # a job that was stopped may have no initial state
-    if is_driven and is_told:
+    has_initial_state = result.simulated or result.recorded  # a cancelled job may have no initial state
+    if is_driven and has_initial_state:
         return ["simulate", folder, "-o", f"{folder}/simulation.csv"], "simulate the model along the measurements"
     if any(not constant.identifiable for equation in result.equations for constant in equation.constants):
-        return ["analyse", folder, "--identifiability"], "which constants the data determine"
+        return ["analyse", folder, "--identifiability"], "shows which constants the data determine"
     if any(equation.verdict == "doubtful" and equation.candidates for equation in result.equations):
         return ["suggest", folder], "the experiment that would decide between the candidates"
     return ["analyse", folder], "fixed points, limit cycles and basins of the model"
 
 
 def _seconds(words: Sequence[str]) -> float | None:
-    """Return the time limit of the command line; the result has only the time that was left after start-up."""
+    """Return ``--max-time`` of the command line, in seconds; the result holds only the time left after start-up."""
     given = [after for word, after in pairwise(words) if word == "--max-time"]
     given += [word.partition("=")[2] for word in words if word.startswith("--max-time=")]
     return seconds_of(given[-1]) if given else None
 
 
-def _elsewhere(words: Sequence[str]) -> list[str]:
-    """Return the words without the id and the output folder, which exist already."""
+def _without_id_and_folder(words: Sequence[str]) -> list[str]:
+    """Return the words without ``--id`` and ``--out``, because this job and folder exist already."""
     return _without(_without(words, "--out"), "--id")
 
 
@@ -175,8 +179,8 @@ _WORTH_SAYING_S: Final = 0.05
 def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, workers: LocalWorkers, started: float) -> int:
     """Start the coordinator, follow the job, write and print its result; return the exit code.
 
-    The caller has started `workers`, and ends them; `started` is the monotonic second at which the command began.
-    Raises UsageError or DataError.
+    The caller has started `workers` and ends them; `started` is the start of the command in monotonic seconds. Raises
+    UsageError or DataError.
     """
     request = request_of(options)
     with LocalCoordinator(endpoint, workers.number) as coordinator:
@@ -232,7 +236,7 @@ def _follow(follower: Follower, client: Client, display: Display) -> tuple[JobVi
 
 
 def program_of(path: Path, here: Path) -> str:
-    """Return how the program at `path` is called from `here`: by its path if the shell does not find it."""
+    """Return the words that start the program at `path` from the folder `here`: its name, if on PATH, or its path."""
     if path.name != "coordinator" or shutil.which("coordinator") is not None:
         return "coordinator"
     return str(path.relative_to(here) if path.is_relative_to(here) else path)
@@ -245,8 +249,8 @@ def _times(result: Result, phases: dict[str, float], total: float) -> str:
     refining = phases.get("refining", 0.0)
     parts["refining"] = refining if refining >= _WORTH_SAYING_S else 0.0
     rest = max(0.0, total - sum(parts.values()))
-    said = [f"{name} {duration(seconds)}" for name, seconds in parts.items() if seconds]
-    return ", ".join([f"start-up {duration(rest)}", *said, f"total {duration(total)}"])
+    durations = [f"{name} {duration(seconds)}" for name, seconds in parts.items() if seconds]
+    return ", ".join([f"start-up {duration(rest)}", *durations, f"total {duration(total)}"])
 
 
 def submit(options: argparse.Namespace) -> int:
@@ -273,7 +277,7 @@ def submit(options: argparse.Namespace) -> int:
             note(f"interrupted before the coordinator confirmed job {request.job}: {look}")
             return INTERRUPTED
         if options.no_wait:
-            _say_what_it_waits_for(view, client, hint)
+            _print_waiting_reason(view, client, hint)
             say(request.job)
             return DONE
         try:
@@ -289,16 +293,16 @@ def submit(options: argparse.Namespace) -> int:
         return finish(view)
 
 
-def _say_what_it_waits_for(view: JobView, client: Client, hint: str) -> None:
-    """Print why the job waits, if it does, for a user who does not follow it."""
+def _print_waiting_reason(view: JobView, client: Client, hint: str) -> None:
+    """Print why the job waits, for a user who does not follow it."""
     if view.state in FINAL_STATES:
-        note(f"job {view.job} exists already, and has ended: {view.state}")
+        note(f"job {view.job} already exists and has ended: {view.state}")
     elif waits := waiting(view, Workforce.of(client.workers()), hint):
         note(f"job {view.job} {view.state}; {waits}")
 
 
 def _deliver(request: JobRequest, result: "Result", folder: Path | None, *, has_report: bool) -> None:
-    """Print a result, and write it and its page into a folder if one is given."""
+    """Print a result; if a folder is given, write the result and its page into it."""
     if folder is not None:
         note(f"result in {write_result(folder, result)}")
     request.show(result)

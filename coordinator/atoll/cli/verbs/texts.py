@@ -1,4 +1,4 @@
-"""``coordinator schema``: JSON schemas of job files and result files, for editors and validators."""
+"""``coordinator schema`` and ``completion``: JSON schemas of job files and result files; code for shell completion."""
 
 import argparse
 from typing import Final
@@ -28,6 +28,6 @@ _PROGRAMS = ("coordinator", "island-worker")
 
 
 def completion(options: argparse.Namespace) -> int:
-    """Print the lines for ``options.shell``; return the exit code."""
+    """Print the lines that make ``options.shell`` complete commands; return the exit code."""
     say(shellcode(_PROGRAMS, shell=options.shell))
     return DONE

@@ -1,4 +1,4 @@
-"""``coordinator web``: the service in a browser; and its process, which ``serve`` and ``run`` start and restart."""
+"""``coordinator web``: the service in a browser. ``serve`` and ``run`` start it as a process, and restart it."""
 
 import argparse
 import contextlib
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.client.local_processes import start_apart
+from atoll.client.local_processes import start_in_new_session
 from atoll.client.over_http import TOKEN
 from atoll.terminal.output import note, say
 from atoll_core.errors import UsageError
@@ -23,14 +23,14 @@ _AGAIN_S: Final = 1.0
 _STOP_LIMIT_S: Final = 3.0
 
 OWNER: Final = "ATOLL_WEB_OWNER"
-"""The variable with the id of the process that has started this one; this one ends with it."""
+"""Environment variable with the id of our parent process; this process ends when the parent has ended."""
 
 USAGE: Final = 2
-"""The exit code of a process with wrong options: it is not restarted."""
+"""The exit code for wrong options; such a process is not restarted."""
 
 
 def opening(url: str, token: str, is_terminal: bool, is_given: bool) -> str:
-    """Return where the page is; its token is only shown on a terminal, because other people can read logs."""
+    """Return the address of the page as a sentence; only a terminal shows the token, because others can read logs."""
     if is_terminal:
         return f"open {url}?token={token}"
     if is_given:
@@ -42,9 +42,10 @@ def opening(url: str, token: str, is_terminal: bool, is_given: bool) -> str:
 def web_process(
     address: str, listen: tuple[str, int] | None, own: Credentials | None = None, users: str | None = None
 ) -> Iterator[None]:
-    """Run ``coordinator web`` for the coordinator at an address while the block lasts; without `listen`, do nothing.
+    """Run ``coordinator web`` for the coordinator at `address` during the block; without `listen`, do nothing.
 
-    The process shows the `own` certificate of the coordinator to browsers and to the bus; `users` is a file.
+    The process uses the `own` certificate of the coordinator for browsers and for the bus; `users` is the file of
+    users.
     """
     if listen is None:
         yield
@@ -58,7 +59,7 @@ def web_process(
         command += ["--cert", str(own.certificate), "--key", str(own.key)]
     if users is not None:
         command += ["--users", users]
-    # After a restart the token is the same, so that open pages stay connected.
+    # The token stays the same after a restart, so that open pages stay connected.
     environment = {TOKEN: token_of(os.environ), OWNER: str(os.getpid())}
     stop = threading.Event()
     keeper = threading.Thread(target=_keep, args=(command, environment, stop), name="web", daemon=True)
@@ -71,9 +72,9 @@ def web_process(
 
 
 def _keep(command: list[str], environment: dict[str, str], stop: threading.Event) -> None:
-    """Keep a process running until `stop`; print on stderr where it listens."""
+    """Keep a process running until `stop` is set; print its address on stderr."""
     while not stop.is_set():
-        process = start_apart(command, environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
+        process = start_in_new_session(command, environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
         assert process.stdout is not None
         with process.stdout as output:
             if line := output.readline().decode("utf-8", "replace").strip():
@@ -117,16 +118,16 @@ def web(options: argparse.Namespace) -> int:
     access = access_of(listener, at, token, users, look_without_token=options.look_without_token)
     _end_with(os.environ.get(OWNER))
     is_known = TOKEN in os.environ
-    os.environ |= {TOKEN: "", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}  # of the process that reads files
+    os.environ |= {TOKEN: "", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}  # for the process that reads files
     serve(listener, access, lambda url: say(opening(url, token, sys.stdout.isatty(), is_known)))
     return DONE
 
 
 def _end_with(owner: str | None) -> None:
-    """End this process when the process that started it has ended, regardless of the reason."""
+    """End this process when its parent process has ended for any reason."""
     if owner is None or not owner.isdecimal():
         return
-    if hasattr(signal, "SIGHUP"):  # SIGHUP to all processes of a service is meant for its coordinator
+    if hasattr(signal, "SIGHUP"):  # SIGHUP to all processes of a service is for its coordinator only
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     def watch() -> None:

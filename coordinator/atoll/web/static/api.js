@@ -1,10 +1,10 @@
 // Requests to the service. Addresses are relative to the page, so that it works under any path.
 
 const STORE = `atoll-token ${location.pathname}`;
-/** Told of each request whether anything answered. */
+/** `answered` is called after each request with whether the service answered. */
 export const hooks = { answered() {}, refused() {} };
 export const session = { user: null, may_write: false, version: "", connect: "tcp/HOST:7447" };
-/** Takes the token from the address, where history and screenshots would keep it, into the store of this tab. */
+/** Moves the token from the address, which history and screenshots would show, into the storage of this tab. */
 function takeToken() {
   const here = new URL(location.href);
   const given = here.searchParams.get("token");
@@ -14,21 +14,21 @@ function takeToken() {
   history.replaceState(null, "", here);
 }
 
-takeToken(); // before anything asks for something
+takeToken(); // before the first request
 
 export function token() { return sessionStorage.getItem(STORE); }
-/** Keeps a token that the service knows; raises ApiError for another one. */
+/** Stores a token that the service accepts; raises ApiError for other tokens. */
 export async function keepToken(given) {
   const headers = { Authorization: `Bearer ${given}` };
   const response = await fetch(address("session"), { headers }).catch(() => { throw new ApiError("The service does not answer.", 0); });
-  if (!response.ok) throw new ApiError(response.status === 401 ? "This token is not known. Look at the address again." : `The service answered ${response.status}.`, response.status);
+  if (!response.ok) throw new ApiError(response.status === 401 ? "This token is unknown. Check the address." : `The service answered ${response.status}.`, response.status);
   sessionStorage.setItem(STORE, given);
   return true;
 }
 
-/** Forgets a token that the service does not know any more. */
+/** Removes a token that the service no longer accepts. */
 export function forgetToken() { sessionStorage.removeItem(STORE); }
-/** What a request failed with: a sentence for people, the HTTP status, 0 where nothing answered, and the columns of a file that was refused. */
+/** The error of a request: a sentence, the HTTP status (0 without an answer), and the columns of a refused file. */
 export class ApiError extends Error {
   constructor(sentence, status, columns = []) { super(sentence); Object.assign(this, { status, columns }); }
 }
@@ -42,7 +42,7 @@ export function address(path, query = {}) {
   return made;
 }
 
-/** Sends a request and returns the response, whatever its status; raises ApiError where nothing answers. */
+/** Sends a request and returns the response with any status; raises ApiError without a response. */
 export async function send(path, { query, headers, ...options } = {}) {
   const known = token();
   const all = { ...headers, ...(known ? { Authorization: `Bearer ${known}` } : {}) };
@@ -57,17 +57,17 @@ export async function send(path, { query, headers, ...options } = {}) {
   }
 }
 
-/** Raises what a response complains about. */
+/** Raises ApiError for a response with an error status. */
 export async function check(response) {
   if (response.ok || response.status === 304) return response;
-  const problem = await response.json().catch(() => ({})); // no problem document: the status has to do
+  const problem = await response.json().catch(() => ({})); // not a problem document: use the status
   if (response.status === 401) hooks.refused(problem.detail);
   throw new ApiError(problem.detail ?? `The service answered ${response.status} ${response.statusText}`.trim(), response.status, problem.columns);
 }
 
 export async function get(path, query, signal) { return (await check(await send(path, { query, signal }))).json(); }
 export async function getText(path, query) { return (await check(await send(path, { query }))).text(); }
-/** Changes something; `json` is the body. */
+/** Sends a request that changes something; `json` is the body. */
 export async function change(method, path, json) {
   const body = json === undefined ? {} : { body: JSON.stringify(json), headers: { "Content-Type": "application/json" } };
   const response = await check(await send(path, { method, ...body }));

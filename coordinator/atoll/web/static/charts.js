@@ -1,4 +1,4 @@
-// Charts by uPlot, which is loaded with the first of them. Colours are those of the style sheet, in both schemes.
+// Charts by uPlot, which is loaded with the first chart. The style sheet defines their colours, for light and dark pages.
 
 import { h } from "./dom.js";
 import { number } from "./format.js";
@@ -21,17 +21,17 @@ function load() {
   return loading;
 }
 
-/** Returns a colour of the style sheet as it is now. */
+/** Returns the current value of a colour of the style sheet. */
 export function colour(name) { return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim(); }
-/** Colours come again after six, dashed. */
+/** After six colours, the colours are used again with dashed lines. */
 export function colourOf(index) { return `c${index % COLOURS}${Math.floor(index / COLOURS) % 2 ? " dashed" : ""}`; }
-/** Returns a legend: a mark of its colour before each name. */
+/** Returns a legend: each name after a mark of its colour. */
 export function legend(entries) {
   return h("ul", { class: "legend" }, entries.map(([name, label]) =>
     h("li", {}, h("span", { class: `swatch ${name}`, "aria-hidden": "true" }), label)));
 }
 
-/** One chart in an element: made when it has data for the first time, made anew when the kind of its series changes. */
+/** One chart in an element: built with its first data, and again when the kind of its series changes. */
 export class Chart {
   #plot = null; #shape = ""; #isClosed = false;
   constructor(label, { height = HEIGHT } = {}) {
@@ -81,7 +81,7 @@ function axis(label, isLog, more = {}) {
   };
 }
 
-/** Over many decades the lines between them would be one grey. */
+/** Returns no minor grid lines over many decades, because they would merge into a grey area. */
 function decadesOnly(_plot, splits) {
   if (Math.log10(splits.at(-1) / splits[0]) < 3) return splits;
   return splits.map((split) => (Math.abs(Math.log10(split) - Math.round(Math.log10(split))) < 1e-9 ? split : null));
@@ -111,13 +111,13 @@ const isWide = (values) => {
   return above.length > 0 && above.length === known.length && Math.max(...above) > 10 * Math.min(...above);
 };
 
-/** A logarithm needs numbers above zero: an exact equation is drawn a decade below the next. */
+/** Logarithms need positive numbers, so an error of 0 is drawn a decade below the smallest positive error. */
 function positive(errors) {
   const least = Math.min(...errors.filter((error) => error > 0), 1);
   return errors.map((error) => (error > 0 ? error : least / 10));
 }
 
-/** Fronts of complexity against error; a click chooses a point of the first. */
+/** Fronts: error over complexity; a click chooses a point of the first front. */
 export class FrontChart extends Chart {
   constructor(label, choose) { super(label); this.choose = choose; }
   /** `fronts` are lists of points; `chosen` is an index into the first. */
@@ -158,19 +158,19 @@ export class FrontChart extends Chart {
   }
 }
 
-/** Returns the whole decades around errors, none of which lies on an edge. */
+/** Returns whole decades around errors, so that no error lies on an edge. */
 function decades(errors) {
   return [10 ** (Math.ceil(Math.log10(Math.min(...errors))) - 1), 10 ** (Math.floor(Math.log10(Math.max(...errors))) + 1)];
 }
 
-/** Returns some of many points, so that a line below them is seen; the others are null. */
+/** Returns a subset of many points, so that a line below stays visible; the others are null. */
 export function thin(values, most = 100) {
   const step = Math.ceil(values.length / most);
   return values.map((value, index) => (index % step ? null : value));
 }
 
 export function errorOf(point) { return point.normalized_error ?? point.error; }
-/** Errors of islands over generations, with the generation from which on nothing got better. */
+/** Errors of islands over generations, with the generation of the last improvement. */
 export class ConvergenceChart extends Chart {
   set(curves, plateau) {
     const kept = curves.filter((curve) => curve.generations.length);
@@ -211,7 +211,7 @@ export class ConvergenceChart extends Chart {
   }
 }
 
-/** An island may report several errors of one generation: the last is what it had then. */
+/** An island may report several errors of one generation: the last error counts. */
 function lastValues(curve, xs) {
   const values = new Map(curve.generations.map((generation, index) => [generation, curve.errors[index]]));
   const first = curve.generations[0];
@@ -241,7 +241,7 @@ export class LinesChart extends Chart {
   }
 }
 
-/** Curves and points, each with its own numbers across: over time, or one state over another.
+/** Curves and points, each with its own horizontal values: over time, or one state over another.
  *
  * `trails` holds {xs, ys, colour, isPoints, low, high}: a line ends where a number is missing, and `low` and `high` are
  * the edges of its band. */
@@ -320,7 +320,7 @@ function band(plot, xs, low, high) {
   return path;
 }
 
-/** Lets an element be what arrow keys move through a front, as a slider says it to screen readers. */
+/** Makes an element a slider, for screen readers: arrow keys choose a point of a front. */
 export function makeSteerable(element, label, { count, at, choose, say }) {
   element.addEventListener("keydown", (event) => {
     const last = count() - 1;
@@ -336,5 +336,5 @@ export function makeSteerable(element, label, { count, at, choose, say }) {
 }
 
 export function sayPoint(point) {
-  return point ? `complexity ${point.complexity}, error ${number(errorOf(point))}: ${point.expression}` : "none is marked";
+  return point ? `complexity ${point.complexity}, error ${number(errorOf(point))}: ${point.expression}` : "no point is marked";
 }

@@ -31,7 +31,7 @@ class Comparison {
     const all = await this.fault.guard(() => Promise.all(this.ids.map((id) => this.#fetch(id))));
     if (all && !this.isClosed) this.#draw(all);
   }
-  /** A job that is not over has no result yet, one that has just begun no progress either. */
+  /** A job that has not ended has no result yet, and a job that has just begun has no progress. */
   async #fetch(id) {
     const job = await get(paths.job(id));
     const ask = (isThere, what) => (isThere ? get(paths.of(id, what)).catch(() => null) : null);
@@ -94,11 +94,11 @@ function flat(value, prefix = "") {
 
 function dataFacts({ result, files }) {
   const data = result?.data;
-  if (!data) return { files: (files ?? []).join(", "), rows: "not known before the end" };
+  if (!data) return { files: (files ?? []).join(", "), rows: "known after the end of the job" };
   return { files: (data.files ?? []).join(", "), rows: String(data.rows), "read as": data.read_as, trajectories: String(data.trajectories?.length ?? "–"), sha256: data.digest };
 }
 
-function differences(caption, names, [a, b], lacking = null) { // values that one job lacks are not compared
+function differences(caption, names, [a, b], lacking = null) { // values that are missing in one job are not compared
   const rows = [...new Set([...Object.keys(a), ...Object.keys(b)])].map((key) => [key, a[key] ?? lacking, b[key] ?? lacking])
     .filter(([, one, other]) => one !== other && one !== null && other !== null);
   return rows.length ? pairTable(caption, names, rows) : "None.";

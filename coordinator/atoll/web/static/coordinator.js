@@ -14,9 +14,9 @@ export default function open(root, _place, app) {
   const poll = new Poll("coordinator", app, (answer) => {
     const { coordinator } = answer;
     isPaused = coordinator.paused;
-    setText(state, isPaused ? "queue paused" : "takes up jobs");
+    setText(state, isPaused ? "queue paused" : "starts jobs");
     state.className = `state ${isPaused ? "paused" : "running"}`;
-    setText(toggle, isPaused ? "Let the queue go on" : "Pause the queue");
+    setText(toggle, isPaused ? "Resume the queue" : "Pause the queue");
     show(toggle, session.may_write);
     queue.replaceChildren(facts(queueFacts(answer.queue)));
     users.replaceChildren(coordinator.users.length ? facts(coordinator.users.map(userFact)) : h("p", { class: "faint" }, "No job is waiting or running."));
@@ -31,7 +31,7 @@ function queueFacts(queue) {
   return Object.entries(queue).filter(([name]) => name !== "kind").map(([name, amount]) => [word(name), String(amount)]);
 }
 
-function userFact({ user, queued, begun }) { return [user ?? "without a certificate", `${queued} in the queue, ${begun} begun`]; }
+function userFact({ user, queued, begun }) { return [user ?? "without a certificate", `${queued} in the queue, ${begun} started`]; }
 
 function processFacts({ version, incarnation, seconds, counters, store, lag_s: lag }) {
   const mean = store.transactions ? (1000 * store.total_s) / store.transactions : 0;

@@ -1,4 +1,4 @@
-// Elements are made here and nowhere else: text is always set as text, never parsed as markup.
+// Only this module creates elements: text is always set as text, never parsed as markup.
 
 /** Returns an element; `on…` properties are listeners, null and false are left out, other properties are attributes. */
 export function h(tag, properties = {}, ...children) {
@@ -13,7 +13,7 @@ export function h(tag, properties = {}, ...children) {
   return element;
 }
 
-/** Sets a text only where it differs, so that nothing is laid out again or announced again without need. */
+/** Sets a text only if it differs, to avoid needless layout and announcements. */
 export function setText(element, text) {
   const wanted = String(text ?? "");
   if (element.textContent !== wanted) element.textContent = wanted;
@@ -46,11 +46,11 @@ export function redraw(element, key, make) {
   element.replaceChildren(...[make()].flat());
 }
 
-/** Returns a place for the sentence that says why something did not work. */
+/** Returns an element for the message of an error. */
 export function faultBox() {
   const box = h("p", { class: "fault", role: "alert", hidden: true });
   box.say = (sentence = "") => { setText(box, sentence); show(box, Boolean(sentence)); };
-  /** Does something and says what went wrong; returns undefined then. */
+  /** Runs an action; after an error, shows its message and returns undefined. */
   box.guard = async (act) => {
     box.say();
     try {
@@ -60,7 +60,7 @@ export function faultBox() {
   return box;
 }
 
-/** Returns a function that has `draw` run once before the next frame, however often it is called. */
+/** Returns a function that runs `draw` once before the next frame, for any number of calls. */
 export function perFrame(draw) {
   let isDue = false;
   return () => {
@@ -70,9 +70,9 @@ export function perFrame(draw) {
   };
 }
 
-/** Says something to people who cannot see what changed. */
+/** Announces a change to screen readers. */
 export function announce(sentence) { setText(document.getElementById("announcer"), sentence); }
-/** Returns a heading and lets it take the focus when a view begins. */
+/** Returns a heading that can take the focus when a view opens. */
 export function viewHeading(text) { return h("h1", { tabindex: "-1" }, text); }
 /** Returns a list of terms; `pairs` holds [term, element or text]. */
 export function facts(pairs) {
@@ -80,7 +80,7 @@ export function facts(pairs) {
   return h("dl", { class: "facts" }, items.map(([term, value]) => h("div", {}, h("dt", {}, term), h("dd", {}, value))));
 }
 
-/** Returns a button that asks for a confirmation inside the page before it does `act`. */
+/** Returns a button that asks for confirmation inside the page before it calls `act`. */
 export function confirmButton(label, question, yes, act) {
   const open = h("button", { type: "button", onclick: () => toggle(true) }, label);
   const agree = h("button", { type: "button", class: "danger", onclick: () => (toggle(false), act()) }, yes);
@@ -95,16 +95,16 @@ export function confirmButton(label, question, yes, act) {
   return h("span", {}, open, box);
 }
 
-/** Returns a part with its title that can be folded away. */
+/** Returns a section with a title that can be collapsed. */
 export function folding(title, ...parts) { return h("details", { open: true }, h("summary", {}, title), parts); }
 
-/** Folds a part away when `isOver` becomes true, and unfolds it when that ends; later clicks of the user are respected. */
+/** Collapses a section when `isOver` becomes true, and expands it when it becomes false; later clicks of the user are respected. */
 export function foldWhen(part, isOver) {
   if (part.isFolded === isOver) return;
   [part.isFolded, part.open] = [isOver, !isOver];
 }
 
-/** Returns a text to copy with its button. */
+/** Returns a text with a button that copies it. */
 export function copyable(label, text) {
   const code = h("pre", { tabindex: "0", "aria-label": label }, text);
   const button = h("button", { type: "button", class: "small", onclick: copy }, "Copy");
@@ -112,7 +112,7 @@ export function copyable(label, text) {
     try {
       await navigator.clipboard.writeText(code.textContent);
     } catch {
-      getSelection().selectAllChildren(code); // without HTTPS browsers give no clipboard; the old way still works
+      getSelection().selectAllChildren(code); // without HTTPS there is no clipboard object, but this command works
       document.execCommand("copy");
     }
     setText(button, "Copied");
@@ -122,7 +122,7 @@ export function copyable(label, text) {
   return h("div", { class: "copyable" }, h("div", { class: "bar" }, h("span", { class: "label" }, label), button), code);
 }
 
-/** Gives somebody a text as a file. */
+/** Lets the user save a text as a file. */
 export function download(name, text, type = "text/plain") {
   const address = URL.createObjectURL(new Blob([text], { type }));
   h("a", { href: address, download: name }).click();

@@ -1,18 +1,18 @@
-// All tabs of a browser share one connection: browsers open only six to a host over HTTP/1.1.
+// All tabs of a browser share one connection, because browsers open only six connections to a host over HTTP/1.1.
 //
-// Tabs elect a leader by an exclusive lock. Each visible tab tells which jobs it watches; the leader reads the events of
-// them all and hands them out. A hidden tab does not listen and does not lead. Without locks each tab has its own connection.
+// Tabs elect a leader by an exclusive lock. Each visible tab reports which jobs it watches; the leader reads the events of
+// all these jobs and distributes them. A hidden tab does not listen and does not lead. Without locks each tab has its own connection.
 
 import { token } from "./api.js";
 import { Stream } from "./stream.js";
 
 const WISH_AGAIN = 20_000;
-/** A tab that died says no goodbye: its wish is dropped when it was not repeated for so long. */
+/** Milliseconds after which the jobs of a tab are dropped unless it reports them again, because a tab may end without a message. */
 const WISH_DIES = 60_000;
 const SETTLE = 100;
-/** The service tells of so many jobs by name; of more it tells of all. */
+/** Maximum number of jobs in a request; for more jobs, the events of all jobs are requested. */
 const MOST_NAMES = 32;
-/** Tabs of another path or of another user see other jobs, so that they have an election of their own. */
+/** Tabs with another path or user see other jobs, so they have a separate election. */
 const NAME = `atoll-events ${new URL(".", document.baseURI).pathname} ${token() ?? ""}`;
 const tab = Math.random().toString(36).slice(2);
 const hasLocks = Boolean(navigator.locks) && typeof BroadcastChannel === "function";
@@ -23,16 +23,16 @@ let view = null;
 let last = null;
 let leader = null;
 let waiting = null;
-/** Notifies a view of changes of jobs ("all", or a list of ids): `told` has job(change) and happened(event). */
+/** Notifies a view of changes of jobs ("all", or a list of ids): `told` has the methods job(change) and happened(event). */
 export function follow(wanted, told) {
   jobs = wanted;
   view = told;
   tellWish();
 }
 
-/** Calls `listener({connected, reason})` whenever the connection comes or goes. */
+/** Calls `listener({connected, reason})` when the connection is opened or lost. */
 export function onConnection(listener) { listeners.add(listener); }
-/** Begins: from now on this tab takes part. */
+/** Starts: from now on this tab takes part in the election. */
 export function startEvents() {
   channel?.addEventListener("message", ({ data }) => hear(data));
   document.addEventListener("visibilitychange", appear);
@@ -68,7 +68,7 @@ function runForLeader() {
     leader = new Leader(resign);
     tellWish();
   });
-  navigator.locks.request(NAME, { signal: candidacy.signal }, lead).catch(() => {}); // given up before it was our turn
+  navigator.locks.request(NAME, { signal: candidacy.signal }, lead).catch(() => {}); // aborted before the lock was granted
 }
 
 function tellWish() {
@@ -115,7 +115,7 @@ class Leader {
     if (wanted === null) this.#wishes.delete(name);
     else this.#wishes.set(name, { jobs: wanted, heard: Date.now() });
     if (isNew && name !== tab && !this.#state.connected) channel?.postMessage(this.#state);
-    this.#due ??= setTimeout(() => this.#settle(), SETTLE); // views change in steps: read once they have settled
+    this.#due ??= setTimeout(() => this.#settle(), SETTLE); // views change in steps: read after the last step
   }
 
   #settle() {

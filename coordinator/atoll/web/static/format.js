@@ -1,8 +1,8 @@
-// Numbers, times and sizes as people read them.
+// Readable numbers, times and sizes.
 
 const UNITS = ["B", "kB", "MB", "GB", "TB"];
 const PREFIXES = ["", " k", " M", " G", " T", " P"];
-/** Returns a number with some significant digits: 0.355, 1.20e-5, 12300. */
+/** Returns a number with a few significant digits: 0.355, 1.20e-5, 12300. */
 export function number(value, digits = 3) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (value === 0) return "0";
@@ -35,7 +35,7 @@ export function duration(seconds) {
   return `${Math.floor(hours / 24)} d ${hours % 24} h`;
 }
 
-/** Returns a moment in local time; today's without the date. */
+/** Returns a local time; without the date if it is today. */
 export function moment(text) {
   const time = new Date(text);
   if (Number.isNaN(time.getTime())) return text ?? "–";
@@ -49,20 +49,20 @@ export function clock(text) {
   return Number.isNaN(time.getTime()) ? "" : time.toLocaleTimeString([], { hour12: false });
 }
 
-/** Returns an expression whose numbers have six digits, as the terminal shows them. */
+/** Returns an expression with numbers of six significant digits, as in the terminal. */
 export function short(expression) { return expression.replace(/\d+\.\d+(e[+-]?\d+)?/g, (text) => String(Number(Number(text).toPrecision(6)))); }
 
 export function plural(amount, noun) { return `${amount} ${noun}${amount === 1 ? "" : "s"}`; }
 
 export const ENDED = ["done", "failed", "cancelled"];
 export const HAS_RESULT = ["done", "cancelled"];
-/** Returns the largest normalized error over the equations that are searched: how far the whole model is. */
+/** Returns the largest normalized error of all searched equations, as the progress of the whole model. */
 export function largestError(job) {
   const errors = (job.variables ?? []).map((variable) => variable.normalized_error).filter((error) => error !== null && error !== undefined);
   return errors.length ? Math.max(...errors) : null;
 }
 
-/** Notes when a job was heard of: while it lasts, its seconds are counted here. */
+/** Stores when the view of a job arrived, so that the page can count the seconds of a running job. */
 export function stamp(job) { return { ...job, heard: Date.now() }; }
 
 export function elapsed(job) {
@@ -70,5 +70,5 @@ export function elapsed(job) {
   return isOver ? job.elapsed : job.elapsed + (Date.now() - job.heard) / 1000;
 }
 
-/** Returns the state of a job in a word that says more where there is more to say. */
+/** Returns the state of a job, in a more precise word if possible. */
 export function stateOf(job) { if (job.paused && !ENDED.includes(job.state)) return "paused"; return job.state; }

@@ -51,9 +51,9 @@ class JobPage {
     const job = await this.fault.guard(() => get(paths.job(this.id)));
     if (!job) return;
     this.#merge(job);
-    if (this.#job.variables?.length) this.progress.now(); // there is nothing to see while data are prepared
+    if (this.#job.variables?.length) this.progress.now(); // there are no equations while data are prepared
     if (!ENDED.includes(this.#job.state)) this.islands.now();
-    this.log.fetch().catch(() => {}); // the banner says it if the service is away
+    this.log.fetch().catch(() => {}); // the banner shows that the service does not answer
   }
 
   #change({ changes, deleted }) {
@@ -104,15 +104,15 @@ class JobPage {
     this.outcome.update(job);
     this.islands.update(job);
   }
-  /** What one has to know before believing or waiting. */
+  /** Returns the messages that the user should read before trusting the result or waiting. */
   #drawNotes(job) {
     const isGoing = !ENDED.includes(job.state);
     const notes = [
-      ...(job.stalls ?? []).map((text) => ["bad", "Stands still", text]),
-      ...(isGoing ? job.warnings ?? [] : []).map((text) => ((job.notes ?? []).includes(text) ? ["", "Note", text] : ["doubtful", "Warning", text])), // of a result they stand below
-      ...(isGoing && job.ahead ? [["", "Waits", `${plural(job.ahead, "job")} before it in the line.`]] : []),
-      ...(isGoing && job.held && !job.paused ? [["", "Waits", "It has begun and waits for a place."]] : []),
-      ...(job.state === "running" && job.workers === 0 && !job.reason ? [["doubtful", "Waits", "No worker computes for it now."]] : []),
+      ...(job.stalls ?? []).map((text) => ["bad", "No progress", text]),
+      ...(isGoing ? job.warnings ?? [] : []).map((text) => ((job.notes ?? []).includes(text) ? ["", "Note", text] : ["doubtful", "Warning", text])), // for a result they are shown below
+      ...(isGoing && job.ahead ? [["", "Waits", `${plural(job.ahead, "job")} before it in the queue.`]] : []),
+      ...(isGoing && job.held && !job.paused ? [["", "Waits", "It has begun, and waits for its user's next turn."]] : []),
+      ...(job.state === "running" && job.workers === 0 && !job.reason ? [["doubtful", "Waits", "No worker computes it now."]] : []),
     ];
     redraw(this.notes, JSON.stringify(notes), () => notes.map(([severity, label, text]) => h("li", { class: severity }, h("b", {}, `${label}: `), text)));
   }

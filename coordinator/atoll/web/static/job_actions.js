@@ -15,7 +15,7 @@ export class Actions {
   #build() {
     const button = (label, act) => h("button", { type: "button", onclick: act }, label);
     this.pause = button("Pause", () => this.#post(this.isPaused ? "resume" : "pause"));
-    this.cancel = confirmButton("Cancel", "End the job and keep its best equations?", "Yes, end it", () => this.#post("cancel"));
+    this.cancel = confirmButton("Cancel", "Cancel the job and keep its best equations?", "Yes, cancel it", () => this.#post("cancel"));
     this.retry = button("Retry", () => this.#retry());
     this.share = button("Share", () => this.#do(() => change("PUT", paths.of(this.id, "sharing"), { shared: !this.isShared })));
     this.remove = confirmButton("Delete", "Delete the job with its result and its data?", "Yes, delete it", () => this.#remove());
@@ -23,7 +23,7 @@ export class Actions {
     this.priority = h("form", { class: "inline", onsubmit: (event) => this.#prioritize(event) }, h("label", {}, "Priority ", this.level), h("button", {}, "Set"));
     this.anew = h("a", { class: "button", href: `#/new?from=${encodeURIComponent(this.id)}` }, "Submit again with changes");
     this.said = faultBox();
-    this.note = h("p", { class: "faint", hidden: true }, "You are looking only. To change something, open the address with the token that ",
+    this.note = h("p", { class: "faint", hidden: true }, "You can only read. To change something, open the address with the token that ",
       h("code", {}, "coordinator web"), " prints.");
     this.bar = h("div", { class: "bar" }, this.pause, this.cancel, this.retry, this.priority, this.share, this.anew, this.remove);
     this.box = h("section", { class: "actions", "aria-label": "Actions" }, this.bar, this.note, this.said);
@@ -55,7 +55,7 @@ export class Actions {
   }
 
   async #remove() { if ((await this.#do(() => change("DELETE", paths.job(this.id)), false)) !== undefined) location.hash = "#/jobs"; }
-  /** Does something, and says why it did not work; returns undefined then. */
+  /** Runs an action; after an error, shows the reason and returns undefined. */
   async #do(act, isAboutUs = true) {
     const job = await this.said.guard(act);
     if (job && isAboutUs) this.changed(job);

@@ -6,8 +6,8 @@ import { formula } from "./mathml.js";
 import { ENDED, count, number, short } from "./format.js";
 
 const WHY = {
-  target: "found: its error is below the target", law: "found: an exact law", stagnation: "ended: nothing got better any more",
-  "max-epochs": "ended: all epochs are done", "max-time": "ended: the time is over", cancelled: "ended: cancelled", known: "given, not searched",
+  target: "found: its error is below the target", law: "found: an exact law", stagnation: "ended: no more improvement",
+  "max-epochs": "ended: all epochs are done", "max-time": "ended: time limit", cancelled: "ended: cancelled", known: "given, not searched",
 };
 
 export class EquationCard {
@@ -36,7 +36,7 @@ export class EquationCard {
       count: () => this.#points.length, at: () => this.#index, choose: (index) => this.#choose(index), say: () => sayPoint(this.#points[this.#index]),
     });
     this.pictures = h("div", { class: "pair" },
-      h("figure", {}, h("figcaption", {}, "Front: the least error for each complexity; a ring marks the equation above, if it is one of these. Click a point, or use arrow keys."), this.front.box, this.picked, this.pickedFormula),
+      h("figure", {}, h("figcaption", {}, "Front: the smallest error for each complexity; a ring marks the equation above, if it is on the front. Click a point, or use arrow keys."), this.front.box, this.picked, this.pickedFormula),
       h("figure", {}, h("figcaption", {}, "Convergence: the error of each island over generations."), this.curves.box, this.islands));
     this.search = folding("Candidates, front and convergence", this.candidates, this.pictures, this.#table());
     this.search.hidden = true;
@@ -49,7 +49,7 @@ export class EquationCard {
     const table = h("table", {}, h("caption", { class: "unseen" }, `Front of ${this.variable}`), h("thead", {}, h("tr", {}, heads)), this.rows);
     return h("details", {}, h("summary", {}, "The front as a table"), h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Front of ${this.variable} as a table` }, table));
   }
-  /** Shows what the job says of this equation. */
+  /** Shows the job's view of this equation. */
   update(view, job) {
     foldWhen(this.search, ENDED.includes(job.state));
     setText(this.title, view.lhs || view.variable);
@@ -68,7 +68,7 @@ export class EquationCard {
   /** Shows an equation of the progress. */
   show(equation) { this.#equation = equation; this.#tell(); this.draw(); }
   get #points() { return this.#equation?.front ?? []; }
-  /** The chosen point stays chosen while the front grows; without a choice it is the equation above, -1 where that is none of these. */
+  /** The chosen point stays chosen while the front grows. Without a choice it is the equation above, or -1 if that is not on the front. */
   get #index() {
     const find = (isMeant) => this.#points.findIndex(isMeant);
     const chosen = this.#chosen === null ? -1 : find((point) => point.complexity === this.#chosen);
@@ -76,7 +76,7 @@ export class EquationCard {
   }
 
   #choose(index) { this.#chosen = this.#points[index]?.complexity ?? null; this.#tell(); this.draw(); }
-  #tell() { if (this.#chosen !== null) this.pick(this.#index); } // its number is another one when the front has grown
+  #tell() { if (this.#chosen !== null) this.pick(this.#index); } // its index changes when the front grows
 
   #draw() {
     const { lhs, expression, mathml, constants, convergence, plateau, reason, checks, candidates } = this.#equation;
@@ -101,7 +101,7 @@ export class EquationCard {
   }
 
   #drawPicked(point) {
-    const isChosen = this.#chosen !== null && point; // else it is the equation above
+    const isChosen = this.#chosen !== null && point; // otherwise it is the equation above
     setText(this.picked, isChosen ? `chosen: complexity ${point.complexity} · error ${number(errorOf(point), 4)}` : "");
     redraw(this.pickedFormula, isChosen ? point.mathml ?? point.expression : "", () => (isChosen ? formula(point.mathml, point.expression) : []));
   }
@@ -128,7 +128,7 @@ export class EquationCard {
   close() { this.front.close(); this.curves.close(); }
 }
 
-/** Returns how many checks have passed, those that have not as a list, and the others folded away. */
+/** Returns the number of passed checks, a list of the failed checks and of those not made, and the other checks collapsed. */
 function checkLists(checks) {
   if (!checks.length) return [];
   const isOpen = ({ outcome }) => outcome === "failed" || outcome === "not made";
@@ -139,7 +139,7 @@ function checkLists(checks) {
     others.length ? h("details", {}, h("summary", {}, "The other checks"), h("ul", {}, checkItems(others))) : null].filter(Boolean);
 }
 
-/** Returns an item for each reason: checks that say the same stand together. */
+/** Returns an item for each reason; checks with the same reason are listed together. */
 function checkItems(checks) {
   const groups = new Map();
   for (const { name, outcome, reason } of checks) {
@@ -149,7 +149,7 @@ function checkItems(checks) {
   return [...groups.values()].map(({ outcome, reason, names }) => h("li", {}, h("b", {}, `${names.join(", ")}: ${outcome}.`), ` ${reason}`));
 }
 
-/** Returns the equations that were compared with the one above, by how much longer the data are to describe with them. */
+/** Returns the equations that were compared with the equation above, by Δ description length. */
 function candidateTable(variable, candidates) {
   if (candidates.length < 2) return [];
   const isHeldOut = candidates.some((candidate) => candidate.held_out_r2 !== null);
@@ -157,7 +157,7 @@ function candidateTable(variable, candidates) {
   const rows = candidates.map((candidate) => [candidate.selected ? "shown" : candidate.nats === null ? "?" : candidate.nats.toFixed(1), candidate.r2,
     ...(isHeldOut ? [candidate.held_out_r2 ?? ""] : []), candidate.complexity, candidate.origin ?? "", h("code", {}, candidate.expression)]);
   const cell = (value, index) => h("td", { class: index < heads.length - 2 ? "number" : null }, value ?? "");
-  return [h("h4", {}, "Candidates"), h("p", { class: "faint" }, "Δ description length: how much longer the data are to describe with another equation, in nats. Below about 3 the data hardly decide."),
+  return [h("h4", {}, "Candidates"), h("p", { class: "faint" }, "Δ description length: the description length with another equation minus that with the equation above, in nats. Below about 3 the data hardly decide."),
     h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Candidates of ${variable}` }, h("table", {}, h("caption", { class: "unseen" }, `Candidates of ${variable}`),
       h("thead", {}, h("tr", {}, heads.map((head, index) => h("th", { scope: "col", class: index < heads.length - 2 ? "number" : null }, head)))),
       h("tbody", {}, rows.map((row, index) => h("tr", { class: candidates[index].selected ? "chosen" : null }, row.map(cell))))))];

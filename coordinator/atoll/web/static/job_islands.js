@@ -1,4 +1,4 @@
-// Where the islands of a job are: one cell for each, in the colour of its worker, with its epoch and latest event.
+// The islands of a job: one cell for each island, in the colour of its worker, with its epoch and latest event.
 
 import { get, paths } from "./api.js";
 import { colourOf } from "./charts.js";
@@ -6,7 +6,7 @@ import { perFrame, h, keyed, setClass, setText, show } from "./dom.js";
 import { ENDED, plural } from "./format.js";
 import { Paced } from "./poll.js";
 
-/** So long a cell shows what happened to its island. */
+/** Milliseconds for which a cell shows the latest event of its island. */
 const FRESH = 6000;
 const PAUSE = 4000;
 const MARKS = { placed: "placed", unplaced: "no worker", isolated: "isolated", "worker-lost": "lost", stalled: "waits" };
@@ -81,8 +81,8 @@ export class Islands extends Paced {
   #fill(group, variable) {
     const islands = this.#islands.filter((island) => island.variable === variable);
     const least = Math.min(...islands.map((island) => island.epoch));
-    const ahead = islands.filter((island) => island.epoch > least).length; // whose migrants the others have not taken in
-    setText(group.firstChild, `${variable}${ahead ? ` · migrants of ${plural(ahead, "island")} on their way` : ""}`);
+    const ahead = islands.filter((island) => island.epoch > least).length; // the other islands have not received their migrants yet
+    setText(group.firstChild, `${variable}${ahead ? ` · migrants of ${plural(ahead, "island")} not received yet` : ""}`);
     keyed(group.lastElementChild, islands, keyOf, () => h("li", {}, h("b"), h("span"), h("small")), (cell, island) => {
       const [name, place, note] = cell.children;
       const worker = island.worker ? this.#letter(island.worker) : null;

@@ -8,20 +8,20 @@ const MOST = 300;
 const PAGE = 200;
 const BAD = new Set(["failed", "broken", "isolated", "worker-lost"]);
 const DOUBTFUL = new Set(["stalled", "unplaced", "refused", "cancelled"]);
-/** These come by the hundred; the charts show what they say. */
+/** Kinds of frequent events; the charts show their contents. */
 const ROUTINE = new Set(["commit", "log", "placed"]);
 
 export class Log {
   #events = new Map(); #last = 0;
   constructor(id) {
     this.id = id;
-    this.draw = perFrame(() => this.#draw()); // events come by the hundred
+    this.draw = perFrame(() => this.#draw()); // there may be hundreds of events
     this.all = h("input", { type: "checkbox", onchange: () => this.draw() });
     this.list = h("ol", { class: "log", reversed: true });
-    this.none = h("p", { class: "faint" }, "Nothing yet.");
+    this.none = h("p", { class: "faint" }, "No events yet.");
     this.events = folding("Event log", h("p", {}, h("label", {}, this.all, " all events, also checkpoints and lines of workers")), this.none, h("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "Events, newest first" }, this.list));
   }
-  /** Fetches what happened since the last event that is known, page by page. */
+  /** Fetches the events after the last known event, page by page. */
   async fetch() {
     for (;;) {
       const { events } = await get(paths.of(this.id, "logs"), { after: this.#last, limit: PAGE, of_workers: "false" });

@@ -8,7 +8,7 @@ import { Paced } from "./poll.js";
 
 const ASK_AGAIN = 1000;
 const MOST_STATES = 6;
-const EMPTY_PAGE = "<!doctype html><meta charset=utf-8><title>Report</title><p>A worker makes the report…</p>";
+const EMPTY_PAGE = "<!doctype html><meta charset=utf-8><title>Report</title><p>A worker is writing the report…</p>";
 const ENDINGS = { python: "py", c: "c", julia: "jl", matlab: "m", modelica: "mo", sbml: "xml", petab: "txt", xppaut: "ode", latex: "tex", sympy: "py", csv: "csv", json: "json" };
 
 export class Outcome {
@@ -42,7 +42,7 @@ export class Outcome {
     this.#show();
   }
 
-  /** Shows what the progress says of the result as a whole. */
+  /** Shows the progress of the whole result. */
   show({ conclusion, warnings, notes }) {
     setText(this.conclusion, conclusion);
     const lists = [["Warnings", warnings ?? []], ["Notes", notes ?? []]].filter(([, texts]) => texts.length);
@@ -50,7 +50,7 @@ export class Outcome {
     this.#show();
   }
 
-  /** Exports and simulation are of the equation that was chosen of a front, also while the job runs. */
+  /** Exports and the simulation use the chosen equation of a front, also while the job runs. */
   choose(variable, index) { if (this.#picks[variable] !== index) { this.#picks[variable] = index; this.pace.soon(); this.#show(); } }
   get #query() { return { pick: Object.entries(this.#picks).map((pair) => pair.join("=")) }; }
   get #isDone() { return HAS_RESULT.includes(this.#state); }
@@ -102,7 +102,7 @@ export class Outcome {
   }
 
   #drawFitted({ target, measured, fitted }) {
-    setText(this.caption, "Dots: fitted over measured values; on the line they are equal.");
+    setText(this.caption, "Dots: fitted values over measured values; on the line both are equal.");
     const chart = this.#keep(new TrailsChart(`${target}, fitted over measured`));
     this.charts.append(h("figure", {}, h("figcaption", {}, target), chart.box));
     const known = measured.filter((value) => value !== null);
@@ -129,11 +129,11 @@ export class Outcome {
   }
 
   #keep(chart) { this.#charts.push(chart); return chart; }
-  /** The report needs the token, which a plain link would not send: it is fetched and shown as a page of its own. */
+  /** Fetches the report and shows it in a new tab, because a plain link would not send the token. */
   async #openReport() {
     this.report.disabled = true;
     const empty = URL.createObjectURL(new Blob([EMPTY_PAGE], { type: "text/html" }));
-    const tab = window.open(empty, "_blank"); // at once, or browsers would block it as a pop-up
+    const tab = window.open(empty, "_blank"); // opened at once, otherwise browsers would block it as a pop-up
     try {
       const text = await this.#fetchReport();
       if (tab && !tab.closed) fillPage(tab, text);
@@ -143,7 +143,7 @@ export class Outcome {
   }
 
   async #fetchReport() {
-    setText(this.reportStatus, "A worker makes the report…");
+    setText(this.reportStatus, "A worker is writing the report…");
     for (;;) {
       const response = await send(paths.of(this.id, "report"));
       if (response.status !== 202) { announce("The report is ready."); return (await check(response)).text(); }
@@ -157,14 +157,14 @@ export class Outcome {
   close() { this.#isClosed = true; this.pace.close(); this.#charts.forEach((chart) => chart.close()); }
 }
 
-/** Returns what lines and dots are; that a line starts from one initial state only where that is so. */
+/** Returns a caption for lines and dots, and says whether each line starts from one initial state. */
 function captionOf(trajectories, total, states) {
   const isWhole = trajectories.every(({ pieces }) => pieces === 1);
   const isInPieces = trajectories.some(({ pieces }) => pieces > 1);
-  const start = isWhole ? (trajectories.length > 1 ? ", each from one initial state" : ", from one initial state") : isInPieces ? ", in pieces that each have an initial state of their own" : "";
-  const band = trajectories.some(({ lower }) => lower) ? "; bands hold 95 % of the uncertainty" : "";
-  const some = total > trajectories.length ? ` ${trajectories.length} of ${total} trajectories are drawn, from the worst explained to the best.` : "";
-  const few = states > MOST_STATES ? ` The first ${MOST_STATES} of ${states} states are drawn; the report has all.` : "";
+  const start = isWhole ? (trajectories.length > 1 ? ", each from one initial state" : ", from one initial state") : isInPieces ? ", in pieces with separate initial states" : "";
+  const band = trajectories.some(({ lower }) => lower) ? "; bands are 95 % bands" : "";
+  const some = total > trajectories.length ? ` ${trajectories.length} of ${total} trajectories are drawn, in the order of increasing R².` : "";
+  const few = states > MOST_STATES ? ` The first ${MOST_STATES} of ${states} states are drawn; the report has all states.` : "";
   return `Dots are measured, lines simulated by the model${start}${band}.${some}${few}`;
 }
 
@@ -172,7 +172,7 @@ function legendOf(trajectories) {
   return trajectories.length > 1 ? legend(trajectories.map(({ name, held_out: out }, index) => [colourOf(index), `${name}${out ? ", held out" : ""}`])) : null;
 }
 
-/** A page that we open has our strict policy, under which styles in its text do not count: they become style sheets. */
+/** The new tab has our strict policy, which ignores styles in its text, so they become style sheets. */
 function fillPage(tab, text) {
   const styles = [];
   const rest = text.replace(/<style[^>]*>(.*?)<\/style>/gis, (_, style) => (styles.push(style), ""));

@@ -9,11 +9,11 @@ export class Progress extends Paced {
   #tag = null;
   constructor(id, show) { super(() => this.#read()); Object.assign(this, { id, show }); }
 
-  /** Returns for how long what has come is enough, in milliseconds. */
+  /** Returns the pause until the next request, in milliseconds. */
   async #read() {
     const headers = this.#tag ? { "If-None-Match": this.#tag } : {};
     const response = await send(paths.of(this.id, "progress"), { headers });
-    if (response.status === 404 || response.status === 304) return 0; // nothing yet, or nothing new
+    if (response.status === 404 || response.status === 304) return 0; // no progress yet, or no change
     await check(response);
     this.#tag = response.headers.get("ETag");
     const text = await response.text();

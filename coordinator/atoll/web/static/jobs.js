@@ -1,4 +1,4 @@
-// The list of jobs: newest first as the service gives them, sorted and filtered here, kept up to date by events.
+// The list of jobs: fetched newest first, sorted and filtered here, and updated by events.
 
 import { get, session } from "./api.js";
 import { follow } from "./events.js";
@@ -7,7 +7,7 @@ import { ENDED, duration, elapsed, stamp, largestError, moment, number, plural, 
 
 const STATES = ["queued", "preparing", "running", "refining", "done", "failed", "cancelled"];
 const PAGE = 50;
-/** What can be sorted by: heading, value to sort by, what a cell says, whether the largest come first. */
+/** Sortable columns: heading, value for sorting, text of a cell, whether the largest value comes first. */
 const COLUMNS = {
   state: { title: "State", value: (job) => STATES.indexOf(job.state) },
   name: { title: "Name", value: (job) => job.name.toLowerCase() },
@@ -69,15 +69,15 @@ class Jobs {
     });
     return h("thead", {}, h("tr", {}, h("th", { scope: "col" }, h("span", { class: "unseen" }, "Compare")), this.heads));
   }
-  /** An empty service says what to do next. */
+  /** Shows the next steps if the service has no jobs. */
   #welcome() {
     const file = h("input", { type: "file", class: "unseen", id: "first-file", multiple: true, onchange: () => this.#take([...file.files]) });
     return h("section", { class: "welcome", hidden: true },
       h("h2", {}, "No jobs yet"),
       h("ol", {},
         h("li", {}, "Drop a data file anywhere on this page, or ", file, h("label", { for: "first-file", class: "button" }, "choose a file"),
-          ": one row per moment, one column per quantity, such as CSV."),
-        h("li", {}, "Have at least one worker running, on any machine that can reach the coordinator: ",
+          ", such as CSV: one row per time, one column per quantity."),
+        h("li", {}, "Start at least one worker, on any machine that can reach the coordinator: ",
           h("code", {}, `island-worker --connect ${session.connect}`)),
         h("li", {}, "No data at hand? ", h("a", { class: "button", href: "#/new?demo=yes" }, "Try the demo data"))));
   }
@@ -102,7 +102,7 @@ class Jobs {
     else return;
     this.draw();
   }
-  /** A job that is new to this page belongs to it unless it comes only after what was loaded. */
+  /** A new job is added to the page unless it is older than all loaded jobs. */
   #belongs(job) {
     if (job.submitted === undefined || !this.#isLoaded) return false;
     const oldest = [...this.#jobs.values()].reduce((least, { submitted }) => (submitted < least ? submitted : least), "~");
@@ -122,7 +122,7 @@ class Jobs {
     this.#keep();
     this.draw();
   }
-  /** The address keeps what is shown, without a new step of the history for each letter. */
+  /** The address contains the filter and the order; a typed letter adds no step to the history. */
   #keep() {
     const kept = new URLSearchParams();
     if (this.filter) kept.set("state", this.filter);
@@ -161,8 +161,8 @@ class Jobs {
   }
 
   #summary(jobs) {
-    if (!jobs.length) return "No job fits; change the state or the text.";
-    return `${plural(jobs.length, "job")} shown${this.#next ? ", sorted among those that are loaded" : ""}`;
+    if (!jobs.length) return "No job matches; change the state or the text.";
+    return `${plural(jobs.length, "job")} shown${this.#next ? ", sorted among the loaded jobs" : ""}`;
   }
 
   #offerComparison() {
@@ -200,7 +200,7 @@ class Jobs {
 }
 
 const MOST_EQUATIONS = 3;
-/** Returns the first equations of a job as the terminal writes them. */
+/** Returns the first equations of a job in the form of the terminal. */
 function equations(job) {
   const known = (job.variables ?? []).filter((variable) => variable.expression);
   const texts = known.slice(0, MOST_EQUATIONS).map(({ lhs, expression }) => `${lhs} = ${short(expression)}`);
@@ -208,7 +208,7 @@ function equations(job) {
 }
 
 function verdicts(job) { return (job.variables ?? []).map((variable) => variable.verdict).filter(Boolean); }
-/** Returns the least and the most epochs of a job's equations. */
+/** Returns the smallest and the largest number of epochs of a job's equations. */
 function epochs(job) {
   const all = (job.variables ?? []).map((variable) => variable.epoch);
   return all.length ? [Math.min(...all), Math.max(...all)] : [0, 0];

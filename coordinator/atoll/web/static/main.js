@@ -6,7 +6,7 @@ import { follow, onConnection, startEvents } from "./events.js";
 
 const main = document.getElementById("main");
 const banner = document.getElementById("banner");
-/** Views are loaded when they are first seen: the list of jobs needs neither charts nor forms. */
+/** Views, loaded when they are opened first, because the list of jobs needs neither charts nor forms. */
 const VIEWS = {
   jobs: { title: "Jobs", load: () => import("./jobs.js") },
   job: { title: "Job", load: () => import("./job.js") },
@@ -18,13 +18,13 @@ const VIEWS = {
 };
 
 const ASK_AGAIN = 2000;
-/** Milliseconds after which the other views are loaded, too. */
+/** Milliseconds after which the other views are loaded. */
 const SOON = 3000;
 let current = null;
 let visits = 0;
-/** What is not there now, with the reason. */
+/** Lost connections, with the reason. */
 const lost = new Map();
-/** What views get of the frame. */
+/** Functions of the frame for views. */
 const app = { dropped: null, connection, title };
 /** Returns the view of an address such as #/jobs/ID or #/compare?a=ID&b=ID, with its parameters. */
 function place() {
@@ -50,13 +50,13 @@ async function visit() {
     if (visitNumber !== visits) return;
     current = open(root, { id, parameters }, app);
   } catch {
-    root.replaceChildren(viewHeading("This view cannot be loaded"), h("p", {}, "The service does not answer. The view is loaded as soon as it does."));
+    root.replaceChildren(viewHeading("This view cannot be loaded"), h("p", {}, "The service does not answer. The view is loaded when it answers."));
     setTimeout(() => visitNumber === visits && visit(), ASK_AGAIN);
   }
   if (visitNumber > 1) focus(root);
 }
 
-/** Keyboards and screen readers begin at the heading of a new view. */
+/** Moves the focus to the heading of a new view, for keyboards and screen readers. */
 function focus(root) { (root.querySelector("h1") ?? main).focus({ preventScroll: true }); scrollTo(0, 0); }
 
 function mark(name) {
@@ -69,7 +69,7 @@ function mark(name) {
 
 function title(text) { document.title = `${text} · Atoll`; }
 
-/** Says what cannot be reached, and has the view fetch everything anew when all can be again. */
+/** Shows lost connections; when all connections are back, the view fetches its data again. */
 function connection(source, isThere, reason) {
   const wasLost = lost.size > 0;
   if (isThere) lost.delete(source);
@@ -84,13 +84,13 @@ function connection(source, isThere, reason) {
 
 async function loadSession() {
   const known = await get("session").catch(() => null);
-  if (!known) return; // the banner says it, or the field for a token
+  if (!known) return; // the banner or the field for a token shows the reason
   Object.assign(session, known);
-  const sign = session.may_write ? session.user ?? "signed in" : h("a", { href: "#/token" }, "looking only: enter the token");
+  const sign = session.may_write ? session.user ?? "signed in" : h("a", { href: "#/token" }, "read only: enter the token");
   document.getElementById("session").replaceChildren(sign, ` · ${session.version}`);
 }
 
-/** Without a token that the service knows nothing can be shown: there is a field for one in the place of every view. */
+/** Without an accepted token no view can be shown, so every view is replaced by the field for the token. */
 function refuse(sentence) {
   if (session.needs_token) return;
   if (token()) session.refusal = "The service does not accept the token of this page: the service was restarted, or the address belongs to another service.";
@@ -120,7 +120,7 @@ function acceptFiles() {
 
 async function begin() {
   document.getElementById("skip").addEventListener("click", (event) => {
-    event.preventDefault(); // the address holds the view, not a place in the page
+    event.preventDefault(); // the address names the view, not a position in the page
     main.focus();
   });
   acceptFiles();
@@ -136,7 +136,7 @@ async function begin() {
   setTimeout(loadViews, SOON);
 }
 
-/** Loads the other views while nothing else is to do, so that they open without the service, too. */
-function loadViews() { for (const { load } of Object.values(VIEWS)) load().catch(() => {}); } // it is tried again when it is opened
+/** Loads the other views when the page is idle, so that they open even without the service. */
+function loadViews() { for (const { load } of Object.values(VIEWS)) load().catch(() => {}); } // opening the view tries again
 
 begin();

@@ -1,4 +1,4 @@
-// MathML that the service sends is copied element by element, so that nothing but formulas can come of it.
+// Copies the service's MathML element by element, so that it can only contain formulas.
 
 import { h } from "./dom.js";
 
@@ -7,13 +7,13 @@ const ATTRIBUTES = new Set([
   "display", "mathvariant", "stretchy", "fence", "separator", "form", "lspace", "rspace", "columnalign", "rowspacing", "linethickness",
 ]);
 const known = new Map();
-/** Returns a formula as an element; `text` stands in where there is no MathML or none that can be read. */
+/** Returns a formula as an element; `text` is used instead if MathML is missing or unreadable. */
 export function formula(markup, text) {
   const math = markup ? parsed(markup) : null;
   return math ? math.cloneNode(true) : h("code", { class: "expression" }, text ?? "–");
 }
 
-/** Formulas of a front come again with each answer: they are parsed once. */
+/** Parsed formulas by text: each answer repeats the formulas of a front. */
 function parsed(markup) {
   if (!known.has(markup)) {
     if (known.size > 2000) known.clear();

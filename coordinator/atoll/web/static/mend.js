@@ -1,19 +1,19 @@
-// An error that names an option has a button that sets it, takes it back, or lets a column be chosen; a warning one that sets it.
+// If an error names an option, a button sets or removes the option, or a list offers columns. For a warning, a button sets it.
 
 import { h } from "./dom.js";
 
 const NAMED = /--([a-z][a-z-]*)(?: (-?[a-z0-9.]+))?/g;
 /** Options that name one column of the data. */
 const OF_COLUMN = ["time", "trajectory", "group", "target", "weights"];
-/** Options that take columns, with the role that a column has there, "" where it keeps its own. */
+/** Options that take columns, with the role of these columns; "": the columns keep their roles. */
 const OF_COLUMNS = { inputs: "input", states: "state", hold: "" };
 
-/** Returns the names that an option has, which are quoted where they hold a comma. */
+/** Returns the names in the value of an option; names with a comma are quoted. */
 export function namesOf(text) {
   return [...(text ?? "").matchAll(/"((?:[^"]|"")*)"|([^,]+)/g)].map(([, inQuotes, plain]) => (inQuotes?.replaceAll('""', '"') ?? plain.trim()));
 }
 
-/** Returns buttons that correct the error of a message. `put(name, value)` sets an option; null takes it back. */
+/** Returns buttons that correct the error in a message. `put(name, value)` sets an option; null removes it. */
 export function mends(sentence, { options, given, columns, put, choose, assign, isWarning = false }) {
   const seen = new Set();
   return [...sentence.matchAll(NAMED)].flatMap(([, flag, word]) => {
@@ -28,26 +28,26 @@ export function mends(sentence, { options, given, columns, put, choose, assign, 
     }
     if (!isWarning && OF_COLUMN.includes(name) && given[name] === undefined) return columns.length ? columnMend(option, sentence, columns, choose) : [];
     if (isValue(option, word) && String(given[name]) !== word) return [button(`${option.label}: ${word}`, () => put(name, option.is_repeatable ? [word] : word))];
-    if (given[name] !== undefined) return isWarning ? [] : [button(`Take back “${option.label}”`, () => put(name, null))];
+    if (given[name] !== undefined) return isWarning ? [] : [button(`Remove “${option.label}”`, () => put(name, null))];
     return option.metavar === null ? [button(option.label, () => put(name, true))] : [];
   });
 }
 
 function button(label, act) { return h("button", { type: "button", onclick: act }, label); }
-/** Returns the columns that a sentence names behind an option, in quotes where the shell needs them; "" where it names none. */
+/** Returns the columns that follow an option in a sentence, quoted for the shell if needed; "" if there are none. */
 function columnsBehind(sentence, flag, columns) {
   const [, inQuotes, plain] = sentence.match(new RegExp(`--${flag} (?:'([^']+)'|([^\\s'";()]+))`)) ?? [];
   const value = inQuotes ?? plain?.replace(/[.,]+$/, "") ?? "";
   return namesOf(value).every((name) => columns.includes(name)) ? value : "";
 }
-/** A word behind an option is a value of it where it is one of its choices, or a number where it takes numbers. */
+/** The word after an option is its value if it is one of the choices, or a number for an option that takes numbers. */
 function isValue({ metavar, name }, word) {
   if (word === undefined || metavar === null) return false;
-  const choices = metavar.split("|"); // of one alone it is an example
+  const choices = metavar.split("|"); // a single word is an example
   return (choices.length > 1 && choices.includes(word)) || (name === "missing_value" && word !== "" && Number.isFinite(Number(word)));
 }
 
-/** A column that the sentence itself proposes is a button; any other can be chosen. */
+/** Returns a button for a column that the sentence proposes, otherwise a list of columns. */
 function columnMend(option, sentence, columns, choose) {
   const proposed = sentence.match(/perhaps ([^),;]+)/)?.[1];
   const act = (column) => choose(column, option.name);

@@ -7,9 +7,9 @@ import { HAS_RESULT, plural } from "./format.js";
 import { mends, namesOf } from "./mend.js";
 
 const ROLES = ["time", "state", "input", "trajectory", "weights", "unused"];
-/** The options that name the columns of roles: of those that nobody has chosen the service decides. */
+/** Options that name the columns of a role; without a choice by the user, the service decides. */
 const OPTION_OF = { time: "time", state: "states", input: "inputs", trajectory: "trajectory", weights: "weights" };
-/** Settings that are not called like their option. */
+/** Settings with another name than their option. */
 const SETTINGS = { allow: "variables_of", require: "required_of" };
 const SETTLE = 500;
 const MOST_CHARTS = 6;
@@ -39,10 +39,10 @@ class NewJob {
     const step = (title, ...parts) => h("section", { id: title === "Submit" ? "submitting" : null }, h("h2", {}, title), parts);
     root.append(viewHeading("New job"), h("form", { onsubmit: (event) => this.#submit(event), onkeydown: takeEnter },
       step("Data", h("div", { class: "drop" }, h("span", {}, "Drop data files here, or "), file, h("label", { for: "file", class: "button" }, "choose files"), demo), this.hint, this.unread, this.mending, this.outline),
-      (this.seen = step("Smoothed", this.preview)), step("Options", this.form), (this.same = step("The same elsewhere", this.commands)),
-      step("Submit", session.may_write ? null : h("p", { class: "faint" }, "You are looking only. ", h("a", { href: "#/token" }, "Enter the token"), " to submit."),
+      (this.seen = step("Smoothed", this.preview)), step("Options", this.form), (this.same = step("Same job as a command", this.commands)),
+      step("Submit", session.may_write ? null : h("p", { class: "faint" }, "You can only read. ", h("a", { href: "#/token" }, "Enter the token"), " to submit."),
         h("div", { class: "tools" }, h("label", {}, "Name ", this.name), h("label", {}, "Priority ", this.priority),
-          h("label", {}, this.shared, " everybody may see it"), this.send), this.fault)));
+          h("label", {}, this.shared, " visible to all users"), this.send), this.fault)));
     [this.seen, this.same].forEach((part) => show(part, false));
   }
 
@@ -74,7 +74,7 @@ class NewJob {
       this.take([new File([text], filename, { type: "text/csv" })]);
     });
   }
-  /** Takes over data and options of another job, and its equations to begin from. */
+  /** Copies the data and options of another job, and its equations as initial guesses. */
   async #takeOver(id) {
     const job = await get(paths.job(id));
     this.name.value = job.name;
@@ -83,14 +83,14 @@ class NewJob {
     const result = HAS_RESULT.includes(job.state) ? await get(paths.of(id, "result")).catch(() => null) : null;
     this.#options = this.#optionsOf(result?.config ?? {}, job);
     const found = (result?.equations ?? []).filter(({ expression, why }) => expression && why !== "known").map(({ lhs, expression }) => `${lhs}=${expression}`);
-    if (found.length) this.#options.guess = found; // the search goes on from where the other one is
+    if (found.length) this.#options.guess = found; // the search continues from the other job's equations
     this.#fields.forEach((field, name) => field.show(this.#options[name]));
     for (const [role, option] of Object.entries(OPTION_OF)) namesOf(this.#options[option]).forEach((name) => this.#chosen.set(name, role));
     this.#from = job;
     setText(this.hint, `Data and options come from ${job.name}${found.length ? "; the search begins from its equations (--guess)" : ""}.`);
     this.#ask();
   }
-  /** Returns the options by which a configuration was given, whose sections hold settings of much the same names. */
+  /** Returns the options that give a configuration; its settings have nearly the same names. */
   #optionsOf(config, { seed, preset }) {
     const settings = Object.assign({ seed, preset }, ...Object.values(config).filter((section) => section && typeof section === "object"));
     const options = {};
@@ -117,7 +117,7 @@ class NewJob {
     const common = { id, "aria-describedby": `${id}-help`, oninput: read };
     const input = option.metavar === null ? h("input", { type: "checkbox", ...common })
       : choices ? h("select", common, choices.map((choice) => h("option", { value: choice }, choice || "(default)")))
-        : option.is_repeatable ? h("textarea", { rows: "1", placeholder: `${option.metavar}, one a line`, ...common })
+        : option.is_repeatable ? h("textarea", { rows: "1", placeholder: `${option.metavar}, one per line`, ...common })
           : h("input", { placeholder: option.metavar, autocomplete: "off", ...common });
     const fill = (value) => {
       if (option.metavar === null) input.checked = Boolean(value);
@@ -140,7 +140,7 @@ class NewJob {
   }
   get #body() { return this.#files && new Blob(this.#files); }
   get #source() { return this.#files?.map(({ name }) => name).join(", ") ?? this.#from.name; }
-  /** Asks how the data are read with these options, then how they look smoothed. */
+  /** Requests how the data are read with these options, then their smoothed curves. */
   async #ask() {
     if (!this.#files && !this.#from) return;
     this.#asked?.abort();
@@ -156,14 +156,14 @@ class NewJob {
       this.#drawPreview(await upload("preview", this.#body, this.#query, signal));
     } catch (error) {
       if (error.name === "AbortError") return;
-      setText(this.hint, `${this.#source} cannot be read like this.`);
+      setText(this.hint, `${this.#source} cannot be read with these options.`);
       this.unread.say(error.message);
       this.send.disabled = true;
       this.#drawRefused(error.columns ?? []);
       this.#offerMends(error.message);
     }
   }
-  /** An error has buttons that mend it, and a warning those that do what it advises. */
+  /** Adds buttons that correct an error, or that follow the advice of a warning. */
   #offerMends(sentence, isWarning = false) {
     const parts = mends(sentence, {
       isWarning, assign: (names, role) => names.forEach((name) => this.#choose(name, role)),
@@ -174,7 +174,7 @@ class NewJob {
     this.mending.replaceChildren(...parts);
     show(this.mending, parts.length > 0);
   }
-  /** What cannot be read yet, as there is no time, still has columns, of which one can be chosen. */
+  /** A file that cannot be read yet, for example without a time, has columns from which the user can choose. */
   #drawRefused(columns) {
     if (!this.#columns.length) this.#columns = columns;
     if (this.#columns.length) this.#drawColumns({ columns: this.#columns, equations: [] });
@@ -207,24 +207,24 @@ class NewJob {
       return h("tr", {}, h("th", { scope: "row" }, column.name), h("td", { "data-head": "Role" }, role), h("td", { "data-head": "Unit" }, unit), h("td", { "data-head": "Angle" }, angle),
         h("td", { class: "numbers", "data-head": "First values" }, column.first.join(", ")));
     });
-    const sought = equations.map((equation) => [equation.lhs, equation.known ? `given: ${equation.known}` : `of ${[equation.variables].flat().join(", ")}${equation.guesses?.length ? `, beginning from ${[equation.guesses].flat().join("; ")}` : ""}`]);
+    const sought = equations.map((equation) => [equation.lhs, equation.known ? `given: ${equation.known}` : `of ${[equation.variables].flat().join(", ")}${equation.guesses?.length ? `, starting from ${[equation.guesses].flat().join("; ")}` : ""}`]);
     return [h("div", { class: "wide" }, h("table", { class: "stacked" }, h("caption", { class: "unseen" }, "Columns"), h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows))),
       ...(sought.length ? [h("h3", {}, "Equations to find"), facts(sought)] : [])];
   }
-  /** Gives a column a role; "" leaves it to the service, and an `option` without a role names the column. */
+  /** Gives a column a role ("": the service decides); an `option` without a role names the column. */
   #choose(column, role, option = null) {
     if (role === null) return this.#put(option, quote(column));
     if (role) this.#chosen.set(column, role);
     else this.#chosen.delete(column);
     if (["time", "trajectory", "weights"].includes(role)) {
-      for (const [name, other] of [...this.#chosen]) if (other === role && name !== column) this.#chosen.delete(name); // there is one of each
+      for (const [name, other] of [...this.#chosen]) if (other === role && name !== column) this.#chosen.delete(name); // each of these roles has one column
     }
     const named = (wanted) => this.#columns.filter(({ name }) => this.#chosen.get(name) === wanted).map(({ name }) => quote(name));
     for (const wanted of ["time", "input", "trajectory", "weights"]) this.#put(OPTION_OF[wanted], named(wanted).join(","));
     this.#put("states", this.#states().map(quote).join(","));
     return undefined;
   }
-  /** Returns the states, where somebody has said that a column is one or that a state is none: they are named together then. */
+  /** Returns all states if the user has made a column a state, or a state another role: then the option names them all. */
   #states() {
     const isSaid = this.#columns.some(({ name, role }) => this.#chosen.get(name) === "state" || (this.#chosen.get(name) === "unused" && role !== null));
     return isSaid ? this.#columns.filter(({ name, role }) => (this.#chosen.get(name) ?? role) === "state").map(({ name }) => name) : [];
@@ -283,7 +283,7 @@ class NewJob {
   }
 }
 
-/** Enter in a unit or an option takes the value: only below "Submit" it submits the job. */
+/** Enter in a unit or an option accepts the value; it submits the job only in the section "Submit". */
 function takeEnter(event) {
   const { key, target } = event;
   if (key !== "Enter" || target.tagName !== "INPUT" || target.type === "file" || target.closest("#submitting")) return;
@@ -292,7 +292,7 @@ function takeEnter(event) {
 }
 
 function quote(name) { return /[",]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name; }
-/** Returns a setting as the texts that an option takes. */
+/** Returns a setting as texts of its option. */
 function asTexts(name, value) {
   if (value === null || value === false) return [];
   if (Array.isArray(value)) return [value.map((part) => (part?.column ? `${part.column}${part.degrees ? ":deg" : ""}` : quote(String(part)))).join(",")];

@@ -18,7 +18,7 @@ export class Paced {
     this.#due = null;
     if (this.#isBusy) return;
     this.#isBusy = true;
-    const pause = await this.fetch().catch(() => 0); // the banner says it if the service is away
+    const pause = await this.fetch().catch(() => 0); // the banner shows that the service does not answer
     this.#isBusy = this.isClosed;
     this.#earliest = Date.now() + Math.max(PAUSE, pause ?? 0);
     if (this.#isStale) this.soon();
@@ -27,14 +27,14 @@ export class Paced {
 
   close() {
     clearTimeout(this.#due);
-    this.#isBusy = this.isClosed = true; // nothing is fetched for a view that is gone
+    this.#isBusy = this.isClosed = true; // a closed view fetches no data
   }
 }
 
-/** Calls `draw(answer)` again and again until the view is closed; says it if nothing answers. */
+/** Calls `draw(answer)` repeatedly until the view is closed; reports a service that does not answer. */
 export class Poll extends Paced {
   #isDrawn = false;
-  /** `failed(sentence)` is called where nothing could be drawn so far. */
+  /** `failed(sentence)` is called if there was no answer to draw so far. */
   constructor(path, app, draw, failed = () => {}) {
     super(() => this.#read(path, draw));
     Object.assign(this, { app, failed });
@@ -59,5 +59,5 @@ export class Poll extends Paced {
     }
   }
 
-  close() { super.close(); this.app.connection("poll", true); } // a closed poll shows no lost connection
+  close() { super.close(); this.app.connection("poll", true); } // a closed poll reports no lost connection
 }

@@ -1,10 +1,10 @@
-// One connection to api/v1/events that heals by itself. EventSource cannot send a token, hence fetch.
+// One connection to api/v1/events that reconnects by itself. It uses fetch, because EventSource cannot send a token.
 
 import { check, send } from "./api.js";
 
 const LEAST_PAUSE = 500;
 const LONGEST_PAUSE = 10_000;
-/** Keep-alive comments come every 10 s; a connection that is silent for longer is dead, even if nobody closed it. */
+/** Comments arrive every 10 s; a connection without data for longer is lost, even if it was not closed. */
 const LONGEST_SILENCE = 25_000;
 /** Reads events of some jobs until it is closed; `on` has message(type, id, data), opened() and lost(sentence). */
 export class Stream {
@@ -27,7 +27,7 @@ export class Stream {
         if (this.#end.signal.aborted) return;
         this.on.lost(error.status === undefined ? "The connection to the service is lost." : error.message);
       }
-      await this.#rest(pause * (0.8 + 0.4 * Math.random())); // or all tabs would come back at the same instant
+      await this.#rest(pause * (0.8 + 0.4 * Math.random())); // random, so that tabs do not reconnect at the same time
       pause = Math.min(2 * pause, LONGEST_PAUSE);
     }
   }
@@ -68,7 +68,7 @@ export class Stream {
   #take(type, id, data) { if (id !== null) this.last = id; this.on.message(type, id, JSON.parse(data)); }
 }
 
-/** Returns a function that takes a text/event-stream as it comes and hands on each event that is complete. */
+/** Returns a function that takes pieces of a text/event-stream and passes on each complete event. */
 function eventReader(take) {
   let rest = "";
   return (text) => {

@@ -1,4 +1,4 @@
-// The workers: their jobs and resources, whether they get new work, and when workers joined and left.
+// The workers: their jobs and resources, whether they get new work, and the times when workers joined and left.
 
 import { change, get, session } from "./api.js";
 import { follow } from "./events.js";
@@ -19,7 +19,7 @@ export default function open(root, _place, app) {
   const body = h("tbody");
   const heads = COLUMNS.map((head) => h("th", { scope: "col", class: NUMBERS.has(head) ? "number" : null }, head));
   const table = h("table", { class: "list stacked", hidden: true }, h("caption", { class: "unseen" }, "Workers"), h("thead", {}, h("tr", {}, heads)), body);
-  const none = h("p", { hidden: true }, "Start one on any machine that can reach the coordinator: ", h("code", {}, `island-worker --connect ${session.connect}`));
+  const none = h("p", { hidden: true }, "Start a worker on any machine that can reach the coordinator: ", h("code", {}, `island-worker --connect ${session.connect}`));
   const history = new History();
   root.append(viewHeading("Workers"), summary, fault, h("div", { class: "wide" }, table), none, history.box);
   const loads = new Loads();
@@ -39,7 +39,7 @@ export default function open(root, _place, app) {
   return { again: () => Promise.all([poll.again(), history.fetch()]), close: () => poll.close() };
 }
 
-/** Seconds of a processor that each worker has used in a second, between the last two answers. */
+/** Processor seconds per second of each worker, between the last two answers. */
 class Loads {
   #last = new Map();
   of({ worker, pid, counters }) {
@@ -52,17 +52,17 @@ class Loads {
   }
 }
 
-/** When workers came and went, newest first. */
+/** Times when workers joined and left, newest first. */
 class History {
   #events = new Map(); #isKnown = false;
   constructor() {
     this.list = h("ol", { class: "log", reversed: true });
-    this.none = h("p", { class: "faint", hidden: true }, "No worker has come or gone yet.");
+    this.none = h("p", { class: "faint", hidden: true }, "No worker has joined or left yet.");
     this.box = h("section", { "aria-label": "History" }, h("h2", {}, "History"), this.none, this.list);
   }
 
   async fetch() {
-    const answer = await get("logs", { limit: 1000 }).catch(() => null); // the banner says it if the service is away
+    const answer = await get("logs", { limit: 1000 }).catch(() => null); // the banner shows that the service does not answer
     if (!answer) return;
     this.#isKnown = true;
     this.add(answer.events);
@@ -107,13 +107,13 @@ function fill({ parts, serve }, worker, load) {
   fillDoing(parts.Doing, worker);
   setText(parts.Service.firstChild, isLost ? "" : worker.service);
   const kind = session.may_write && !isLost ? worker.service : "";
-  if (parts.Service.dataset.kind === kind) return; // or a button would be lost under the finger every two seconds
+  if (parts.Service.dataset.kind === kind) return; // otherwise buttons would be replaced every two seconds, during a click
   parts.Service.dataset.kind = kind;
   parts.Service.lastChild.replaceChildren(...(SERVICES[kind] ?? []).map(([label, wanted]) =>
     h("button", { type: "button", class: "small", "aria-label": `${label} ${worker.worker}`, onclick: () => serve(worker.worker, wanted) }, label)));
 }
 
-/** What a worker computes, the job first, is a link to that job. */
+/** Shows the work of a worker, with a link to its job. */
 function fillDoing(place, { state, doing, detail, standing }) {
   const [job, rest] = doing ? doing.split(/\/(.*)/s, 2) : [null, ""];
   const since = standing > SILENT ? ` (for ${duration(standing)})` : "";

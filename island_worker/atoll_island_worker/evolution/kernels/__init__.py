@@ -1,9 +1,9 @@
-"""The compiled part of the search; see `atoll_core.compilation.jit` for what a kernel may do.
+"""The compiled part of the search; `atoll_core.compilation.jit` has the rules for kernels.
 
-- ``variation``: random lists, crossover, mutation. ``tape``: from a list to its live nodes, and to a canonical program.
-- ``measured_rows``: the rows of measurements. ``fit``: coefficients and constants fitted to rows; the loss.
-- ``generation``: whole generations with deterministic crowding. ``offers``: which individuals are measured on all rows.
-- ``predictors``: predictors judged and varied. ``trainers``: trainers measured. ``random``: the counter-based stream.
+- ``variation``: random lists, crossover, mutation. ``tape``: the live nodes of a list, and its canonical program.
+- ``measured_rows``: the rows on which individuals are measured. ``fit``: fits of coefficients and constants; the loss.
+- ``generation``: whole generations with deterministic crowding. ``offers``: individuals to be measured on all rows.
+- ``predictors``: quality and variation of predictors. ``trainers``: losses of trainers. ``random``: random numbers.
 
-A generation goes through ``variation``, ``tape`` and ``fit``; every edit here changes the fingerprint of all workers.
+A generation uses ``variation``, ``tape`` and ``fit``. Every edit of these files changes the fingerprint of all workers.
 """

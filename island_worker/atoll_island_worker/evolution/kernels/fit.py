@@ -1,11 +1,11 @@
-"""Fit a program to rows: its top-level terms in closed form, the constants inside them by Levenberg and Marquardt.
+"""Fit a program to rows: linear coefficients in closed form, the constants inside terms by Levenberg-Marquardt steps.
 
 An individual's output is b + a_1 t_1 + ... + a_m t_m, where the t_j are the terms that its list adds and subtracts at
 the top. With one term this is linear scaling (Keijzer 2003). The a_j and b always minimise the squared error for the
-terms at hand, so that only the inner constants need steps: variable projection (Golub & Pereyra 1973) with Kaufman's
-(1975) Jacobian, which holds the a_j and takes out of each column what 1 and the terms can express. Damping is
-Marquardt's (1963): a multiple of the diagonal of the normal equations. Sums run over rows in order; nothing is
-allocated.
+present terms, so that only the inner constants need steps. This is variable projection (Golub & Pereyra 1973) with
+Kaufman's (1975) Jacobian: its columns are the derivatives with fixed a_j, minus their projections on 1 and the terms.
+The damping is Marquardt's (1963): a multiple of the diagonal of the normal equations. Sums run over rows in order. No
+arrays are allocated.
 """
 
 from typing import Final
@@ -24,10 +24,15 @@ from atoll_island_worker.evolution.structures import MOST_FITTED, Fit, Floats, H
 INFINITY: Final = np.inf
 _FIRST_DAMPING: Final = 1e-3
 _STALLED: Final = 1e-3
+"""A fit has stalled if a step reduces the squared error by less than this share."""
 _EXACT: Final = 1e-30
+"""A fit is exact if its mean squared error is at most this share of the target's mean square."""
 _COLLINEAR: Final = 1e-10
+"""A term is a combination of earlier terms if at most this share of its squared length is orthogonal to them."""
 _NEGLIGIBLE: Final = 1e-28
+"""A term is constant if its variance is at most this share of its squared mean."""
 _SUPERFLUOUS: Final = 1e-20
+"""Smallest share of the squared length of a Jacobian column that remains after projection, see `_project`."""
 _ZERO: Final = np.int64(0)
 _ONE: Final = np.int64(1)
 _NONE: Final = np.uint64(0)
@@ -36,7 +41,10 @@ _UNIT: Final = np.uint64(1)
 
 @inlined
 def _add_term(terms: Ints, number: Int, node: Int, code: Ints) -> Int:
-    """Append `node` unless it is there already or a constant, which b stands for; return the number of terms."""
+    """Append `node` to the first `number` of `terms`, unless it is in the list or a constant; return the new number.
+
+    Constants are part of b.
+    """
     if code[node] == CONSTANT:
         return number
     for j in range(number):
@@ -50,8 +58,9 @@ def _add_term(terms: Ints, number: Int, node: Int, code: Ints) -> Int:
 def collect_terms(tape: Tape, count: Int, most: Int, terms: Ints) -> Int:
     """List in `terms` the tape indices of at most `most` terms; return their number, 0 for a constant program.
 
-    From the output down, a sum or difference gives way to its arguments, and a negation or a product with a constant
-    to the other argument, as long as there is room. `most` 0: the output itself, unscaled.
+    The search for terms begins at the output. A negation is replaced by its argument. A product with a constant, or a
+    quotient with a constant divisor, is replaced by the other argument. A sum or difference is replaced by its two
+    arguments while there are fewer than `most` terms. With `most` 0 the only term is the output, unscaled.
     """
     terms[0] = count - 1
     if most == 0:
@@ -83,7 +92,10 @@ def collect_terms(tape: Tape, count: Int, most: Int, terms: Ints) -> Int:
 
 @inlined
 def choose_fitted(tape: Tape, count: Int, number: Int, most: Int, work: Work) -> Int:
-    """List the first `most` constants inside the terms in `work.fitted`; mark what depends on them; return how many."""
+    """List the first `most` constants inside the `number` terms in `work.fitted`; return how many there are.
+
+    `tape.depends` marks the nodes that depend on them.
+    """
     feeds = tape.wanted
     for i in range(count):
         feeds[i] = False
@@ -114,9 +126,10 @@ def choose_fitted(tape: Tape, count: Int, number: Int, most: Int, work: Work) ->
 
 @inlined
 def fit_terms(number: Int, rows: Rows, work: Work, scale: Floats) -> None:
-    """Set `scale` to the b, a_1, ... that minimise the squared error, and `work.residual` to what they leave.
+    """Set `scale` to the b, a_1, ... that minimise the squared error, and `work.residual` to the residuals.
 
-    By modified Gram-Schmidt on the centred terms. A term that is constant, or a combination of earlier ones, gets 0.
+    The method is modified Gram-Schmidt on the centred terms. The coefficient of a term that is constant, or a
+    combination of earlier terms, is 0.
     """
     n = rows.length
     basis = work.basis
@@ -153,14 +166,14 @@ def fit_terms(number: Int, rows: Rows, work: Work, scale: Floats) -> None:
 
 @inlined
 def _subtract_multiple(out: Floats, i: Int, factor: float, source: Floats, j: Int, length: Int) -> None:
-    """Subtract `factor` times source[j] from out[i]."""
+    """Subtract `factor` times source[j] from out[i], in the first `length` columns."""
     for start in range(_ZERO, length, LANES):
         add_scaled(place(out, i, start), -factor, place(source, j, start))
 
 
 @inlined
 def residual_of(number: Int, rows: Rows, work: Work, scale: Floats) -> None:
-    """Set `work.residual` to the target less b + a_1 t_1 + ... with the coefficients in `scale`."""
+    """Set `work.residual` to the target minus (b + a_1 t_1 + ...), with the coefficients in `scale`."""
     residual = work.residual
     for start in range(_ZERO, rows.length, LANES):
         out = place(residual, _ZERO, start)
@@ -173,7 +186,7 @@ def residual_of(number: Int, rows: Rows, work: Work, scale: Floats) -> None:
 
 @inlined
 def errors(rows: Rows, work: Work, result: Floats) -> None:
-    """Set result[0] to the mean absolute and result[1] to the mean squared `work.residual`; inf when not finite."""
+    """Set result[0] to the mean absolute and result[1] to the mean squared residual, both inf when not finite."""
     n = rows.length
     sum_ = 0.0
     for start in range(_ZERO, n, LANES):
@@ -188,9 +201,10 @@ def errors(rows: Rows, work: Work, result: Floats) -> None:
 def measure_tape(
     tape: Tape, count: Int, rows: Rows, is_linear: bool, partly: bool, work: Work, scale: Floats, result: Floats
 ) -> None:
-    """Evaluate the tape on `rows`, with `work.terms` as they are, and set the errors; one value at each row.
+    """Evaluate the tape on `rows` and set the errors in `result` (2,); `work.terms` must be set.
 
-    `is_linear`: b, a_1, ... are fitted first; `partly`: only what depends on fitted constants has changed.
+    This counts as one point evaluation at each row. With `is_linear`, b, a_1, ... are fitted to the terms. With
+    `partly`, only nodes that depend on fitted constants are evaluated again.
     """
     wanted = tape.depends if partly else tape.wanted
     forward(
@@ -206,7 +220,7 @@ def measure_tape(
 
 @inlined
 def _forward_list(lists: Lists, p: Int, live: Hashes, rows: Rows, work: Work) -> None:
-    """Write the value of each node of list `p` that is marked in `live` to the row of `work.values` with its index."""
+    """Write the values of the nodes of list `p` that are marked in `live` to `work.values`; row i belongs to node i."""
     for start in range(_ZERO, rows.length, LANES):
         for word in range(live.shape[0]):
             waiting = live[word]
@@ -233,7 +247,10 @@ def _forward_node(lists: Lists, p: Int, i: Int, rows: Rows, start: Int, work: Wo
 
 @inlined
 def measure_plainly(lists: Lists, p: Int, live: Hashes, rows: Rows, work: Work, result: Floats) -> None:
-    """Evaluate list `p`, its live nodes marked in `live`, on `rows` as it stands, without a tape; set the errors."""
+    """Evaluate list `p` on `rows` without a tape and without fitting; set the errors in `result` (2,).
+
+    `live` marks the live nodes of the list.
+    """
     _forward_list(lists, p, live, rows, work)
     output = np.int64(lists.code.shape[1] - 1)
     for start in range(_ZERO, rows.length, LANES):
@@ -247,7 +264,7 @@ def measure_plainly(lists: Lists, p: Int, live: Hashes, rows: Rows, work: Work, 
 
 @inlined
 def _jacobian(tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work) -> None:
-    """Fill `work.columns` with the derivatives of the output by the fitted constants, the a_j held."""
+    """Fill `work.columns` with the derivatives of the output with respect to the fitted constants, for fixed a_j."""
     adjoints = work.adjoints
     for start in range(_ZERO, rows.length, LANES):
         for i in range(count):
@@ -264,10 +281,10 @@ def _jacobian(tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, 
 
 @inlined
 def _project(i: Int, rows: Rows, work: Work) -> None:
-    """Take out of column `i` what 1 and the terms can express; all of it where only rounding errors would be left.
+    """Subtract from column `i` its projection on 1 and the terms; if only rounding errors remain, set it to 0.
 
-    Such a column belongs to a constant that the coefficients make superfluous, as c in a exp(x + c). A step along
-    rounding errors would be enormous, and would spoil the step of every other constant.
+    Such a column belongs to a constant whose effect the coefficients can replace, such as c in a exp(x + c). A step
+    along rounding errors would be enormous, and would spoil the steps of all other constants.
     """
     n = rows.length
     columns = work.columns
@@ -287,7 +304,7 @@ def _project(i: Int, rows: Rows, work: Work) -> None:
 def _normal_equations(
     tape: Tape, count: Int, fitted: Int, is_linear: bool, rows: Rows, scale: Floats, work: Work
 ) -> None:
-    """Fill matrix and gradient at the values standing in `work`; what terms can express is taken out of the columns."""
+    """Fill `work.matrix` and `work.gradient` for the values in `work`; columns are projected, see `_project`."""
     _jacobian(tape, count, fitted, is_linear, rows, scale, work)
     n = rows.length
     columns = work.columns
@@ -303,7 +320,7 @@ def _normal_equations(
 
 @inlined
 def _solve(size: Int, damping: float, work: Work) -> bool:
-    """Solve (A + damping diag A) step = -gradient by Cholesky; return False when that is not possible."""
+    """Solve (A + damping diag A) step = -gradient by Cholesky; return False if the matrix is not positive definite."""
     damped = work.damped
     for i in range(size):
         for j in range(i):
@@ -337,15 +354,16 @@ def fit(
     tape: Tape, count: Int, rows: Rows, options: Fit, most: Int, steps: Int, ceiling: float, work: Work,
     scale: Floats, result: Floats,
 ) -> Int:  # fmt: skip
-    """Fit terms and inner constants of the tape to `rows`, in place; set the errors; return point evaluations.
+    """Fit coefficients and inner constants of the tape to `rows`, in place; return the number of point evaluations.
 
-    A value at a row counts 1; the reverse sweep that makes it a gradient counts 2 more.
+    A value at a row counts as 1 point evaluation; a gradient at a row counts as 2 more.
 
     Args:
-        most: constants fitted at most, the terms' included.
-        steps: Levenberg-Marquardt steps at most; ends earlier when exact or stalled.
-        ceiling: loss above which, terms fitted, no step is taken.
-        scale: out: b, a_1, ...  result: (2,) out: mean absolute and mean squared error on `rows`.
+        most: largest number of fitted constants, coefficients and b included.
+        steps: largest number of Levenberg-Marquardt steps; the fit ends earlier when it is exact or has stalled.
+        ceiling: no step is taken if the loss after fitting the coefficients is above this.
+        scale: result: b, a_1, ...
+        result: result, (2,): mean absolute and mean squared error on `rows`.
     """
     number = collect_terms(tape, count, options.terms, work.terms)
     work.number[0] = number

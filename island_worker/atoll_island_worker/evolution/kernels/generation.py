@@ -1,7 +1,8 @@
-"""Generations of one island: pair, cross, mutate, fit, and let each child replace its more similar parent if no worse.
+"""Generations of one island: pair, cross, mutate and fit; each child replaces its more similar parent if no worse.
 
-Deterministic crowding (Mahfoud 1995) as the paper has it, measured on the best fitness predictor's rows, with the
-coevolution of predictors and trainers (paper, section 2.3) in between. Point evaluations are counted by part.
+This is deterministic crowding (Mahfoud 1995) as in the paper. Individuals are measured on the rows of the best fitness
+predictor. Predictors and trainers coevolve between the generations (paper, section 2.3). Point evaluations are counted
+by part.
 """
 
 from typing import Final
@@ -40,7 +41,7 @@ from atoll_island_worker.evolution.structures import (
     Work,
 )
 
-OFFSPRING: Final = np.int64(0)  # a plain integer would be a type of its own to the compiler, as an argument
+OFFSPRING: Final = np.int64(0)  # the compiler would give a Python integer as an argument a type of its own
 REEVALUATION: Final = np.int64(1)
 FITTING: Final = 2
 REFITTING: Final = 3
@@ -55,7 +56,7 @@ _ONE: Final = np.int64(1)
 
 @inlined
 def residual_of_list(lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape, work: Work) -> None:
-    """Write the target less the output of individual `p`, as it stands, on `rows` into `work.residual`."""
+    """Write the target minus the output of individual `p` on `rows` into `work.residual`, without fitting."""
     count = compile_tape(lists, p, tape)
     number = collect_terms(tape, count, options.terms, work.terms)
     for i in range(count):
@@ -69,7 +70,7 @@ def residual_of_list(lists: Lists, p: Int, rows: Rows, options: Fit, tape: Tape,
 
 @inlined
 def has_required(tape: Tape, count: Int, required: Int) -> bool:
-    """Tell whether all variables whose bits are set in `required` are among the first `count` nodes of `tape`."""
+    """Return whether all variables whose bits are set in `required` are among the first `count` nodes of `tape`."""
     present = _ZERO
     for i in range(count):
         if tape.code[i] == VARIABLE and tape.left[i] < MOST_REQUIRED:
@@ -82,11 +83,11 @@ def develop(
     lists: Lists, p: Int, rows: Rows, options: Fit, ceiling: float, tape: Tape, work: Work, result: Floats,
     counters: Ints, part: Int,
 ) -> float:  # fmt: skip
-    """Fit the constants of individual `p` to `rows`, write them back, count; return its loss there.
+    """Fit the constants of individual `p` to `rows` and write them into its list; return its loss on `rows`.
 
-    The first value at each row is counted under `part`, the rest as constant fitting. `work.settled` tells whether
-    further steps would be of no use; see `fit` for `ceiling`. An individual that lacks a required variable is not
-    measured.
+    The first value at each row is counted under `part`, further evaluations as constant fitting. `work.settled` is set
+    if further steps would not improve the fit. `ceiling` is as in `fit`. An individual that lacks a required variable
+    is not measured; its loss is infinity.
     """
     mark_live(lists, p, tape.bits)
     return develop_marked(lists, p, tape.bits, rows, options, ceiling, tape, work, result, counters, part)
@@ -97,7 +98,7 @@ def develop_marked(
     lists: Lists, p: Int, live: Hashes, rows: Rows, options: Fit, ceiling: float, tape: Tape, work: Work,
     result: Floats, counters: Ints, part: Int,
 ) -> float:  # fmt: skip
-    """Do what `develop` does with individual `p`, whose live nodes are marked in `live`."""
+    """Do the same as `develop`, with the live nodes of individual `p` already marked in `live`."""
     if options.required != 0 and not has_required(tape, compile_live(lists, p, live, tape), options.required):
         work.settled[0] = True
         return INFINITY
@@ -118,10 +119,10 @@ def develop_marked(
 def measure_all(
     lists: Lists, fitness: Floats, rows: Rows, options: Fit, scratch: Scratch, counters: Ints, part: Int
 ) -> None:
-    """Measure the whole population on `rows`, constants fitted there as a child's are, and count it.
+    """Measure the whole population on `rows`, counted under `part`; constants are fitted as for a child.
 
-    After a change of predictor a child whose constants suit the new rows would otherwise displace a better parent
-    whose constants suit the old ones: a change would be a purge.
+    Without this fit, after a change of the predictor, a child with constants for the new rows would replace a better
+    parent with constants for the old rows. Each change would remove most of the population.
     """
     for p in range(fitness.shape[0]):
         fitness[p] = develop(
@@ -132,7 +133,7 @@ def measure_all(
 
 @kernel
 def draw_coevolution(lists: Lists, coevolution: Coevolution, length: Int, stream: Stream) -> None:
-    """Draw random predictors of `length` rows and take random individuals as trainers, not yet measured."""
+    """Draw random predictors, with row indices below `length`, and random individuals as trainers, not measured yet."""
     for k in range(coevolution.predictors.shape[0]):
         for i in range(coevolution.predictors.shape[1]):
             coevolution.predictors[k, i] = below(stream, length)
@@ -159,9 +160,10 @@ def _shuffle(order: Ints, stream: Stream) -> None:
 
 @inlined
 def _sign_child(parents: Lists, base: Int, children: Lists, q: Int, signature: Ints, live: Hashes) -> Int:
-    """Return the row of the signature of child `q`, whose output is that of parent `base`: the parent's or its own.
+    """Return the row of `signature` that has the signature of child `q`; the child's output node comes from `base`.
 
-    It is the parent's where no node that is live there has changed; the child is the same program then.
+    If no live node of parent `base` has changed in the child, both are the same program, and the row is the parent's.
+    Otherwise the child's signature is written to a row of its own.
     """
     if is_unchanged(parents, base, children, q, live):
         return base
@@ -172,7 +174,7 @@ def _sign_child(parents: Lists, base: Int, children: Lists, q: Int, signature: I
 
 @inlined
 def _copy_signature(signature: Ints, live: Hashes, i: Int, j: Int) -> None:
-    """Copy row `i` of both to row `j`."""
+    """Copy row `i` of `signature` and of `live` to row `j`."""
     move(signature, j, signature, i, 0, signature.shape[1])
     move(live, j, live, i, 0, live.shape[1])
 
@@ -184,10 +186,11 @@ def _distance(signature: Ints, i: Int, j: Int) -> int:
 
 @inlined
 def _is_straight(first: Int, second: Int, signature: Ints, signed: Ints, apart: Ints) -> bool:
-    """Return whether the two children face the parents they began as; the children are signed at rows `signed`.
+    """Return whether child 0 competes with parent `first` and child 1 with parent `second`; otherwise it is crosswise.
 
-    Parents and children are matched by their distances; a tie goes uncrossed. `apart` comes to be the distances by
-    signature of child 0 and then of child 1 from first and second parent.
+    The pairs are chosen so that the sum of their distances is smallest; if both sums are equal, they are not crosswise.
+    `signed` (2,) are the rows of the children's signatures. `apart` (4,) receives the distances by signature: of child
+    0 from the first and the second parent, then of child 1.
     """
     for q in range(2):
         apart[2 * q] = _distance(signature, first, signed[q])
@@ -197,7 +200,10 @@ def _is_straight(first: Int, second: Int, signature: Ints, signed: Ints, apart: 
 
 @inlined
 def _is_same(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, signed: Int, apart: Int) -> bool:
-    """Return whether child `q`, signed at row `signed` and so far `apart`, computes just what individual `p` does."""
+    """Return whether child `q` is the same program as individual `p`, constants included.
+
+    `signed` is the row of the child's signature, `apart` its distance by signature from `p`.
+    """
     if apart > 0:
         return False
     for k in range(signature.shape[1] if signed != p else 0):
@@ -208,7 +214,7 @@ def _is_same(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, sig
 
 @inlined
 def _inherits(lists: Lists, p: Int, children: Lists, q: Int, signature: Ints, signed: Int, apart: Int) -> bool:
-    """Return whether child `q` computes just what parent `p` does; its scaling is then the parent's."""
+    """Return whether child `q` is the same program as parent `p`; if so, it gets the parent's scaling."""
     if not _is_same(lists, p, children, q, signature, signed, apart):
         return False
     for j in range(lists.scale.shape[1]):
@@ -231,16 +237,16 @@ def advance(
     stream: Stream,
     counters: Ints,
 ) -> int:
-    """Advance the population on the current predictor's `rows`, and the predictors of the `length` rows in all.
+    """Advance the population on the `rows` of the best predictor, and the predictors, which choose from `length` rows.
 
-    A child that computes what one of its parents does is not measured again (and not counted), unless its constants
-    can still be fitted better; in preset `paper`, which fits nothing, every child is counted all the same. Steps for
-    constants are spent on the few children that are much better than their worse parent already without them (ADR
-    0014). Return after so many generations, or sooner when a trainer is to be renewed or the best predictor has
-    changed: `coevolution.due` tells which.
+    A child that is the same program as one of its parents is not measured again and not counted, unless its constants
+    can still be fitted better. In preset `paper`, which fits nothing, every child is counted. Steps for constants are
+    taken only for the few children that are much better than their worse parent without any steps (ADR 0014). The
+    function returns after `generations`, or earlier when a trainer must be renewed or the best predictor has changed;
+    `coevolution.due` says which.
 
     Returns:
-        The generations done.
+        The number of generations done.
     """
     order, due = scratch.order, coevolution.due
     children, tape, near, result = scratch.children, scratch.tape, scratch.near, scratch.result

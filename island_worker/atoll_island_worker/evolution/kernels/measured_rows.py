@@ -1,4 +1,4 @@
-"""Rows that measurements are made on: all of the problem, or those that a fitness predictor names."""
+"""Rows on which individuals are measured: all rows of the problem, or the rows of a fitness predictor."""
 
 import numpy as np
 
@@ -14,9 +14,9 @@ _ZERO = np.int64(0)
 
 @inlined
 def product(one: Floats, i: Int, other: Floats, j: Int, length: Int) -> float:
-    """Return the sum over rows [0, length) of one[i] other[j], one of which is 0 in the padding.
+    """Return the sum of one[i] * other[j] over the rows [0, length); one of them must be 0 in the padding.
 
-    Lanes of a block are summed by a fixed tree, blocks in order.
+    The lanes of a block are summed in a fixed tree, the blocks in order.
     """
     sum_ = 0.0
     for start in range(_ZERO, length, LANES):
@@ -26,14 +26,14 @@ def product(one: Floats, i: Int, other: Floats, j: Int, length: Int) -> float:
 
 @inlined
 def centre_into(out: Floats, i: Int, source: Floats, j: Int, mean: float, rows: Rows) -> None:
-    """Write source[j] less `mean` to out[i], 0 in the padding."""
+    """Write source[j] - `mean` to out[i], and 0 in the padding."""
     for start in range(_ZERO, rows.length, LANES):
         centre(place(out, i, start), place(source, j, start), mean, place(rows.mask, _ZERO, start))
 
 
 @inlined
 def _describe(rows: Rows, functions: Int) -> None:
-    """Fill in what follows from inputs and target."""
+    """Fill `facts`, `centred` and `waves` of `rows` from its inputs and target."""
     n = rows.length
     mean = product(rows.target, _ZERO, rows.mask, _ZERO, n) / n
     rows.facts[0] = mean
@@ -49,7 +49,7 @@ def _describe(rows: Rows, functions: Int) -> None:
 
 @kernel
 def gather(rows: Rows, every: Rows, index: Ints, functions: Int) -> None:
-    """Fill `rows` with the rows `index` of `every`, repeating the last one as padding."""
+    """Fill `rows` with the rows of `every` at the indices `index`; padding repeats the last one."""
     last = index.shape[0] - 1
     for k in range(rows.target.shape[1]):
         r = index[min(k, last)]
@@ -60,7 +60,7 @@ def gather(rows: Rows, every: Rows, index: Ints, functions: Int) -> None:
 
 
 def padded_rows(inputs: Floats, target: Floats, keeps_waves: bool = False) -> Rows:
-    """Return `inputs` (V, R) and `target` (R,), padded, with sine and cosine of the inputs if wanted."""
+    """Return `inputs` (V, R) and `target` (R,) as padded rows, with sine and cosine of the inputs if `keeps_waves`."""
     variables, count = inputs.shape
     every = empty_rows(variables, count, 0)
     every.inputs[:, :count] = inputs

@@ -1,4 +1,4 @@
-"""Which individuals deserve to be measured on all rows, and what their constants are there."""
+"""Choose individuals to be measured on all rows, and fit their constants there."""
 
 from typing import Final
 
@@ -12,10 +12,10 @@ from atoll_island_worker.evolution.kernels.tape import canonical_tape, compile_t
 from atoll_island_worker.evolution.structures import Book, Fit, Floats, Hashes, Ints, Lists, Rows, Scratch, Tape, Work
 
 SIMPLE = 1e-4
-"""A coefficient as near to 1 or -1 as that is also tried as 1 or -1."""
+"""A coefficient that differs from 1 or -1 by less than this is also tried as 1 or -1."""
 
 _SAME: Final = 1e-6
-"""Predicted fitnesses that differ by no more than this share count as those of one function."""
+"""If the predicted losses of two individuals differ by no more than this share, they count as the same function."""
 
 _PRIME = np.uint64(0x100000001B3)
 _BASIS = np.uint64(0xCBF29CE484222325)
@@ -28,7 +28,7 @@ def _mixed(h: np.uint64, value: int) -> np.uint64:
 
 @kernel
 def structure_hash(tape: Tape, count: int) -> np.uint64:
-    """Return a hash of the program without its constants (FNV-1a over nodes)."""
+    """Return a hash of the first `count` nodes of a program without its constants (FNV-1a over nodes)."""
     h = _BASIS
     for i in range(count):
         h = _mixed(_mixed(_mixed(h, tape.code[i]), tape.left[i]), tape.right[i])
@@ -37,7 +37,7 @@ def structure_hash(tape: Tape, count: int) -> np.uint64:
 
 @kernel
 def canonical(lists: Lists, p: int, scratch: Scratch) -> int:
-    """Write individual `p` as a canonical program to `scratch.canonical`; return its size, scaling left out."""
+    """Write individual `p`, without its scaling, as a canonical program to `scratch.canonical`; return its size."""
     count = compile_tape(lists, p, scratch.tape)
     return canonical_tape(scratch.tape, count, scratch.work, scratch.canonical)
 
@@ -46,10 +46,10 @@ def canonical(lists: Lists, p: int, scratch: Scratch) -> int:
 def choose_offers(
     lists: Lists, fitness: Floats, scratch: Scratch, offered: Hashes, offered_loss: Floats, offers: Ints
 ) -> int:
-    """List in `offers` the best individual of each size that no smaller one equals; return their number.
+    """List in `offers` the best individual of each size if it is better than all smaller ones; return their number.
 
-    Those are left out whose structure was the last one offered at that size, unless the predicted loss has halved.
-    `offered` (sizes,) uint64 and `offered_loss` (sizes,) are brought up to date.
+    An individual is left out if its structure was the last one offered at this size, unless its predicted loss is less
+    than half the loss at that offer. `offered` (sizes,) uint64, hashes, and `offered_loss` (sizes,) are updated.
     """
     best = scratch.best_of_size
     for n in range(best.shape[0]):
@@ -81,14 +81,16 @@ def choose_offers(
 def choose_near(
     lists: Lists, fitness: Floats, order: Ints, most: int, scratch: Scratch, known: Hashes, offers: Ints, count: int
 ) -> int:
-    """Add to the `count` individuals in `offers` the next best of each size; return the number of all.
+    """Add the next best individuals of each size to the `count` individuals in `offers`; return the new number.
 
-    So many are taken of a size that `most` are chosen of it, chosen ones that were not there counted; none has the
-    fitness of one before it, nor a structure in the table `known`, which all that are chosen enter: (a power of two,)
-    uint64, a structure's place is given by its last bits and the next one there displaces it.
+    At most `most` individuals of each size are taken, in the order of their losses. An individual is not taken if its
+    loss equals the loss of the last one taken, see `_SAME`. A taken individual is added to `offers` unless its
+    structure is known.
 
     Args:
-        order: (P,) individuals by rising fitness.
+        order: (P,) individuals by rising loss.
+        known: hashes of known structures, uint64, updated; the length is a power of two. The last bits of a hash are
+            its index, and a new hash replaces the one at its index. All individuals in `offers` enter the table.
     """
     taken, last = scratch.taken, scratch.best_of_size
     mask = np.uint64(known.shape[0] - 1)
@@ -127,19 +129,19 @@ def refit(
     result: Floats,
     counters: Ints,
 ) -> None:
-    """Fit the program on `tape` to `rows`, in place; its terms are left in `work`; counted."""
+    """Fit the program on `tape` (`count` nodes) to `rows`, in place, and count it; `work` then has its terms."""
     counters[REFITTING] += fit(tape, count, rows, options, rows.length // 4, steps, INFINITY, work, scale, result)
 
 
 @inlined
 def loss_of(result: Floats, options: Fit) -> float:
-    """Return the loss in the target's units."""
+    """Return the loss in the target's units, from mean absolute and mean squared error, `result` (2,)."""
     return result[0] if options.loss == 0 else np.sqrt(result[1])
 
 
 @inlined
 def _measure_variants(count: int, rows: Rows, options: Fit, tape: Tape, work: Work, book: Book, k: int) -> None:
-    """Write to `book.variants` the loss of each way to write down the coefficients in `book.scale`."""
+    """Write the loss of each variant of the coefficients in book.scale[k] to book.variants[k], see `Book.variants`."""
     for i in range(count):
         tape.wanted[i] = True
     forward(
@@ -173,10 +175,11 @@ def refit_offers(
     book: Book,
     counters: Ints,
 ) -> int:
-    """Fit the first `number` individuals in `offers` to all `rows`; book those that improve; return how many do.
+    """Fit the first `number` individuals in `offers` to all `rows`; write the good ones to `book`; return their number.
 
-    Improving is a loss below `least` (sizes,), for example the least so far of programs no larger. Those take no steps
-    whose loss, terms fitted, is more than `slack` times that: steps rarely gain as much.
+    An individual is good if its loss is below least[size], `least` (sizes,), for example the least loss so far of
+    programs that are no larger. Steps are not taken if the loss after fitting the coefficients is more than `slack`
+    times least[size], because steps rarely reduce it by so much.
     """
     work, tape = scratch.work, scratch.canonical
     count = 0

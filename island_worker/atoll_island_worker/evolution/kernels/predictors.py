@@ -1,7 +1,8 @@
 """Evolution of fitness predictors (Schmidt & Lipson, section 2.3 and Table II of the 2008 paper).
 
-A predictor is a list of rows. It is as good as the loss it predicts agrees with the exact loss, on average over the
-trainers. The losses of trainers at every row are kept, so that judging a predictor needs no further evaluation.
+A predictor is a list of row indices; it predicts a loss from these rows only. Its quality is the mean difference of
+predicted and exact loss over the trainers. The losses of the trainers at every row are stored, so that the quality of a
+new predictor needs no further evaluation.
 """
 
 import numpy as np
@@ -17,9 +18,9 @@ _ROW_MUTATION = 0.05
 
 @inlined
 def judge(coevolution: Coevolution, relative: Int, rows: Ints) -> float:
-    """Return the mean absolute difference of predicted and exact loss over the trainers that have one.
+    """Return the mean absolute difference of predicted and exact loss over the trainers with a finite exact loss.
 
-    With `relative` 1, of the share of the exact loss that the difference is: so that no trainer outweighs the others.
+    With `relative` 1 each difference is divided by the exact loss, so that no trainer outweighs the others.
     """
     total = 0.0
     finite = 0
@@ -37,7 +38,10 @@ def judge(coevolution: Coevolution, relative: Int, rows: Ints) -> float:
 
 @kernel
 def judge_all(coevolution: Coevolution, relative: Int) -> bool:
-    """Judge every predictor anew and choose the best, the present one in case of a tie; return True if it changed."""
+    """Compute the quality of every predictor and choose the best one; return whether it is another one than before.
+
+    If several are equally good, the present best one stays.
+    """
     best = coevolution.best[0]
     for k in range(coevolution.quality.shape[0]):
         coevolution.quality[k] = judge(coevolution, relative, coevolution.predictors[k])
@@ -60,9 +64,9 @@ def _shared(one: Ints, two: Ints) -> int:
 
 @inlined
 def predictor_generation(coevolution: Coevolution, relative: Int, rows: Int, children: Ints, stream: Stream) -> bool:
-    """Cross and mutate two predictors; each child replaces the more similar parent if no worse.
+    """Cross and mutate two predictors; each child replaces its more similar parent if its quality is no worse.
 
-    Return True when the rows that measure the solutions changed.
+    Returns True if the best predictor, whose rows measure the solutions, has changed.
     """
     number = coevolution.quality.shape[0]
     size = coevolution.predictors.shape[1]

@@ -1,4 +1,7 @@
-"""From an operation list to a tape, dead nodes left out; to a canonical program, equal and constant parts folded."""
+"""Convert an operation list to a tape without dead nodes, and to a canonical program.
+
+In a canonical program constant parts are replaced by their values, and equal parts are one node.
+"""
 
 import numpy as np
 
@@ -29,7 +32,10 @@ def _where(condition: bool) -> np.uint64:
 
 @inlined
 def _mark_in_word(lists: Lists, p: Int) -> np.uint64:
-    """Return what `mark_live` does for a list of at most 64 nodes; a node's arity is no branch that can be mistaken."""
+    """Return the bits of the live nodes of a list of at most 64 nodes, see `mark_live`.
+
+    The arity of a node is used in bit masks and not in branches, because the processor would often mispredict them.
+    """
     last = np.uint64(lists.code.shape[1] - 1)
     live = waiting = _ONE << last
     while waiting != _NONE:
@@ -44,7 +50,7 @@ def _mark_in_word(lists: Lists, p: Int) -> np.uint64:
 
 @inlined
 def mark_live(lists: Lists, p: Int, bits: Hashes) -> None:
-    """Set the bit of every node of list `p` that its output (the last node) depends on, 64 nodes to a word."""
+    """Set the bit of every node of list `p` on which its output (the last node) depends; 64 nodes per word."""
     if bits.shape[0] == 1:
         bits[0] = _mark_in_word(lists, p)
         return
@@ -80,7 +86,7 @@ def compile_tape(lists: Lists, p: Int, tape: Tape) -> int:
 
 @inlined
 def compile_live(lists: Lists, p: Int, bits: Hashes, tape: Tape) -> int:
-    """Write the live nodes of list `p`, which are marked in `bits`, onto `tape`; return their number."""
+    """Write the nodes of list `p` that are marked in `bits` onto `tape`; return their number."""
     count = 0
     for word in range(bits.shape[0]):
         waiting = bits[word]
@@ -105,8 +111,8 @@ def compile_live(lists: Lists, p: Int, bits: Hashes, tape: Tape) -> int:
 def sign(lists: Lists, p: Int, bits: Hashes, signature: Ints, q: Int) -> None:
     """Write the signature of list `p` to row `q` of `signature`: 0 for each dead node, else operator and arguments.
 
-    Arguments that the operator does not have, and the values of constants, are left out. `bits` come to mark the nodes
-    that are live.
+    Arguments that the operator does not have, and the values of constants, are left out. `bits` receives the marks of
+    the live nodes, 64 nodes per word.
     """
     mark_live(lists, p, bits)
     whole = signature.shape[1] - signature.shape[1] % LANES
@@ -135,7 +141,7 @@ def _same(tape: Tape, i: int, op: int, left: int, right: int, constant: float) -
 
 @kernel
 def _append(tape: Tape, count: int, op: int, left: int, right: int, constant: float) -> int:
-    """Return the index of that node on the tape, appended unless an equal one is there."""
+    """Return the index of an equal node among the first `count` nodes of the tape, or append the node at `count`."""
     for i in range(count):
         if _same(tape, i, op, left, right, constant):
             return i
@@ -148,10 +154,11 @@ def _append(tape: Tape, count: int, op: int, left: int, right: int, constant: fl
 
 @kernel
 def canonical_tape(source: Tape, length: int, work: Work, tape: Tape) -> int:
-    """Fold constants and duplicates of `source` (`length` nodes) onto `tape`; return the number of nodes.
+    """Write the canonical form of `source` (`length` nodes) onto `tape`; return the number of nodes.
 
-    Operands of + and * are put in order and a square is a product, so that equal values are one node. Folding may leave
-    nodes that nobody needs; a second pass over the live ones removes them. `source` and `tape` must differ.
+    Operators on constants become constants, and equal nodes become one. For this the operands of + and * are sorted,
+    and a square becomes a product. Unused nodes that remain are removed in a second pass. `source` and `tape` must be
+    different tapes.
     """
     count = 0
     place = source.origin
@@ -175,7 +182,7 @@ def canonical_tape(source: Tape, length: int, work: Work, tape: Tape) -> int:
 
 @kernel
 def _folded(op: int, a: float, b: float, work: Work) -> float:
-    """Return the value of an operator on two constants, by the very kernel that measures programs."""
+    """Return the value of an operator on two constants, from the same kernel that measures programs."""
     left, right, out = place(work.values, 0, 0), place(work.values, 1, 0), place(work.values, 2, 0)
     fill(left, a)
     fill(right, b)
@@ -185,7 +192,7 @@ def _folded(op: int, a: float, b: float, work: Work) -> float:
 
 @kernel
 def _drop_dead(tape: Tape, length: int) -> int:
-    """Compact the tape in place to what its node `length - 1` depends on; return the number of nodes."""
+    """Keep only the nodes on which node `length - 1` depends, in place on the tape; return their number."""
     live = tape.live
     for i in range(length):
         live[i] = -1

@@ -1,4 +1,4 @@
-"""Measuring trainers, and the individuals that may become some, on rows (Schmidt & Lipson 2008, section 2.3)."""
+"""Measure trainers, and find the individual that becomes a trainer next (Schmidt & Lipson 2008, section 2.3)."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from atoll_island_worker.evolution.structures import Coevolution, Fit, Ints, Lis
 
 @kernel
 def train(coevolution: Coevolution, t: Int, every: Rows, options: Fit, tape: Tape, work: Work, counters: Ints) -> None:
-    """Measure trainer `t` on every row: its losses by row and its exact loss (inf when not finite anywhere)."""
+    """Measure trainer `t` on all rows: its loss at each row, and its exact loss (inf if a loss is not finite)."""
     residual_of_list(coevolution.trainers, t, every, options, tape, work)
     total = 0.0
     for r in range(every.length):
@@ -36,11 +36,10 @@ def most_disputed(
     scratch: Scratch,
     counters: Ints,
 ) -> int:
-    """Return the individual whose loss the predictors disagree on most (variance), -1 when none is finite.
+    """Return the individual whose predicted losses have the largest variance over the predictors; -1 if none is finite.
 
-    With `relative` 1 the variance is that of the loss over its mean.
-
-    Every individual is evaluated at every row that a predictor names, and counted.
+    With `relative` 1 each loss is divided by the individual's mean loss. Every individual is evaluated on the rows of
+    every predictor, and these evaluations are counted.
     """
     number = coevolution.quality.shape[0]
     size = coevolution.predictors.shape[1]

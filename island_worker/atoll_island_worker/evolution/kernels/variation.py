@@ -22,10 +22,10 @@ LOG_UNIFORM_STEPS = 1
 
 @kernel
 def random_constant(space: Space, stream: Stream) -> float:
-    """Return a constant: uniform in [-10, 10], or log-uniform about a product of powers of the data's scales.
+    """Return a random constant: uniform in [-10, 10], or log-uniform around a product of powers of the data's scales.
 
-    With scales, the magnitude is 10^u with u uniform in [-1, 1), times each scale to the power -1, 0, 0 or 1: so that
-    ratios and products of columns of any unit are met, and nothing changes where all scales are 1.
+    With scales, the magnitude is 10^u, u uniform in [-1, 1), times each scale to the power -1, 0, 0 or 1. So constants
+    fit ratios and products of columns in any units. If all scales are 1, they have no effect.
     """
     if space.scales.shape[0] == 0:
         return 20.0 * uniform(stream) - 10.0
@@ -41,10 +41,10 @@ def random_constant(space: Space, stream: Stream) -> float:
 
 @kernel
 def _varied_constant(value: float, space: Space, stream: Stream) -> float:
-    """Return a constant near `value`: a normal step, of 0.3 of the value or of a log-uniform size.
+    """Return `value` plus a normally distributed step, with standard deviation 0.3 of the value, or log-uniform.
 
-    The latter is 10^u with u uniform in `_STEP_EXPONENTS`, anew for each step: so that any accuracy in that range is as
-    near as any other.
+    The log-uniform standard deviation is 10^u, u uniform in `_STEP_EXPONENTS`, drawn for each step, so that steps of
+    every size in this range are equally likely.
     """
     if space.steps == RELATIVE_STEPS:
         return value * (1.0 + 0.3 * normal(stream))
@@ -66,7 +66,7 @@ def _random_terminal(lists: Lists, p: Int, i: Int, space: Space, stream: Stream)
 
 @inlined
 def reset_scale(scale: Floats) -> None:
-    """Set b = 0, a_1 = 1 and the rest 0: of a list with one term, the list as it stands."""
+    """Set b = 0, a_1 = 1 and the other coefficients to 0; a list with one term is then unscaled."""
     for j in range(scale.shape[0]):
         scale[j] = 0.0
     scale[1] = 1.0
@@ -74,7 +74,7 @@ def reset_scale(scale: Floats) -> None:
 
 @kernel
 def random_list(lists: Lists, p: Int, space: Space, stream: Stream) -> None:
-    """Fill list `p` at random: terminals, then operators that refer to any earlier nodes."""
+    """Fill list `p` at random: first the terminals, then operators whose arguments are any earlier nodes."""
     reset_scale(lists.scale[p])
     for i in range(space.nodes):
         lists.constants[p, i] = 0.0
@@ -107,7 +107,8 @@ def _mutate_node(lists: Lists, p: Int, i: Int, space: Space, stream: Stream) -> 
 def _drawn_bits(count: Int, threshold: np.uint64, stream: Stream) -> np.uint64:
     """Return `count` random bits, at most 64, each set with probability threshold / 2**32.
 
-    Each number of the stream is a function of its place alone, so that the loop has no order and is vectorised.
+    Each number of the stream depends only on its index, so that the iterations of the loop are independent and
+    vectorise.
     """
     pairs = np.uint64((count + 1) >> 1)
     begin = stream[0]
@@ -123,10 +124,10 @@ def _drawn_bits(count: Int, threshold: np.uint64, stream: Stream) -> np.uint64:
 
 @inlined
 def mutate(lists: Lists, p: Int, space: Space, stream: Stream) -> None:
-    """Change each node of list `p` with probability `space.mutation`: one of its operator and its two arguments.
+    """Change each node of list `p` with probability `space.mutation`: its operator, or one of its two arguments.
 
-    A terminal becomes another terminal; a constant is moved rather than replaced in a share of the cases. Which nodes
-    change is drawn first, two from one number, so that no branch hangs on each draw.
+    A terminal is replaced by a random terminal; a constant is moved instead with probability `space.moves`. The nodes
+    to be changed are drawn before all changes, two nodes from one random number, so that there is no branch per draw.
     """
     threshold = np.uint64(space.mutation * 4294967296.0)
     for first in range(0, space.nodes, 64):
@@ -157,7 +158,7 @@ def copy_list(target: Lists, p: Int, source: Lists, q: Int) -> None:
 
 @inlined
 def _join(out: Lists, q: Int, one: Lists, i: Int, other: Lists, j: Int, cut: Int) -> None:
-    """Write list `q` of `out`: list `i` of `one` before node `cut`, list `j` of `other` from it on."""
+    """Write list `q` of `out`: nodes before `cut` from list `i` of `one`, the others from list `j` of `other`."""
     nodes = one.code.shape[1]
     whole = nodes - nodes % CHUNK
     for start in range(0, whole, CHUNK):
@@ -175,10 +176,10 @@ def _join(out: Lists, q: Int, one: Lists, i: Int, other: Lists, j: Int, cut: Int
 def cross(children: Lists, parents: Lists, first: Int, second: Int, space: Space, stream: Stream) -> Int:
     """Write two complementary children of parents `first` and `second` to lists 0 and 1 of `children`.
 
-    With probability `space.crossover` both lists are cut at one common random place; else the children are copies.
+    With probability `space.crossover` both lists are cut at the same random node; otherwise the children are copies.
 
     Returns:
-        The parent that the first child has its output from; the second child has it from the other one.
+        The parent from which the first child has its output node; the second child has it from the other parent.
     """
     cut: Int = space.nodes
     if uniform(stream) < space.crossover:
@@ -203,7 +204,7 @@ def _bits_differ(one: Lists, p: Int, other: Lists, q: Int, i: Int) -> bool:
 
 @inlined
 def is_unchanged(parents: Lists, p: Int, children: Lists, q: Int, live: Hashes) -> bool:
-    """Return whether all nodes that are live in parent `p`, marked in `live`[p], are the same in child `q`."""
+    """Return whether all nodes that are live in parent `p`, marked in live[p], have equal bits in child `q`."""
     nodes = parents.code.shape[1]
     whole = nodes - nodes % CHUNK
     for start in range(0, whole, CHUNK):
@@ -222,7 +223,10 @@ def is_unchanged(parents: Lists, p: Int, children: Lists, q: Int, live: Hashes) 
 
 @inlined
 def distance(signature: Ints, i: Int, j: Int) -> int:
-    """Return the number of nodes, live in either list, that differ in operator or arguments; constants are equal."""
+    """Return the number of nodes, live in either list, that differ in operator or arguments.
+
+    `i` and `j` are the rows of the two lists in `signature`. The values of constants are ignored.
+    """
     differing = 0
     for k in range(signature.shape[1]):
         differing += 1 if signature[i, k] != signature[j, k] else 0

@@ -1,4 +1,4 @@
-"""The corpus of operation lists, the loops that are timed on it, and what is printed."""
+"""The corpus of operation lists, the loops that are timed on it, and the printed text."""
 
 import dataclasses
 import json

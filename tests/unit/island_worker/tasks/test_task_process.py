@@ -96,7 +96,7 @@ def test_what_breaks_or_has_no_room_is_a_failure_and_the_process_goes_on(
 ) -> None:
     pid = worker.result("pid")
     assert worker.run("fail") == Failed("t", "error", "RuntimeError: planted in two lines")
-    (record,) = [record for record in caplog.records if record.getMessage() == "a task broke"]
+    (record,) = [record for record in caplog.records if record.getMessage() == "a task failed"]
     assert TextLines({}).format(record).endswith("RuntimeError: planted\nin two lines")
     assert worker.run("starve") == Failed("t", "memory", "memory ran out: no room for a table")
     worker.begin("unheard-of")

@@ -45,7 +45,7 @@ def test_lists_are_trajectories_with_inputs_and_derivatives(calls: list[tuple[An
 def test_arrays_for_another_number_of_trajectories_are_refused(
     calls: list[tuple[Any, dict[str, Any]]], name: str, others: list[Any]
 ) -> None:
-    with pytest.raises(DataError, match=f"{name} has arrays for {len(others)} trajectories, but x has 2"):
+    with pytest.raises(DataError, match=f"{name} has {len(others)} arrays, but x has 2 trajectories"):
         Discoverer().fit([X, X[:2]], 1.0, **{name: others})
     assert not calls
 
@@ -67,7 +67,7 @@ def test_results_have_the_names_that_users_know(capsys: pytest.CaptureFixture[st
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(UsageError, match="no model yet"):
         Discoverer().predict(X)
-    with pytest.raises(DataError, match="2 times for 3 rows"):
+    with pytest.raises(DataError, match="t has 2 times, but x has 3 rows"):
         Discoverer().fit(X, [0.0, 1.0])
     with pytest.raises(DataError, match="u has the shape"):
         Discoverer().fit(X, u=X[:2])

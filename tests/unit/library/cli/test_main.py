@@ -238,7 +238,7 @@ FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=3, expression="2.0*x"),)
         ({"state": "failed", "reason": "two workers diverged", "fault": "diverged"}, None, 1, "two workers diverged"),
         ({"state": "failed", "reason": "column x is constant", "fault": "data"}, None, 2, "column x is constant"),
         ({"state": "cancelled"}, None, 130, "was cancelled, before it found any equation"),
-        ({"state": "cancelled", "variables": FOUND}, None, 130, "was cancelled; what it had found is kept"),
+        ({"state": "cancelled", "variables": FOUND}, None, 130, "was cancelled; its best equations are kept"),
     ],
 )
 def test_the_end_of_a_job_decides_the_exit_code(

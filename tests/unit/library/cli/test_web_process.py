@@ -32,7 +32,7 @@ def test_a_page_that_dies_is_started_again_as_it_was(
         code = "print('open http://127.0.0.1:7480', flush=True)"
         return subprocess.Popen[bytes]([sys.executable, "-c", f"{code}; raise SystemExit(1)"], **streams)
 
-    monkeypatch.setattr(module, "start_apart", start)
+    monkeypatch.setattr(module, "start_in_new_session", start)
     own = Credentials(Path("ca.pem"), Path("cert.pem"), Path("key.pem"), "lab")
     with module.web_process("tls/lab:1", ("127.0.0.1", 7480), own, "users.toml"):
         assert is_again.wait(LIMIT_S)

@@ -219,14 +219,14 @@ def test_an_analysis_is_asked_for_until_it_is_there_and_fetched_part_by_part() -
         return answers.pop(0)
 
     client, _ = client_with(handle)
-    assert client.analyse("j1", "report", b"q", say=said.append) == ANSWER
+    assert client.analyse("j1", "report", b"q", report_wait=said.append) == ANSWER
     assert asked == [0, 0, 0, 0, 1, 0, 1]
     assert said == ["waits for a worker"]
 
 
 def test_an_analysis_that_was_damaged_or_that_nobody_begins_is_refused() -> None:
     client, _ = client_with(lambda body: part(0, ANSWER, "0" * 64))
-    with pytest.raises(RefusedError, match="damaged on its way"):
+    with pytest.raises(RefusedError, match="damaged on the network"):
         client.analyse("j1", "report", b"q")
     client, bus = client_with(lambda body: AnalysisAnswer(job="j1", waits_for="waits for a worker"))
     with pytest.raises(UnreachableError, match="job j1 was not begun within 3600 s: it waits for a worker"):

@@ -25,8 +25,8 @@ def workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fix
 def test_what_is_said_of_workers_is_told_once_and_their_end_is_an_error(workers: LocalWorkers) -> None:
     with workers:
         workers._process.wait()
-        sentences = workers._said()
+        sentences = workers._new_messages()
         with pytest.raises(NoWorkerLeftError, match=r"the reason is in .*log: island-worker: no other is left$"):
             workers.check()
     assert sentences == ["process 7 (w-0) was ended by signal 9", "no other is left"]
-    assert workers._said() == []
+    assert workers._new_messages() == []

@@ -189,7 +189,7 @@ def test_what_breaks_in_a_batch_breaks_the_call_here_and_is_none_elsewhere(
     with pytest.raises(ValueError, match="planted"):
         team.map("test: made", CONTEXT, ITEMS)
     assert compute(TaskBatch(1, "test: made", DIGEST, CONTEXT, b"")) is None
-    assert "a batch broke" in caplog.text
+    assert "a batch failed" in caplog.text
     team.ask(Ask(1))
     team.end()
     assert said.answer_to(1) is None  # the call that broke has no batches to give any more

@@ -10,7 +10,7 @@ import pytest
 from uvicorn.server import ServerState
 
 from atoll.web import connections
-from atoll.web.connections import Connection
+from atoll.web.connections import LimitedConnection
 from atoll.web.server import Listener, build_application, configure
 from tests.unit.library.web.made import READERS, Asked, AtHand, access
 
@@ -25,7 +25,7 @@ async def listening(application=None) -> AsyncIterator[Open]:
     loop, state = asyncio.get_running_loop(), ServerState()
     config = configure(application or build_application(access(AtHand(Asked())), READERS), Listener("127.0.0.1", 0))
     config.load()
-    server = await loop.create_server(lambda: Connection(config, state, {}, loop), "127.0.0.1", 0)
+    server = await loop.create_server(lambda: LimitedConnection(config, state, {}, loop), "127.0.0.1", 0)
     port = server.sockets[0].getsockname()[1]
     opened: list[Streams] = []
 
@@ -41,7 +41,7 @@ async def listening(application=None) -> AsyncIterator[Open]:
         for task in state.tasks:
             task.cancel()
         server.close()
-        Connection.idle.clear()
+        LimitedConnection.idle.clear()
 
 
 async def answer(reader: asyncio.StreamReader) -> tuple[int, bytes]:
@@ -51,14 +51,14 @@ async def answer(reader: asyncio.StreamReader) -> tuple[int, bytes]:
     return int(head[9:12]), await reader.readexactly(length)
 
 
-async def only(is_so: Callable[[Connection], bool] = lambda one: True) -> Connection:
+async def only(is_so: Callable[[LimitedConnection], bool] = lambda one: True) -> LimitedConnection:
     """Return the connection that waits for a request, as soon as this is so of it."""
-    while not (found := [one for one in Connection.idle if is_so(one)]):
+    while not (found := [one for one in LimitedConnection.idle if is_so(one)]):
         await asyncio.sleep(0)
     return found[0]
 
 
-def has_begun(one: Connection) -> bool:
+def has_begun(one: LimitedConnection) -> bool:
     return bool(one.conn.trailing_data[0])
 
 
@@ -136,7 +136,7 @@ def test_where_there_are_too_many_the_one_that_waits_longest_goes(monkeypatch) -
             idle = []
             for number in range(3):
                 idle.append(await connect())
-                while len(Connection.idle) <= number:
+                while len(LimitedConnection.idle) <= number:
                     await asyncio.sleep(0)
             reader, writer = await connect()
             assert await idle[0][0].read() == b""
@@ -164,6 +164,6 @@ def test_where_all_are_at_work_the_next_is_told_to_come_later(monkeypatch) -> No
                 await begun.acquire()
             reader, _ = await connect()
             status, body = await answer(reader)
-            assert (status, "come back later" in json.loads(body)["detail"]) == (503, True)
+            assert (status, "try again later" in json.loads(body)["detail"]) == (503, True)
 
     asyncio.run(go())

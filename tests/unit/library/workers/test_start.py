@@ -60,7 +60,7 @@ def test_a_package_that_is_missing_is_named(
     with pytest.raises(UsageError) as raised:
         start_on(client, connect=ADDRESS)
     assert str(raised.value) == (
-        f"{package} is not installed, which workers on such a cluster need; pip install 'atoll[{extra}]'"
+        f"{package} is not installed, but workers on such a cluster need it; run: pip install 'atoll[{extra}]'"
     )
 
 
@@ -125,8 +125,8 @@ def test_a_handle_says_which_machine_has_lost_its_workers_and_why() -> None:
     with pytest.raises(AtollError) as raised:
         Machines(first=MachineWorkers(2, None), second=MachineWorkers(1, 2)).check()
     assert str(raised.value) == (
-        "the island workers of second have ended with exit code 2 (bad options, or refused by the coordinator); the "
-        "log of that machine's process in the cluster says more"
+        "the island workers of second have ended with exit code 2 (bad options, or refused by the coordinator); see "
+        "the log of the process of that machine in the cluster"
     )
 
 
@@ -145,6 +145,6 @@ def test_what_a_call_returns_or_raises_comes_through() -> None:
 
 def test_a_call_that_takes_longer_is_left() -> None:
     end = threading.Event()
-    with pytest.raises(UnreachableError, match=r"it has not answered within 0.01 s; a machine of it may hang"):
+    with pytest.raises(UnreachableError, match=r"it has not answered within 0.01 s; one of its machines may hang"):
         limited(end.wait, 0.01, "it has not answered")
     end.set()

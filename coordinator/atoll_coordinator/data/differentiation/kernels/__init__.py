@@ -1,1 +1,1 @@
-"""Compiled loops over the rows of one signal: `loess` smooths and thins, `stencils` interpolates. Arrays in and out."""
+"""Compiled loops over the rows of one signal: `loess` smooths and bins rows, `stencils` interpolates."""

@@ -1,9 +1,9 @@
-"""Compiled numerics of loess along one trajectory, and of thinning it.
+"""Compiled numerics of loess along one trajectory, and of averaging its rows in bins.
 
-Everything here feeds the search and must give the same bits everywhere: plain loops in a fixed order, no library
-reductions. Letters: R rows of one trajectory, B bins, K rows of a loess window, D degrees. Times ascend strictly;
-`row_weights` (R,) say how much a row counts. Oracles written from the definitions stand in
-``tests/oracles/smoothing.py``.
+The results are input of the search and must have the same bits on every machine. So all sums are loops in a fixed
+order, without library reductions. Letters: R rows of one trajectory, B bins, K rows of a loess window, D degrees. Times
+(R,) ascend strictly. `row_weights` (R,) are the weights of the rows, 0 or more. Oracles written from the definitions
+are in ``tests/oracles/smoothing.py``.
 """
 
 import numpy as np
@@ -16,11 +16,12 @@ DEGREES = 5
 
 RANGE = 2**32
 SPREADING = 2654435769
-"""The golden section of `RANGE`: multiples of it, taken modulo that, are spread evenly (Knuth 1973, section 6.4), so
-that no wave is ever met in one phase only."""
+"""The golden section of `RANGE`. Its multiples modulo `RANGE` are spread evenly (Knuth 1973, section 6.4), so that the
+selected rows cover all phases of any oscillation."""
 
 RANK = 1e-13
-"""Norm of a polynomial, as a share of that of the constant one, below which the rows of a window cannot bear it."""
+"""Smallest norm of an orthogonal polynomial, relative to the norm of the constant polynomial. Below it, the rows of a
+window do not determine this degree."""
 
 
 @inlined
@@ -35,9 +36,9 @@ def window_start(start: int, row: int, span: int, times: FloatArray) -> int:
 def widen_window(
     row: int, start: int, window: int, times: FloatArray, row_weights: FloatArray, fewest: int
 ) -> tuple[int, int]:
-    """Return start and length of a window that has `fewest` rows with weight, if there are so many.
+    """Return start and length of a window that has at least `fewest` rows with positive weight, if there are so many.
 
-    It grows by the row that is next in time, to the whole trajectory at most.
+    The window grows by the row that is nearest in time, at most to the whole trajectory.
     """
     stop = start + window
     count = 0
@@ -66,11 +67,12 @@ def weigh_window(
     times: FloatArray,
     row_weights: FloatArray,
 ) -> float:
-    """Fill offsets (in bandwidths) and weights of rows [start, start + window); return the bandwidth.
+    """Write `offsets` (in bandwidths) and `weights` of rows [start, start + window); return the bandwidth.
 
-    Weights are tricube (Cleveland 1979, eq. 2.1) times row weight; where no row has one, all have 1. The bandwidth lies
-    half a row beyond the farthest one so that each row counts, and grows in proportion where the span exceeds the
-    trajectory.
+    A weight is the tricube function (Cleveland 1979, eq. 2.1) times the row weight. If no row of the window has a
+    positive row weight, all row weights are taken as 1. The bandwidth is larger than the distance of the farthest row
+    by half a row, so that each row has a positive weight. If the span exceeds the trajectory, the bandwidth grows in
+    proportion.
     """
     reach = max(times[row] - times[start], times[start + window - 1] - times[row])
     bandwidth = reach * (1.0 + 1.0 / window) * max(1.0, span / window)
@@ -92,8 +94,8 @@ def next_polynomial(
 ) -> None:
     """Advance the discrete orthogonal polynomials by one degree (Forsythe 1957): p' = (u - alpha) p - beta p_last.
 
-    `at_zero` (2, 3) holds value, slope and curvature at 0 of the current and the last polynomial; `current` and `last`
-    their values at the offsets. All are updated in place.
+    `at_zero` (2, 3) holds value, slope and curvature at 0 of the current and the previous polynomial. `current` and
+    `last` (K,) hold their values at the `offsets` (K,). All three are updated in place.
     """
     for j in range(len(offsets)):
         new = (offsets[j] - alpha) * current[j] - beta * last[j]
@@ -111,11 +113,11 @@ def next_polynomial(
 def validate_into(
     sums: FloatArray, times: FloatArray, values: FloatArray, row_weights: FloatArray, span: int, every: int
 ) -> None:
-    """Add to `sums` (3, D), for loess of degrees 0 to 4 at one in `every` rows, what cross-validation needs.
+    """Add the sums for cross-validation to `sums` (3, D), for loess of degrees 0 to 4 at one of `every` rows.
 
-    Row 0 sums squared residuals, row 1 leverages, row 2 the row weights by which either is weighed. `span` is the
-    number of nearest rows. A degree that a window cannot bear adds infinity; where too few of its rows have weight, it
-    is widened.
+    sums[0] are the squared residuals, sums[1] the leverages, both weighted by the row weights; sums[2] are these row
+    weights. `span` is the number of nearest rows in a window. A window is widened if too few of its rows have a
+    positive weight. If a window has fewer than degree + 2 rows, both sums of this degree become infinity.
     """
     rows = len(times)
     narrow = min(span, rows)
@@ -168,12 +170,13 @@ def loess_into(
     span: int,
     degrees: int,
 ) -> None:
-    """Fill `fits` (3, R) with the value, slope and curvature of loess over the `span` nearest rows.
+    """Write the value, slope and curvature of loess over the `span` nearest rows into `fits` (3, R).
 
-    `inverse_variance` (R,), positive, is that of each row's errors, up to a factor. `gains` (4, R) receives noise
-    gains, the roots of the sums of squared weights with which the values enter, over their inverse variance, and the
-    leverage, the weight of a row's own value in its fit. `degrees` counts the degrees used: 3 is a parabola; where too
-    few rows of a window have weight, it is widened.
+    `inverse_variance` (R,), positive, is the inverse variance of each row's error, up to a common factor. The first
+    three rows of `gains` (4, R) are the noise gains of value, slope and curvature: the square root of the sum of
+    squared weights of the values, each divided by the inverse variance. The last row is the leverage, the weight of a
+    row's own value in its fit. `degrees` is the number of degrees used; 3 is a parabola. A window is widened if too few
+    of its rows have a positive weight.
     """
     rows = len(times)
     offsets, weights = np.empty(rows), np.empty(rows)
@@ -230,9 +233,10 @@ def thin_into(
     values: FloatArray,
     row_weights: FloatArray,
 ) -> None:
-    """Fill times, values and weights (B,) of bins, B even parts of the rows, with means; the former two by row weight.
+    """Write the mean time, value and weight of each bin (B,); the bins are B equal parts of the rows.
 
-    A bin without weight has the plain means.
+    The means of times and values are weighted by the row weights. If all row weights of a bin are 0, they are
+    unweighted.
     """
     rows, bins = len(times), len(bin_times)
     for index in range(bins):
@@ -260,7 +264,10 @@ def spread_into(
     bin_fits: FloatArray,
     bin_gains: FloatArray,
 ) -> None:
-    """Fill fits (3, R) and gains (4, R) at `times` with those of bins, blended from the parabolas on either side."""
+    """Interpolate fits (3, B) and gains (4, B) of bins to `fits` (3, R) and `gains` (4, R) at `times` (R,).
+
+    Each row blends the parabolas of the two bins around it, linearly in time.
+    """
     bins = len(bin_times)
     rows_of_bin = len(times) / bins
     left = 0

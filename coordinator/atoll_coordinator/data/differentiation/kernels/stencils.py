@@ -1,8 +1,8 @@
 """Compiled numerics of differentiating one trajectory by local interpolation.
 
-Everything here feeds the search and must give the same bits everywhere: plain loops in a fixed order, no library
-reductions. Letters: R rows of one trajectory, H half widths of a stencil. Times ascend strictly. Oracles written from
-the definitions stand in ``tests/oracles/smoothing.py``.
+The results are input of the search and must have the same bits on every machine. So all sums are loops in a fixed
+order, without library reductions. Letters: R rows of one trajectory, H half widths of a stencil. Times (R,) ascend
+strictly. Oracles written from the definitions are in ``tests/oracles/smoothing.py``.
 """
 
 import numpy as np
@@ -16,11 +16,11 @@ HALF_WIDTHS = 7
 
 @inlined
 def add_node(weights: FloatArray, nodes: FloatArray, count: int, scale: float) -> float:
-    """Extend the weights of an interpolating polynomial at 0 from `count` nodes to one more.
+    """Extend the weights of an interpolating polynomial at 0 from `count` nodes to `count` + 1 nodes.
 
-    Fornberg 1988 (Mathematics of Computation 51), equations for nested node sets: ``weights[k, j]`` is the weight of
-    node j in the k-th derivative at 0, k = 0, 1, 2. `scale` is the product of differences that the last call returned
-    (1.0 before the first); returns the one for the next call.
+    The equations for nested node sets are from Fornberg 1988 (Mathematics of Computation 51). ``weights[k, j]`` is the
+    weight of node j in the k-th derivative at 0, k = 0, 1, 2. `scale` is the product of differences that the previous
+    call returned, 1.0 in the first call. Returns the product for the next call.
     """
     if count == 0:
         weights[0, 0] = 1.0
@@ -46,9 +46,9 @@ def add_node(weights: FloatArray, nodes: FloatArray, count: int, scale: float) -
 
 @inlined
 def stencil_row(row: int, place: int, rows: int) -> int:
-    """Return the `place`-th nearest row to `row` by index: row, row+1, row-1, row+2, …; -1 when outside of [0, rows).
+    """Return the `place`-th nearest row to `row` by index: row, row+1, row-1, row+2, …; -1 if there is no such row.
 
-    At an end of the trajectory the missing side is filled up from the other one.
+    Near an end of the trajectory, rows that are missing on one side are replaced by further rows on the other side.
     """
     left = row
     right = rows - 1 - row
@@ -68,10 +68,10 @@ def stencil_row(row: int, place: int, rows: int) -> int:
 def differences_into(
     slopes: FloatArray, gains: FloatArray, times: FloatArray, values: FloatArray, derivative: int
 ) -> None:
-    """Fill `slopes` (R, H) with derivative 1 or 2 by stencils of 3, 5, … rows, `gains` (R, H) with their noise gain.
+    """Write derivative 1 or 2 by stencils of 3, 5, … rows into `slopes` (R, H), their noise gains into `gains` (R, H).
 
-    The gain is the root of the sum of squared weights. Where a trajectory has fewer rows than the stencil needs, both
-    are NaN.
+    The noise gain is the square root of the sum of squared weights. If a trajectory has fewer rows than a stencil, its
+    slope and gain are NaN.
     """
     rows = len(times)
     nodes = np.empty(2 * HALF_WIDTHS + 1)
@@ -100,9 +100,10 @@ def differences_into(
 
 @allocating_kernel
 def left_out_into(errors: FloatArray, gains: FloatArray, times: FloatArray, values: FloatArray) -> None:
-    """Fill `errors` (R, H) with value minus its prediction from 2, 4, … neighbours, `gains` (R, H) with their gain.
+    """Write each value minus its interpolation from 2, 4, … neighbours into `errors` (R, H), its gain into `gains`.
 
-    The gain is the standard deviation of the error when every value has independent noise of deviation one.
+    The gain (R, H) is the standard deviation of this error if every value has independent noise of standard deviation
+    one.
     """
     rows = len(times)
     nodes = np.empty(2 * HALF_WIDTHS)
@@ -132,10 +133,11 @@ def left_out_into(errors: FloatArray, gains: FloatArray, times: FloatArray, valu
 def best_stencil_into(
     slope: FloatArray, uncertainty: FloatArray, slopes: FloatArray, gains: FloatArray, noise: FloatArray
 ) -> None:
-    """Choose the stencil of each row: the one whose step from the next narrower one is smallest.
+    """Choose for each row the stencil with the smallest uncertainty; write its `slope` and `uncertainty` (R,).
 
-    The uncertainty of a row is that step (the largest within two rows, lest a chance crossing look like accuracy) plus
-    the noise (R,) of the values times the stencil's gain.
+    The uncertainty of a stencil is the difference of its slope from the slope of the next narrower stencil, plus the
+    `noise` (R,) of the values times the stencil's gain. The difference is the largest one within two rows, because at a
+    single row two slopes can agree by chance.
     """
     rows, widths = slopes.shape
     for row in range(rows):
@@ -155,7 +157,7 @@ def best_stencil_into(
 
 @allocating_kernel
 def moments(values: FloatArray) -> tuple[float, float]:
-    """Return mean and standard deviation (population) of finite values, summed in order, in two passes."""
+    """Return mean and population standard deviation of finite `values`, summed in their order in two passes."""
     total = 0.0
     for value in values:
         total += value

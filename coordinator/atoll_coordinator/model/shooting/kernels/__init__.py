@@ -1,6 +1,6 @@
 """Compiled parts of a trajectory fit, from the inside out.
 
-`rates` evaluates a system and its slopes at a point; `integrate` carries states and sensitivities along segments by
-explicit steps, `implicit` by implicit ones; `innovations` makes errors independent; `normal_equations` sums up what a
-step of the fit needs and solves for it.
+`rates` evaluates the rates of a system and their derivatives at a point. `integrate` integrates states and
+sensitivities along segments by explicit steps, `implicit` by implicit steps. `innovations` transforms correlated errors
+into independent ones. `normal_equations` sums up the normal equations of a step of the fit and solves them.
 """

@@ -1,7 +1,7 @@
 """Integrate stiff systems with their sensitivities: implicit Runge-Kutta steps whose stages are solved one by one.
 
-Every stage is solved by Newton's method; the sensitivities follow from differentiating the solved stages, so that they
-belong to the very numbers that were computed. Letters as in `kernels.integrate`.
+Every stage is solved by Newton's method. The sensitivities are the derivatives of the solved stages, so that they are
+exact for the computed states. Letters as in `kernels.integrate`; C columns.
 """
 
 import math
@@ -44,16 +44,19 @@ STIFF: Final[Table] = (
     np.array(_B) - np.array(_EMBEDDED),
     3.0,
 )  # fmt: skip
-"""ESDIRK 3(2)4L[2]SA, Kennedy & Carpenter 2003: L-stable."""
+"""The L-stable method ESDIRK 3(2)4L[2]SA, Kennedy & Carpenter 2003."""
 
 NEWTON_STEPS: Final = 8
 CLOSE: Final = 0.05
-"""A stage is solved when Newton's last step was this share of the error allowed."""
+"""A stage is solved when Newton's last step is at most this share of the allowed error."""
 
 
 @kernel
 def eliminate(matrix: FloatArray, right: FloatArray) -> bool:
-    """Overwrite `right` (D, C) by the solutions, and `matrix` (D, D) as well; False when that is singular."""
+    """Overwrite `right` (D, C) by the solutions of matrix * x = right; return False if `matrix` (D, D) is singular.
+
+    `matrix` is overwritten, too.
+    """
     size, columns = matrix.shape[0], right.shape[1]
     for i in range(size):
         pivot = i
@@ -85,7 +88,7 @@ def eliminate(matrix: FloatArray, right: FloatArray) -> bool:
 
 @kernel
 def put_matrix(jacobian: FloatArray, scale: float, matrix: FloatArray) -> None:
-    """Write one minus `scale` times the Jacobian's states into `matrix` (D, D)."""
+    """Write the identity minus `scale` times the first D columns of `jacobian` (D, Z) into `matrix` (D, D)."""
     for d in range(matrix.shape[0]):
         for e in range(matrix.shape[0]):
             matrix[d, e] = (1.0 if d == e else 0.0) - scale * jacobian[d, e]
@@ -95,7 +98,10 @@ def put_matrix(jacobian: FloatArray, scale: float, matrix: FloatArray) -> None:
 def solve_stage(table: Table, tape: Tape, stage: int, h: float, y: FloatArray, tolerance: FloatArray,
                 points: FloatArray, values: FloatArray, adjoints: FloatArray, jacobian: FloatArray, direct: FloatArray,
                 rate: FloatArray, matrix: FloatArray, column: FloatArray) -> bool:  # fmt: skip
-    """Write the point and the rate of a stage, inputs being there; False when Newton's method does not find them."""
+    """Write the point and the rate of a stage; return False if Newton's method does not converge.
+
+    The inputs of the stage must be in `points` already.
+    """
     weights = table[0]
     states = y.shape[0]
     scale = h * weights[stage, stage]
@@ -132,7 +138,11 @@ def solve_stage(table: Table, tape: Tape, stage: int, h: float, y: FloatArray, t
 @kernel
 def carry(table: Table, h: float, stage: int, owners: Ints, sensitivity: FloatArray, stages: FloatArray,
           jacobian: FloatArray, direct: FloatArray, moved: FloatArray, matrix: FloatArray) -> bool:  # fmt: skip
-    """Write the rates of the sensitivities at a stage, where the slopes are known, into ``stages[stage]``."""
+    """Write the rates of the sensitivities (D, Q) at a stage into ``stages[stage]``.
+
+    `jacobian` and `direct` hold the derivatives of the rates at this stage. Returns False if the matrix of the stage is
+    singular.
+    """
     weights = table[0]
     states, columns = sensitivity.shape
     for d in range(states):
@@ -163,9 +173,10 @@ def advance_implicitly(table: Table, tape: Tape, owners: Ints, path: Path, row: 
                        limits: FloatArray, y: FloatArray, step: float, budget: int, sensitivity: FloatArray,
                        wants: bool, scratch: Scratch, matrix: FloatArray, column: FloatArray,
                        is_first: bool) -> tuple[float, int]:  # fmt: skip
-    """Carry the state `y` and its sensitivity from `row` to the next one, as `kernels.integrate.advance` does.
+    """Integrate the state `y` and its sensitivities from `row` to the next row, as `kernels.integrate.advance` does.
 
-    The first row of rates and of stages, see `Scratch`, hold the last ones; `is_first` tells that there are none yet.
+    Before a step, the first rows of the rates and of the stages, see `Scratch`, hold the last rates of the step before.
+    With `is_first` there is no step before, and they are computed here.
     """
     points, stages, values, adjoints, jacobian, direct, moved, rate = scratch
     weights, nodes, errors, order = table

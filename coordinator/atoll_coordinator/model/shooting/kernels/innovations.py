@@ -1,11 +1,12 @@
-"""Errors of neighbouring rows that go together, made independent: the innovations of a Kalman filter.
+"""Transform correlated errors of neighbouring rows into independent ones: the innovations of a Kalman filter.
 
-The errors of a state are sigma (c + w) with c of variance `share` and w independent, of variance 1 - share. What goes
-together is rough, as errors of sensors are: an Ornstein-Uhlenbeck process, of correlation `decay`^s between rows s
-median steps apart (AR(1) where rows are even). Or it is smooth, as the errors of a law are: of correlation
-(1 + rate s + (rate s)^2/3) exp(-rate s), which has two derivatives (Matern 5/2; Hartikainen & Sarkka 2010, section 3).
-The filter gives the likelihood of all rows in one pass (Harvey 1989, Forecasting, Structural Time Series Models and
-the Kalman Filter, section 3.4). Letters: N rows, G segments; segments are independent.
+The errors of a state are sigma (c + w). c is a correlated process with variance `share`; w is independent noise with
+variance 1 - share. There are two models of c. A rough process describes errors of sensors: an Ornstein-Uhlenbeck
+process with correlation `decay`^s between rows at a distance of s median steps (AR(1) if the rows are evenly spaced). A
+smooth process describes errors of a law: its correlation is (1 + rate s + (rate s)^2/3) exp(-rate s), and it has two
+derivatives (Matern 5/2; Hartikainen & Sarkka 2010, section 3). The filter gives the likelihood of all rows in one pass
+(Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, section 3.4). Letters: N rows, G
+segments; segments are independent.
 """
 
 import math
@@ -18,18 +19,21 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 LEAST_VARIANCE: Final = 1e-12
-"""Guard: the variance of a smooth process that is known to all digits is rounding errors."""
+"""Smallest variance of an innovation. If a smooth process is predicted to all digits, its variance is only rounding
+errors and may be negative."""
 
 _AT_REST: Final = np.array([[1.0, 0.0, -1.0 / 3.0], [0.0, 1.0 / 3.0, 0.0], [-1.0 / 3.0, 0.0, 1.0]])
-"""Covariance of a smooth process and its derivatives, these over the rate and its square."""
+"""Stationary covariance of a smooth process of variance 1, its first derivative divided by the rate, and its second
+derivative divided by the square of the rate."""
 _ONCE: Final = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [-1.0, -3.0, -2.0]])
 _TWICE: Final = _ONCE @ _ONCE
-"""It moves by exp(-t) (1 + t `_ONCE` + t^2/2 `_TWICE`) in the time t over the rate; the next power is 0."""
+"""The transition matrix of this state over s steps is exp(-t) (1 + t `_ONCE` + t^2/2 `_TWICE`), t = rate * s; the third
+power of `_ONCE` is 0."""
 
 
 @inlined
 def decayed(decay: float, step: float) -> float:
-    """Return the correlation of rows that are `step` median steps apart."""
+    """Return the correlation of two rows at a distance of `step` median steps."""
     if step == 1.0:
         return decay
     return math.exp(step * math.log(decay)) if decay > 0.0 else 0.0
@@ -38,18 +42,19 @@ def decayed(decay: float, step: float) -> float:
 @kernel
 def innovate(segments: Ints, steps: FloatArray, residuals: FloatArray, weights: FloatArray, share: float,
              decay: float, sums: FloatArray, whitened: FloatArray) -> None:  # fmt: skip
-    """Write into `sums` (2,) the sum of squared innovations over their variance, and of the variances' logarithms.
+    """Write the sums of the log-likelihood of the residuals of one state into `sums`, for a rough process.
 
     Args:
-        segments: row ranges (G, 2).
-        steps: from the row before, (N,), over their median.
-        residuals: of one state, (N,).
-        weights: inverse variances of its rows, (N,), up to sigma; of zero: the row is left out.
-        share: of the variance that goes together, in [0, 1].
-        decay: correlation of this share between rows one median step apart, in [0, 1).
-        sums: what is written.
-        whitened: what is written, too, unless it is empty: the innovations (N,) over the roots of their variance, as
-            residuals of these weights, 0 in rows that are left out.
+        segments: half-open row ranges, (G, 2).
+        steps: time step from the row before, divided by the median time step, (N,).
+        residuals: residuals of the state, (N,).
+        weights: inverse variances of its rows up to the factor sigma^2, (N,); rows of weight 0 are left out.
+        share: share of the variance that belongs to the correlated process, in [0, 1].
+        decay: correlation of this process between rows at a distance of one median step, in [0, 1).
+        sums: result, (2,): the sum of squared innovations divided by their variances, and the sum of the logarithms of
+            these variances.
+        whitened: result, (N,), unless it is empty: innovations divided by their standard deviations, in the units of
+            residuals with these weights; 0 in rows that are left out.
     """
     squares, logarithms = 0.0, 0.0
     white = 1.0 - share
@@ -80,10 +85,10 @@ def innovate(segments: Ints, steps: FloatArray, residuals: FloatArray, weights: 
 def innovate_smooth(segments: Ints, steps: FloatArray, residuals: FloatArray, weights: FloatArray, share: float,
                     rate: float, sums: FloatArray, moved: FloatArray, spread: FloatArray, half: FloatArray,
                     means: FloatArray) -> None:  # fmt: skip
-    """Write what `innovate` does where the share that goes together is smooth, of this `rate` per median step.
+    """Write the same `sums` as `innovate`, for a smooth correlated process with this `rate` per median step.
 
-    The state is the process, its first derivative over the rate and its second over the rate's square. `moved`,
-    `spread`, `half` (3, 3) and `means` (2, 3) are written as well.
+    The state of the filter is the process, its first derivative divided by the rate, and its second derivative divided
+    by the square of the rate. `moved`, `spread`, `half` (3, 3) and `means` (2, 3) are scratch.
     """
     squares, logarithms, taken = 0.0, 0.0, -1.0
     white = 1.0 - share

@@ -1,11 +1,12 @@
 """Integrate a system of equations with its sensitivities, along segments of rows.
 
-A system stands on a tape, see `kernels.rates`. Letters: D states with an equation, U inputs, Z = D + U numbers of a
+A tape holds the system, see `kernels.rates`. Letters: D states with an equation, U inputs, Z = D + U numbers of a
 point, P fitted constants, Q = P + D columns of sensitivities (constants, then the initial state), N rows of all
-trajectories, G segments.
+trajectories, G segments, S stages.
 
-Runge-Kutta steps with error control, clipped at the rows; the sensitivities follow the accepted steps of the states.
-Explicit ones here; implicit ones, for stiff systems, in `kernels.implicit`.
+The integration uses Runge-Kutta steps with error control; steps end at the rows. The sensitivities are integrated with
+the accepted steps of the states. This module has explicit steps; `kernels.implicit` has implicit steps for stiff
+systems.
 """
 
 import math
@@ -43,7 +44,7 @@ PRECISE: Final[Table] = (
     np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40]),
     5.0,
 )  # fmt: skip
-"""Dormand & Prince 1980, 5(4)."""
+"""The method of Dormand & Prince 1980, order 5(4)."""
 
 QUICK: Final[Table] = (
     np.array([[0.0, 0.0, 0.0], [1 / 2, 0.0, 0.0], [0.0, 3 / 4, 0.0], [2 / 9, 1 / 3, 4 / 9]]),
@@ -51,18 +52,21 @@ QUICK: Final[Table] = (
     np.array([-5 / 72, 1 / 12, 1 / 9, -1 / 8]),
     3.0,
 )
-"""Bogacki & Shampine 1989, 3(2)."""
+"""The method of Bogacki & Shampine 1989, order 3(2)."""
 
 
 Flat = tuple[FloatArray, FloatArray, FloatArray]
-"""The sensitivities (D Q,), carried ones (D Q,), and their rates at S stages (S, D Q): those of `Scratch` as vectors,
-on which one instruction works on several numbers."""
+"""The sensitivities (D Q,), scratch sensitivities (D Q,), and the rates at the stages (S, D Q). The latter two are flat
+views of arrays in `Scratch`, so that loops over them vectorise."""
 
 
 @inlined
 def carry_on(h: float, weights: FloatArray, stage: int, owners: Ints, jacobian: FloatArray, direct: FloatArray,
              flat: Flat) -> None:  # fmt: skip
-    """Write the rates of the sensitivities at a stage, where the slopes are known."""
+    """Write the rates of the sensitivities at a stage, from the derivatives of the rates in `jacobian` and `direct`.
+
+    `owners` (P,) are the equations of the fitted constants.
+    """
     sensitivity, moved, stages = flat
     states = jacobian.shape[0]
     columns = sensitivity.shape[0] // states
@@ -80,7 +84,7 @@ def carry_on(h: float, weights: FloatArray, stage: int, owners: Ints, jacobian: 
         for k in range(states):
             factor, its = jacobian[d, k], k * columns
             if factor == 0.0:
-                continue  # of many states most do not meet
+                continue  # in a large system most states do not depend on each other
             for q in range(columns):
                 stages[stage, mine + q] += factor * moved[its + q]
     for p in range(owners.shape[0]):
@@ -89,7 +93,10 @@ def carry_on(h: float, weights: FloatArray, stage: int, owners: Ints, jacobian: 
 
 @inlined
 def gather(h: float, weights: FloatArray, flat: Flat) -> None:
-    """Carry the sensitivities over a step of length `h`, their rates at all stages but the last being known."""
+    """Advance the sensitivities by a step of length `h`, from their rates at all stages but the last.
+
+    `weights` (S - 1,) are the last row of the method's coefficients.
+    """
     sensitivity, moved, stages = flat
     for i in range(sensitivity.shape[0]):
         moved[i] = 0.0
@@ -105,12 +112,12 @@ def gather(h: float, weights: FloatArray, flat: Flat) -> None:
 def advance(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolerance: FloatArray, limits: FloatArray,
             y: FloatArray, step: float, budget: int, flat: Flat, wants: bool, scratch: Scratch,
             is_known: bool) -> tuple[float, int]:  # fmt: skip
-    """Carry the state `y` (D,), and the sensitivities in `flat` if it `wants` them, from `row` to the next one.
+    """Integrate the state `y` (D,), and with `wants` the sensitivities in `flat`, from `row` to the next row.
 
-    `tolerance` (D,) is the error allowed in a step, `limits` (D, 2) the range outside of which the state has blown up;
-    `budget` the steps that may be taken; `is_known` tells that the first values and rates, see `Scratch`, are those of
-    `y` already. Returns the step to begin with next and the budget left, `BLOWN_UP` or `EXHAUSTED` when the end was
-    not reached.
+    `tolerance` (D,) is the allowed error of a step; a state outside of `limits` (D, 2) has blown up; `budget` is the
+    largest number of steps. With `is_known` the first rows of values and rates, see `Scratch`, belong to `y` already.
+    Returns the length of the next step and the remaining budget; `BLOWN_UP` or `EXHAUSTED` instead of the budget if
+    the next row was not reached.
     """
     points, _, values, adjoints, jacobian, direct, _, rate = scratch
     weights, nodes, errors, order = table
@@ -172,12 +179,14 @@ def advance(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolera
 def integrate_segments(table: Table, tape: Tape, owners: Ints, path: Path, segments: Ints, starts: FloatArray,
           tolerance: FloatArray, limits: FloatArray, budget: int, wants: bool, simulated: FloatArray,
           gradients: FloatArray, taken: Ints) -> int:  # fmt: skip
-    """Integrate every segment from its start; write states (D, N) and sensitivities (N, D, Q) at its rows.
+    """Integrate every segment from its initial state; write states and sensitivities at its rows.
 
-    `segments` (G, 2) are half-open row ranges, `starts` (G, D) their states at the first row, `budget` the steps that
-    all rows together may take, `taken` (1,) gets how many were. Returns the number g of segments that were integrated
-    to their end: all, or the rows of the one that was not stay NaN from where it ended, and the later ones are not
-    tried; -1 - g when the budget was used up.
+    `segments` (G, 2) are half-open row ranges, `starts` (G, D) their initial states. `budget` is the largest number of
+    steps of all segments together. Results are the states `simulated` (D, N), with `wants` the sensitivities
+    `gradients` (N, D, Q), and `taken` (1,), the number of steps.
+
+    Returns the number g of segments that were integrated to their end. The integration ends at the first segment that
+    blows up; the rows that were not reached keep their values (NaN). If the budget is exhausted, it returns -1 - g.
     """
     stage_count = table[1].shape[0]
     is_implicit = table[0].shape[1] == stage_count
@@ -199,7 +208,7 @@ def integrate_segments(table: Table, tape: Tape, owners: Ints, path: Path, segme
     matrix = np.zeros((states, states))
     column = np.zeros((states, 1))
     y = np.zeros(states)
-    is_held = False  # then rates jump at the rows, and those at the end of one step do not begin the next
+    is_held = False  # if an input is held, rates jump at rows: the last rates before a row are not the first after it
     for u in range(inputs.shape[0]):
         is_held = is_held or math.isnan(input_slopes[u, 0])
     given = budget

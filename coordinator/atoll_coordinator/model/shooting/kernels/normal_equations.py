@@ -1,8 +1,9 @@
-"""The normal equations of a fit, summed up from sensitivities and residuals, and their solution, block by block.
+"""The normal equations of a trajectory fit, summed up from sensitivities and residuals, and their solution by blocks.
 
-Letters as in `kernels.integrate`: P fitted constants, D states, G segments, N rows, O measured states; L = D + K
-numbers belong to one segment alone, its initial state and K offsets. The matrix of the normal equations has an arrow's
-shape: the constants' block, and for each segment a block of its own numbers.
+Letters as in `kernels.integrate`: P fitted constants, D states, G segments, N rows, O measured states. Each segment has
+L = D + K parameters of its own: its initial state and K offsets. The matrix of the normal equations has the shape of an
+arrow: a block of the constants, one block for the own parameters of each segment, and the products between constants
+and own parameters. Blocks of different segments do not interact.
 """
 
 import math
@@ -16,7 +17,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 LINES = 8
-"""Rows of sensitivities whose products are added at once."""
+"""Number of rows of sensitivities whose products are added at once."""
 
 
 @kernel
@@ -24,12 +25,17 @@ def normal_equations(segments: Ints, observed: Ints, steps: FloatArray, residual
                      shares: FloatArray, decays: FloatArray, gradients: FloatArray, fitted: int, normal: FloatArray,
                      coupling: FloatArray, own: FloatArray, gradient: FloatArray, own_gradient: FloatArray,
                      lines: FloatArray, expected: FloatArray, sums: FloatArray) -> None:  # fmt: skip
-    """Sum up J'WJ and J'Wr by blocks: constants (P, P), (G, P, L), and what each segment has its own (G, L, L).
+    """Sum up J'WJ and J'Wr by blocks, from sensitivities J, `gradients` (N, D, P + L), and residuals r.
 
-    `residuals` and `weights` are (O, N) for the `observed` (O,) states; a weight of zero leaves a number out. W is the
-    inverse of the covariance that `innovate` describes, with `shares` and `decays` (O,) of each state. `lines`
-    (`LINES`, C), `expected` (C,) and `sums` (C, C), C = P + L + 1, are scratch: the whitened sensitivities with the
-    residual behind them, and the products of these.
+    `residuals` and `weights` are (O, N) for the `observed` (O,) states; residuals of weight 0 are left out. W is the
+    inverse of the covariance of the errors in `innovations`, with `shares` and `decays` (O,) for each state; `steps`
+    (N,) are as there.
+
+    Results: J'WJ has the blocks `normal` (P, P) of constants, `coupling` (G, P, L) of constants and own parameters, and
+    `own` (G, L, L) of own parameters. J'Wr has the blocks `gradient` (P,) and `own_gradient` (G, L). The sums are added
+    to the present values of `normal` and `gradient`; the other blocks are overwritten. Scratch, with C = P + L + 1:
+    `lines` (`LINES`, C), whitened sensitivities and the residual; `expected` (C,), their predictions by the filter;
+    `sums` (C, C), the sums of their products.
     """
     local = gradients.shape[2] - fitted
     count = fitted + local
@@ -90,7 +96,8 @@ def normal_equations(segments: Ints, observed: Ints, steps: FloatArray, residual
 def add_products(lines: FloatArray, sums: FloatArray) -> None:
     """Add the products of columns of `lines` (`LINES`, C) to the lower triangle of `sums` (C, C).
 
-    Several lines at once: of many columns, fetching and storing the sums takes longer than multiplying.
+    Several lines are added at once, because with many columns loading and storing the sums takes longer than the
+    multiplications.
     """
     for p in range(sums.shape[0]):
         a, b, c, d = lines[0, p], lines[1, p], lines[2, p], lines[3, p]
@@ -104,9 +111,10 @@ def add_products(lines: FloatArray, sums: FloatArray) -> None:
 @allocating_kernel
 def solve_step(normal: FloatArray, coupling: FloatArray, own: FloatArray, gradient: FloatArray,
                own_gradient: FloatArray, damping: float, change: FloatArray, moves: FloatArray) -> bool:  # fmt: skip
-    """Write the step of the constants into `change` (P,) and of the segments' own numbers into `moves` (G, L).
+    """Write the step of the constants into `change` (P,) and the step of the own parameters into `moves` (G, L).
 
-    The segments' own numbers are eliminated first (Schur's complement). Returns False when the matrix is singular.
+    Blocks as in `normal_equations`; `damping` is Marquardt's factor. The own parameters of the segments are eliminated
+    first (Schur complement). Returns False if the matrix is singular.
     """
     fitted, groups, local = gradient.shape[0], own.shape[0], own.shape[1]
     reduced, factors = normal.copy(), own.copy()

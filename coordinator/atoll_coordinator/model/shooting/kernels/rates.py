@@ -1,7 +1,7 @@
-"""The rates of a system's states at a point, with their slopes, and inputs between rows.
+"""The rates of a system's states at a point, their derivatives, and the interpolation of inputs between rows.
 
-Letters: N nodes of all equations, D states with an equation, U inputs, Z = D + U numbers of a point, P fitted
-constants, R rows.
+Letters: N nodes of all equations, D states with an equation, U inputs, Z = D + U numbers of a point (states, then
+inputs), P fitted constants, R rows.
 """
 
 import math
@@ -24,28 +24,29 @@ from atoll_core.expression.operators import (
 )
 
 LARGEST_EXPONENT: Final = 709.0
-"""exp has no finite value far beyond."""
+"""exp overflows at 709.8; from this number on it counts as infinity."""
 
 Table = tuple[FloatArray, FloatArray, FloatArray, float]
-"""An embedded Runge-Kutta method whose last stage is the next step's first: coefficients (S, S - 1), or (S, S) where
-stages are implicit, times (S,), error weights (S,), and the order of the error estimate."""
+"""An embedded Runge-Kutta method whose last stage is the first stage of the next step: coefficients (S, S - 1), or
+(S, S) for implicit stages; times (S,) as shares of the step; error weights (S,); order of the error estimate."""
 
 Tape = tuple[Ints, Ints, Ints, FloatArray, Ints, Ints]
-"""The nodes of all equations one after another: code, left, right (N,) and constants (N,), where arguments are indices
-of earlier nodes and a VARIABLE's left is its place in the point z; then the equations' outputs (D,), and the number of
-the fitted constant at each node (N,), -1 at all others."""
+"""The nodes of all equations, one equation after another: code, left, right and constants (N,). Arguments are indices
+of earlier nodes; `left` of a VARIABLE is its index in the point z. Then the output nodes of the equations (D,), and for
+each node the number of its fitted constant (N,), -1 without one."""
 
 Path = tuple[FloatArray, FloatArray, FloatArray]
 """Times (R,) of all rows, inputs (U, R) and their slopes (U, R)."""
 
 Scratch = tuple[FloatArray, ...]
-"""Room for S stages of a step, Q columns of sensitivities: points (S, Z), rates of the sensitivities (S, D, Q), values
-(S, N), adjoints (N,), Jacobian (D, Z), slopes by constants (P,), carried sensitivities (D, Q), rates (S + 1, D)."""
+"""Scratch arrays for S stages of a step and Q columns of sensitivities: points (S, Z), rates of the sensitivities
+(S, D, Q), values (S, N), adjoints (N,), Jacobian (D, Z), derivatives with respect to constants (P,), scratch
+sensitivities (D, Q), rates (S + 1, D)."""
 
 EXHAUSTED: Final = -1
-"""Instead of a number of steps left: there were too few."""
+"""Returned instead of the number of remaining steps: the budget of steps was too small."""
 BLOWN_UP: Final = -2
-"""Instead of a number of steps left: the state left its limits, or no step was small enough."""
+"""Returned instead of the number of remaining steps: the state left its limits, or no step was small enough."""
 
 
 @inlined
@@ -94,11 +95,14 @@ def _base_log(a: float, v: float) -> float:
 
 
 _OPERATORS: Final = definitions(Functions(_sin, _cos, _exp, _log, _sqrt, abs, _tanh, _power, _sign, _base_log))
-"""The operators by the C library's functions, which take less time than the search's."""
+"""The operators with functions of the C library, which are faster than the functions of the search."""
 
 
 def _pulled(partial: Partial) -> Any:
-    """Return the share of an adjoint `g` that goes to an argument: a function of g, both arguments and the value."""
+    """Return the function (g, a, b, v) that multiplies the adjoint `g` by a partial derivative of an operator.
+
+    `a` and `b` are the arguments of the operator, `v` is its value.
+    """
     sign = partial.sign
     carried = inlined(lambda g, a, b, v: sign * g)
     for factor in partial.factors:
@@ -126,7 +130,7 @@ _pull_right: Final = choose({op: _pulled(each.right) for op, each in _OPERATORS.
 
 @inlined
 def rates(tape: Tape, z: FloatArray, values: FloatArray, stage: int, rate: FloatArray) -> None:
-    """Write the value of every node at the point `z` (Z,) into `values` (N,), the equations' into ``rate[stage]``."""
+    """Write the values of all nodes at the point `z` (Z,) into `values` (N,), the rates (D,) into ``rate[stage]``."""
     code, left, right, constants, outputs, _ = tape
     for i in range(code.shape[0]):
         op = code[i]
@@ -143,9 +147,10 @@ def rates(tape: Tape, z: FloatArray, values: FloatArray, stage: int, rate: Float
 
 @inlined
 def slopes(tape: Tape, values: FloatArray, adjoints: FloatArray, jacobian: FloatArray, direct: FloatArray) -> None:
-    """Write d rate / d z into `jacobian` (D, Z) and d rate / d constant into `direct` (P,), after `rates`.
+    """Write d rate / d z into `jacobian` (D, Z) and d rate / d constant into `direct` (P,); call `rates` before.
 
-    One reverse sweep for each equation, whose nodes lie between the output of the one before and its own.
+    There is one reverse sweep for each equation, over the nodes after the output of the previous equation up to its own
+    output.
     """
     code, left, right, _, outputs, parameters = tape
     direct[:] = 0.0
@@ -177,9 +182,10 @@ def slopes(tape: Tape, values: FloatArray, adjoints: FloatArray, jacobian: Float
 
 @inlined
 def put_inputs(z: FloatArray, states: int, path: Path, row: int, at: float, width: float) -> None:
-    """Write the inputs at `at` in [0, 1] between `row` and the next, `width` apart, behind the states in `z`.
+    """Interpolate the inputs between `row` and the next row and write them after the `states` states in `z`.
 
-    Without a slope (NaN) an input is held at the value of the row.
+    `at` is the position between the two rows in [0, 1], `width` the time between them. The interpolation is cubic
+    (Hermite). An input whose slope is NaN keeps the value of `row`.
     """
     _, inputs, input_slopes = path
     for u in range(inputs.shape[0]):

@@ -1,8 +1,8 @@
 """Compiled loops of sparse regression: sums over windows, least squares, elimination. All sums have a fixed order.
 
-Where errors of the variables are in the columns, too, least squares takes products of errors for products of columns:
-coefficients become too small, and terms with small errors are preferred. Without the mean of these products the
-estimate is consistent (Fuller 1987, section 3.1).
+Measurement errors of the variables are also errors of the columns. Least squares then adds products of errors to the
+products of columns, so that coefficients become too small and terms with small errors are preferred. If the mean of
+these products of errors is subtracted, the estimate is consistent (Fuller 1987, section 3.1).
 
 Letters: K columns, N rows (of tables or of sums), W windows of L rows, V variables.
 """
@@ -17,17 +17,17 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 DEPENDENT = 1e-9
-"""A unit column with a smaller rest beside the others is a sum of them."""
+"""A column of unit norm is a linear combination of earlier columns if the norm of its residual is not above this."""
 _MOST_CORRECTED = 0.9
-"""Numerics: errors are taken to be at most this share of the square of any sum of columns. The variance of an estimate
-grows with the inverse of the rest."""
+"""Numerical limit: at most this share of the squared norm of any linear combination of columns is subtracted as errors.
+The variance of an estimate grows with the inverse of the remaining share."""
 
 
 @kernel
 def windowed_sums(first: Ints, factors: FloatArray, values: FloatArray, sums: FloatArray) -> None:
-    """Write for each column of `values` (K, N) and each window its sum times `factors` (W, L), from row `first` on.
+    """Write the weighted sum of each column of `values` (K, N) over each window into `sums` (K, W).
 
-    `first` is (W,), `sums` (K, W).
+    Window w starts at row first[w] of `first` (W,), and factors[w] of `factors` (W, L) are the weights of its rows.
     """
     for k in range(values.shape[0]):
         for w in range(first.shape[0]):
@@ -41,8 +41,9 @@ def windowed_sums(first: Ints, factors: FloatArray, values: FloatArray, sums: Fl
 def triangularize(columns: FloatArray, side: FloatArray, upper: FloatArray, rotated: FloatArray) -> float:
     """Overwrite `columns` (K, N) by an orthonormal basis and `side` (N,) by the residuals; return their sum of squares.
 
-    Modified Gram-Schmidt, the right side as a last column (Björck 1967). `upper` (K, K) takes the triangle,
-    `rotated` (K,) the side in the basis; a column that depends on those before gets a row of zeros.
+    The method is modified Gram-Schmidt with the right side `side` as the last column (Björck 1967). `upper` (K, K)
+    becomes the upper triangle, and `rotated` (K,) the components of `side` in the basis. A column that depends on
+    earlier columns gets a row of zeros in the triangle.
     """
     count, rows = columns.shape
     for k in range(count):
@@ -79,7 +80,10 @@ def triangularize(columns: FloatArray, side: FloatArray, upper: FloatArray, rota
 
 @kernel
 def invert_triangle(triangle: FloatArray, inverse: FloatArray) -> None:
-    """Write the inverse of an upper triangle (M, M) into zeros; rows whose diagonal is 0 stay 0."""
+    """Write the inverse of an upper `triangle` (M, M) into `inverse` (M, M); rows with a diagonal of 0 stay 0.
+
+    `inverse` must be zero before.
+    """
     size = triangle.shape[0]
     for k in range(size - 1, -1, -1):
         if triangle[k, k] == 0.0:
@@ -97,11 +101,13 @@ def sum_error_products(
     gradients: FloatArray, variances: FloatArray, target: int, squares: FloatArray, halves: FloatArray,
     products: FloatArray, cross: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the sums over windows of the covariances of the errors of columns with each other and with the side's.
+    """Write the error covariances of pairs of columns, and of each column with the right side, summed over windows.
 
-    `gradients` (K, V, N) are derivatives of the columns' functions by the variables, whose errors have these
-    `variances` (V,); `squares` and `halves` (N,) are how much the square of a row's error counts where both factors are
-    weighted by the test function, and where one is by its slope. `products` (K, K) and `cross` (K,) take the result.
+    `gradients` (K, V, N) are the derivatives of the columns' functions with respect to the variables. The errors of the
+    variables have `variances` (V,). `squares` and `halves` (N,) are weights of the squared error of each row: `squares`
+    if both factors are weighted by the test function, `halves` if one of them is weighted by its slope. The covariances
+    of pairs of columns are written into `products` (K, K), the covariances with the right side (variable `target`) into
+    `cross` (K,).
     """
     for k in range(gradients.shape[0]):
         total = 0.0
@@ -125,16 +131,18 @@ def eliminate(
     columns: FloatArray, side: FloatArray, products: FloatArray, cross: FloatArray, steps: int, order: Ints,
     squares: FloatArray, found: FloatArray, errors: FloatArray,
 ) -> None:  # fmt: skip
-    """Fit `side` (N,) by all `columns` (K, N), remove the column with the smallest loss, and so on for some `steps`.
+    """Fit `side` (N,) by all `columns` (K, N), remove the column whose removal costs least, and repeat `steps` times.
 
-    Products of columns have the mean `products` (K, K) of errors, with the side `cross` (K,); without errors, these
-    have no elements. Where columns are mostly errors, as in a library that is too large, a part of them is allowed for
-    that leaves the equations solvable.
+    `products` (K, K) are the mean products of the errors of two columns, `cross` (K,) the mean products of the errors
+    of a column and of the side; both are empty if the columns have no errors. If columns are mostly errors, as in a
+    library that is too large, only a part of these means is subtracted, so that the equations stay solvable.
 
-    `order` (K,) takes the columns in the order of their removal, those that stay last; `squares` (K + 1,) the sums of
-    squared residuals with the last K, K - 1, ... 0 of that order, `errors` (K + 1,) the part of errors of columns in
-    these; `found` (K, K) the coefficients of all columns at each step, 0 for removed ones. Only `steps` of the K are
-    computed.
+    Args:
+        steps: number of steps, at most K; results of later steps are not written, except the last number of `squares`.
+        order: result, (K,): the columns in the order of their removal, then the remaining columns.
+        squares: result, (K + 1,): the sums of squared residuals with the last K, K - 1, ... 0 columns of `order`.
+        found: result, (K, K), zero before: the coefficients of all columns at each step, 0 for removed columns.
+        errors: result, (K + 1,), zero before: the contribution of errors of the columns to the same sums.
     """
     count, rows = columns.shape
     unit, rest = columns.copy(), side.copy()
@@ -165,7 +173,7 @@ def eliminate(
                 worst, least = k, -1.0
         if least > 0.0 and len(cross):
             share, own = np.empty((size, size)), np.empty(size)
-            for j in range(size):  # the errors in the basis of the triangle: T'^-1 P T^-1 and T'^-1 c
+            for j in range(size):  # the error products in the basis of the triangle T: T'^-1 P T^-1 and T'^-1 c
                 own[j] = cross[kept[j]] / scale[kept[j]]
                 for k in range(size):
                     share[j, k] = products[kept[j], kept[k]] / scale[kept[j]] / scale[kept[k]]
@@ -223,7 +231,10 @@ def eliminate(
 
 @allocating_kernel
 def _factorize_rest(share: FloatArray, limit: float, factor: FloatArray, sizes: FloatArray) -> bool:
-    """Write Cholesky's factor of `limit` times the identity minus `share`; tell whether that is positive definite."""
+    """Write the Cholesky factor of `limit` times the identity minus `share` (M, M) into `factor` (M, M).
+
+    Returns False if this matrix is not positive definite.
+    """
     size = len(sizes)
     for j in range(size):
         for k in range(size):

@@ -40,7 +40,7 @@ def both_signs(x: Floats) -> Floats:
 
 
 def neighbours(x: float, count: int = 40) -> Floats:
-    """Return the doubles around x > 0."""
+    """Return the `count` doubles below x > 0, x, and the `count` - 1 doubles above it."""
     return (np.arange(-count, count) + np.float64(x).view(np.int64)).view(np.float64)
 
 
@@ -105,7 +105,7 @@ def test_powers_are_within_two_units_of_the_last_place(region: str) -> None:
 
 
 def assert_same(name: str, cases: list[tuple[float, ...]]) -> None:
-    """Compare with (arguments..., expected); a zero's sign counts."""
+    """Compare values with cases (arguments..., expected); the sign of a zero counts."""
     columns = list(zip(*cases, strict=True))
     np.testing.assert_array_equal(values(name, *columns[:-1]), columns[-1])
     known = ~np.isnan(columns[-1])
@@ -172,14 +172,14 @@ def test_powers_of_infinity_follow_the_limit() -> None:
 
 @pytest.mark.parametrize("name", ["sin", "cos", "exp", "log", "tanh"])
 def test_packed_and_single_rows_give_the_same_bits(name: str) -> None:
-    """A row is computed packed with its neighbours or, at a loop's end, alone."""
+    """A loop computes most rows in vectors with their neighbours, and the last rows alone."""
     x = digest_points(400, 11)
     alone = np.array([values(name, [point])[0] for point in x])
     np.testing.assert_array_equal(values(name, x), alone)
 
 
 def report(cache: Path, count: int, **environment: str) -> dict[str, dict[str, Any]]:
-    """Run the digest program in a fresh process and kernel cache."""
+    """Run the digest program in a new process with the kernel cache `cache`; return its output by function."""
     inherited = {key: value for key, value in os.environ.items() if not key.startswith(("NUMBA_", "ATOLL_"))}
     command = [sys.executable, "-m", "tests.oracles.elementary", str(count)]
     settings = inherited | {"ATOLL_KERNEL_CACHE": str(cache)} | environment
@@ -211,7 +211,7 @@ def test_the_interpreter_gives_the_same_bits_as_the_compiler(tmp_path: Path) -> 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="counts x86-64 instructions")
 @pytest.mark.parametrize("name", LOOPS)
 def test_loops_are_packed_and_never_fused(native: dict[str, dict[str, Any]], name: str) -> None:
-    """The remainder, unrolled or not, repeats each packed multiplication."""
+    """The loop over the remaining rows, unrolled or not, has a scalar copy of each packed multiplication."""
     packed, scalar, fused = native[name]["code"]
     assert packed > 0
     assert scalar > 0

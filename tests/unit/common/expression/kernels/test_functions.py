@@ -1,4 +1,4 @@
-"""Functions over a block of rows, against the function of one number: the same bits on every lane."""
+"""Functions over a block of rows have the same bits on every lane as the functions of one number."""
 
 import math
 
@@ -34,7 +34,7 @@ FUNCTIONS = {
 
 @pytest.fixture(autouse=True)
 def _quiet():
-    """Infinities and NaN are values here."""
+    """Silence numpy's warnings: infinities and NaN are expected here."""
     with np.errstate(all="ignore"):
         yield
 

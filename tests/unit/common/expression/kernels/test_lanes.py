@@ -1,4 +1,4 @@
-"""Each operation on a block of rows, against numpy on every lane: compiled and interpreted, the same bits."""
+"""Each operation on a block of rows has the bits of numpy on every lane, compiled and interpreted."""
 
 import inspect
 
@@ -83,14 +83,14 @@ EXPECTED = {
 
 @pytest.fixture(autouse=True)
 def _quiet():
-    """Infinities and NaN are values here."""
+    """Silence numpy's warnings: infinities and NaN are expected here."""
     with np.errstate(all="ignore"):
         yield
 
 
 @kernel
 def operate(which: int, arrays, row: int, start: int, x: float) -> None:
-    """Do operation `which` of OPERATIONS on the places of `arrays` (4, rows, columns) at `row` and `start`."""
+    """Apply operation number `which` of OPERATIONS to the places of `arrays` (4, rows, columns) at `row`, `start`."""
     out, a = place(arrays[0], row, start), place(arrays[1], row, start)
     b, c = place(arrays[2], row, start), place(arrays[3], row, start)
     if which == 0:
@@ -129,7 +129,7 @@ def operate(which: int, arrays, row: int, start: int, x: float) -> None:
 
 @kernel
 def totals(a, b, row: int, start: int) -> tuple[float, float]:
-    """Return the sums of a b and of |a| b at that place."""
+    """Return the sums of a * b and of |a| * b at the places of `row` and `start`."""
     one, two = place(a, row, start), place(b, row, start)
     return total(one, two), total_magnitude(one, two)
 
@@ -171,7 +171,7 @@ def assert_same_bits(values, expected):
 
 
 def interpreted(name, out, a, b, c):
-    """Return what the interpreted operation `name` leaves in `out`."""
+    """Return `out` after the interpreted operation `name`."""
     out = out.copy()
     values = {"out": out, "g": a, "a": a, "b": b, "factor": X, "mean": X, "x": X, "mask": b}
     if name in FORMULAS:
@@ -183,7 +183,7 @@ def interpreted(name, out, a, b, c):
 
 
 def cases():
-    """Yield four blocks at a time: awkward numbers against each other, and numbers of all sizes."""
+    """Yield four blocks at a time: combinations of awkward numbers, then random numbers of all magnitudes."""
     for turn in range(LANES):
         yield AWKWARD[::-1], AWKWARD, np.roll(AWKWARD, turn), np.roll(AWKWARD, 3 * turn + 1)
     random = np.random.default_rng(0)
@@ -208,7 +208,7 @@ def test_every_operation_is_numpy_s_on_its_own_lanes_and_touches_no_other_number
 
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_the_result_may_stand_where_an_argument_stood(name):
-    """As in adding up adjoints: everything is read before anything is written."""
+    """An operation reads all its arguments before it writes; sums of adjoints need this."""
     random = np.random.default_rng(1)
     block = random.normal(size=LANES)
     if name == "root":
@@ -220,7 +220,7 @@ def test_the_result_may_stand_where_an_argument_stood(name):
 
 
 def by_halves(numbers):
-    """Return the sum of 16 numbers as it is defined: the upper half onto the lower, until one is left."""
+    """Return the sum of 16 numbers by its definition: add the upper half to the lower until one number is left."""
     numbers = list(numbers)
     while len(numbers) > 1:
         middle = len(numbers) // 2

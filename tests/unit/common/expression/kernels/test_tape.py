@@ -41,13 +41,13 @@ QUICK = settings(max_examples=200, deadline=None, derandomize=True, database=Non
 
 @pytest.fixture(autouse=True)
 def _quiet():
-    """With the JIT off kernels meet numpy's warnings."""
+    """Silence numpy's warnings, which kernels cause when the JIT is off."""
     with np.errstate(all="ignore"):
         yield
 
 
 def block(tape, count, inputs, waves, start, values):
-    """Do what `forward_block` does."""
+    """Call `forward_block` with the arrays of `tape`."""
     forward_block(
         count, tape.code, tape.left, tape.right, tape.constants, tape.wanted, inputs, waves, start, values,
         functions_address(),
@@ -81,7 +81,7 @@ def test_every_operator_has_the_value_of_its_definition(name):
     values = node_values(program_of([X, Y, (operator.code, 0, 1)]), np.array(pairs).T)[2]
     expected = [apply(operator.code, a, b) for a, b in pairs]
     np.testing.assert_allclose(values, expected, rtol=1e-15, atol=1e-15 if operator.code in (SIN, COS) else 0.0)
-    if name not in ("sin", "pow"):  # -0.0 is 0.0 to them
+    if name not in ("sin", "pow"):  # they treat -0.0 as 0.0
         signs = [[math.copysign(1.0, value) for value in both if value == 0.0] for both in (values, expected)]
         assert signs[0] == signs[1]
 
@@ -89,14 +89,17 @@ def test_every_operator_has_the_value_of_its_definition(name):
 @QUICK
 @given(programs(), st.lists(ROWS, min_size=1, max_size=LANES + 4))
 def test_a_program_has_the_value_of_its_definition_at_every_row(program, rows):
-    """Operators that are not exactly rounded are left to the test above: their last bits are magnified at will."""
+    """Operators that are not exactly rounded are left out, because a program can amplify errors in their last bits.
+
+    The test above covers them.
+    """
     assume(not {BY_NAME[name].code for name in ("sin", "cos", "exp", "log", "tanh", "pow")} & {*program.operators})
     values = node_values(program, np.array(rows).T)
     np.testing.assert_array_equal(values[-1], [evaluate(program, row) for row in rows])
 
 
 def test_rows_do_not_touch_each_other():
-    """Every row is the same whatever stands beside it, in whatever block."""
+    """The values at a row do not depend on the rows next to it or on the block."""
     program = program_of([X, Y, 0.3, (MULTIPLY, 0, 2), (SIN, 3), (DIVIDE, 4, 1), (POW, 1, 5)])
     inputs = np.random.default_rng(0).uniform(0.1, 3.0, (2, 37))
     together = node_values(program, inputs)
@@ -122,7 +125,7 @@ def test_nodes_that_are_not_wanted_keep_what_they_hold():
 
 
 def test_kept_sines_and_cosines_are_taken_for_inputs_and_for_nothing_else():
-    """What is kept here is no sine, so that it can be told where it was taken from."""
+    """The stored waves here are not sines and cosines, so that the test can see which values come from them."""
     nodes = [X, Y, (SIN, 0), (COS, 0), (SIN, 1), (COS, 1), (NEGATE, 1), (SIN, 6), (COS, 4)]
     tape, count = tape_of(program_of(nodes))
     inputs, waves, values = np.ones((2, 32)), np.arange(128.0).reshape(4, 32), np.zeros((count, 32))
@@ -156,7 +159,7 @@ def test_rows_are_padded_to_whole_blocks(rows, expected):
 @pytest.mark.parametrize("name", BY_NAME)
 @pytest.mark.parametrize("point", [(0.7, 1.9), (2.5, -0.6), (1e-3, 3.0), (0.9, 40.0)])
 def test_every_operator_has_the_gradient_of_its_definition(name, point):
-    """Both operands depend on a constant of their own; a variable takes part so that nothing can be folded."""
+    """Each operand depends on its own constant, and on a variable, so that no part can be folded."""
     operator = BY_NAME[name]
     nodes = [X, *point, (MULTIPLY, 0, 1), (MULTIPLY, 0, 2), (operator.code, 3, 4 if operator.arity == 2 else 0)]
     program = program_of(nodes)
@@ -177,7 +180,7 @@ def test_at_its_kink_the_absolute_value_has_gradient_zero():
 
 
 def test_a_constant_used_several_times_gathers_all_its_parts():
-    """c x + sin(c) - c**2: the derivative by c is x + cos(c) - 2 c."""
+    """The derivative of c x + sin(c) - c**2 with respect to c is x + cos(c) - 2 c."""
     nodes = [X, 0.8, (MULTIPLY, 0, 1), (SIN, 1), (ADD, 2, 3), (SQUARE, 1), (SUBTRACT, 4, 5)]
     slopes = gradient(program_of(nodes), [[3.0, -1.0]])
     assert slopes[1] == pytest.approx(np.array([3.0, -1.0]) + math.cos(0.8) - 1.6)
@@ -186,7 +189,7 @@ def test_a_constant_used_several_times_gathers_all_its_parts():
 @QUICK
 @given(programs(constants=st.floats(0.3, 3.0)), st.tuples(*(st.floats(0.3, 3.0) for _ in NAMES)))
 def test_any_program_has_the_gradient_of_its_definition(program, row):
-    """Shared nodes, dead nodes, repeated arguments; as long as no value is extreme or next to a kink."""
+    """Programs have shared nodes, dead nodes and repeated arguments; no value is extreme or close to a kink."""
     inputs = np.array(row)[:, None]
     values = abs(node_values(program, inputs)[:, 0])
     assume(bool(((values > 1e-2) & (values < 1e2)).all()))

@@ -1,4 +1,4 @@
-"""Fitting: terms against numpy's least squares, constants against known ones, and the count of point evaluations."""
+"""Fits: coefficients against numpy's least squares, constants against known ones, and the number of evaluations."""
 
 import math
 
@@ -80,7 +80,7 @@ def test_the_output_is_a_combination_of_its_terms(program, most):
 
 
 def errors_of(output, rows, beyond=-3.0):
-    """Return the errors of `output` (R,) as one term as it stands, with `beyond` in the padding."""
+    """Return the errors of `output` (R,) as a single unscaled term, with the value `beyond` in the padding."""
     work, scale, result = empty_work(1, rows.length), np.array([0.0, 1.0, 0.0, 0.0, 0.0]), np.zeros(2)
     work.values[:] = beyond
     work.values[0, : rows.length] = output
@@ -118,7 +118,7 @@ def test_what_stands_beyond_the_last_row_does_not_count():
 
 
 def terms_fitted(terms, target):
-    """Return `scale` for the given terms, and the combination's value at every row; what is beyond does not matter."""
+    """Return `scale` for the given terms, and the values of their combination (R,); the padding has other values."""
     rows = rows_of(np.zeros((1, len(target))), target)
     work = empty_work(8, rows.length)
     work.terms[: len(terms)] = np.arange(len(terms))
@@ -156,7 +156,7 @@ def test_a_term_that_repeats_earlier_ones_or_is_constant_gets_no_coefficient():
 
 
 def test_large_shifts_cost_no_accuracy():
-    """Centred sums: terms far from zero, as years are, keep their coefficients."""
+    """Sums are centred, so that coefficients of terms far from zero, such as years, are accurate."""
     random = np.random.default_rng(4)
     year, other = 1900.0 + random.uniform(0, 20, 60), random.normal(size=60)
     scale, _ = terms_fitted(np.array([year, other]), 0.25 * year - 3.0 * other)
@@ -213,7 +213,7 @@ SUPERFLUOUS = {
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("case", SUPERFLUOUS)
 def test_constants_that_coefficients_make_superfluous_stay_and_the_others_are_found(case, seed):
-    """What is left of their columns are rounding errors: a step along those would spoil all others."""
+    """After projection their columns are only rounding errors; a step along them would spoil all other constants."""
     nodes, superfluous, truth = SUPERFLUOUS[case]
     inputs = random_inputs(seed)
     target, program = truth(*inputs), program_of(nodes)
@@ -239,7 +239,7 @@ def jacobian_of(program, inputs, target, options):
 @pytest.mark.parametrize("rows", [16, 40, 45])
 @pytest.mark.parametrize("case", CASES)
 def test_the_columns_are_derivatives_less_what_terms_can_express(case, rows):
-    """By difference quotients, the coefficients held, then projected by numpy's least squares (Kaufman 1975)."""
+    """Expected: difference quotients with fixed coefficients, minus numpy's least-squares projection (Kaufman 1975)."""
     nodes, truth = CASES[case]
     inputs, program = random_inputs(11, rows), program_of(nodes)
     target = truth(*inputs) + np.random.default_rng(12).normal(size=rows)
@@ -262,7 +262,7 @@ def test_the_columns_are_derivatives_less_what_terms_can_express(case, rows):
 @pytest.mark.parametrize("rows", [40, 45])
 @pytest.mark.parametrize("case", CASES)
 def test_with_noise_the_least_squares_are_those_of_another_solver(case, rows):
-    """Variable projection here, all parameters at once there: one minimum, from the same start."""
+    """The fit uses variable projection; the other solver fits all parameters at once, from the same initial values."""
     nodes, truth = CASES[case]
     inputs, program = random_inputs(13, rows), program_of(nodes)
     clean = truth(*inputs)
@@ -312,7 +312,7 @@ def test_a_fit_never_increases_the_squared_error_and_counts_what_it_computes(pro
 @pytest.mark.parametrize("length", [1, 15, 16, 17, 31, 45])
 @pytest.mark.parametrize("options", [SCALED, AS_IT_STANDS])
 def test_padding_never_counts(length, options):
-    """Whatever finite numbers stand beyond the last row, every bit of the fit is the same."""
+    """Every bit of the fit stays the same for any finite numbers in the padding."""
     nodes = [X, 0.7, (MULTIPLY, 0, 1), (COS, 2), Y, (SQRT, 4), (MULTIPLY, 3, 5), 0.4, (ADD, 4, 7), (ADD, 6, 8)]
     inputs, target = random_inputs(15, length), np.random.default_rng(16).normal(size=length)
     fits = []
@@ -329,12 +329,15 @@ def test_padding_never_counts(length, options):
 
 
 def test_the_count_of_point_evaluations_is_the_documented_one():
-    """One value a row, then for each step two for the gradient, unless the last step failed, and one for the trial."""
+    """The count per row is 1 for the first values; then for each step 2 for the gradient and 1 for the trial.
+
+    After a failed step the gradient is not computed again.
+    """
     inputs = random_inputs(7, rows=30)
     line = program_of([X, 1.0, (MULTIPLY, 0, 1)])
-    assert fitted(line, inputs, inputs[0], AS_IT_STANDS)[4] == 30  # exact from the start
+    assert fitted(line, inputs, inputs[0], AS_IT_STANDS)[4] == 30  # exact before any step
     assert fitted(line, inputs, 2.0 * inputs[0], AS_IT_STANDS, steps=1)[4] == 30 + 60 + 30
-    assert fitted(line, inputs, 2.0 * inputs[0], SCALED, steps=9)[4] == 30  # nothing lies inside the term
+    assert fitted(line, inputs, 2.0 * inputs[0], SCALED, steps=9)[4] == 30  # no constant is inside the term
     assert fitted(program_of([X, (SIN, 0)]), inputs, inputs[1], SCALED, steps=9)[4] == 30
 
 

@@ -1,4 +1,4 @@
-"""A generation: pairing, crowding, counting, and what is left of an individual once its constants are fitted."""
+"""A generation: pairs, crowding, counts of evaluations, and individuals after the fit of their constants."""
 
 import math
 
@@ -27,14 +27,14 @@ from tests.oracles.spaces import empty_coevolution, random_lists, space_of, stre
 POPULATION, ROWS = 16, 24
 SPACE = space_of(variables=2)
 ALONE = Coevolving(0, 0.0, 1)
-"""No predictors."""
+"""Settings without predictors."""
 
 TERMS = Fit(0, 3, 2, 0, 0.25)
 FITTED, GATED, PLAIN = Fit(4, 3, 2, 0, math.inf), Fit(4, 3, 2, 0, 0.25), Fit(0, 0, 2, 0, 0.25)
 
 
 class Arena:
-    """A population on some rows, with all that a generation needs."""
+    """A population on some rows, with all arrays that a generation needs."""
 
     def __init__(self, options=FITTED, seed=1, **variation):
         random = np.random.default_rng(seed)
@@ -78,7 +78,7 @@ class Arena:
 
 @pytest.mark.parametrize("options", [FITTED, PLAIN])
 def test_fitness_is_the_error_of_the_individual_as_it_stands(options):
-    """What is kept of an individual, constants and scaling, gives the very output that was measured."""
+    """The stored constants and scaling of an individual give the same output that was measured."""
     arena = Arena(options)
     for _ in range(5):
         arena.generation()
@@ -116,9 +116,9 @@ def test_fitting_counts_apart_and_at_most_three_for_a_row_and_step():
 
 @pytest.mark.parametrize("options", [FITTED, GATED, PLAIN])
 def test_a_generation_is_that_of_the_definition(options):
-    """Parents at random in pairs; two children each; the child that is no worse than the parent it resembles stays.
+    """Parents form random pairs with two children; a child replaces the parent that it resembles if it is no worse.
 
-    With fits, a child that computes what a settled parent does has its loss from there, and is not counted.
+    With fits, a child that is the same program as a settled parent takes the parent's loss and is not counted.
     """
     arena, reference = Arena(options), Arena(options)
     settled = reference.scratch.settled.copy()
@@ -156,15 +156,15 @@ def test_a_generation_is_that_of_the_definition(options):
 
 
 def donors(options, first, second):
-    """Return the parents that a child may inherit from: without fits none."""
+    """Return the parents whose loss a child may take over; none without fits."""
     return (first, second) if options is not PLAIN else ()
 
 
 def test_inheriting_a_loss_saves_evaluations_and_changes_nothing_else():
-    """Without steps for constants a child's loss is its parent's when it computes the same."""
+    """Without steps for constants, a child that is the same program as its parent has the same loss."""
     heirs, measured = Arena(TERMS), Arena(TERMS)
     for _ in range(10):
-        measured.scratch.settled[:] = False  # nobody is inherited from
+        measured.scratch.settled[:] = False  # no child takes over a loss
         heirs.generation()
         measured.generation()
         for mine, theirs in zip(heirs.lists, measured.lists, strict=True):

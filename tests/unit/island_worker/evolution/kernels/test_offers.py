@@ -1,4 +1,4 @@
-"""Which individuals are measured on all rows."""
+"""The choice of individuals to be measured on all rows, and their fits there."""
 
 import math
 
@@ -45,7 +45,7 @@ class Arena:
         return offers[:count].tolist()
 
     def choose_near(self, most, known):
-        """Return the individuals chosen for the front, and those beside it."""
+        """Return the individuals chosen for the front, and the next best ones."""
         offers = np.zeros(len(self.offered) + POPULATION, np.int64)
         count = choose_offers(self.lists, self.fitness, self.scratch, self.offered, self.losses, offers)
         order = np.argsort(self.fitness, kind="stable")
@@ -86,7 +86,7 @@ def test_the_same_structure_is_offered_again_only_when_its_loss_has_halved():
 
 
 def near_by_definition(arena, offered, most, known):
-    """Return who is next best of each size, by fitness, fitnesses and structures being new."""
+    """Return the next best individuals of each size, in the order of fitness, with new fitnesses and structures."""
     near, structures = [], {arena.hash(p) for p in offered} | set(known)
     taken, fitnesses = {}, {}
     for p in np.argsort(arena.fitness, kind="stable").tolist():
@@ -143,7 +143,7 @@ def test_refits_are_counted_and_leave_a_quarter_of_the_rows_for_each_constant():
 
 
 class Offers:
-    """What `refit_offers` finds in a population on 40 rows."""
+    """A population on 40 rows, and calls of `refit_offers` for it."""
 
     def __init__(self, options=FITTED, lists=None, target=None):
         inputs = np.random.default_rng(6).uniform(0.5, 2.0, (2, 40))
@@ -159,7 +159,7 @@ class Offers:
         self.counters = np.zeros(len(PARTS), np.int64)
 
     def refit(self, least=None, slack=math.inf):
-        """Return how many programs improve on `least`, as if none had been offered before."""
+        """Return the number of programs with a loss below `least` (sizes,); no program was offered before."""
         least = np.full(self.sizes, math.inf) if least is None else least
         offers, none = np.zeros(self.sizes, np.int64), np.zeros(self.sizes, np.uint64)
         unknown = np.full(self.sizes, math.inf)

@@ -1,4 +1,4 @@
-"""From lists to tapes to canonical programs, against the definitions and against the simplification of programs."""
+"""Tapes and canonical programs of lists, against the definitions and against the simplification of programs."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def assert_same_bits(one, other, row):
 
 
 def marked(lists, p, words):
-    """Return the nodes that `mark_live` marks; the words hold something else before."""
+    """Return the nodes that `mark_live` marks in words that are not empty before."""
     bits = np.full(words, 0xDEADBEEF, np.uint64)
     mark_live(lists, p, bits)
     return [64 * word + b for word in range(words) for b in range(64) if int(bits[word]) >> b & 1]
@@ -51,7 +51,7 @@ def test_live_nodes_are_those_that_the_output_depends_on(program):
 
 
 def test_the_highest_bit_of_a_word_is_a_node_like_any_other():
-    """Node 63 is the output, and the argument of node 64."""
+    """Node 63 is the output in one list, and an argument of node 64 in the other list."""
     nodes = [X] * 63 + [(SQUARE, 62)]
     assert marked(list_of(program_of(nodes)), 0, 1) == [62, 63]
     assert marked(list_of(program_of([*nodes, (ADD, 63, 0)])), 0, 2) == [0, 62, 63, 64]
@@ -99,7 +99,7 @@ def test_the_canonical_tape_keeps_every_bit_and_has_only_live_and_different_node
 @QUICK
 @given(programs())
 def test_the_canonical_tape_has_the_complexity_of_the_program(program):
-    """The simplification of programs folds nothing that is not finite, the tape does: those are left out here."""
+    """Programs with constant parts that are not finite are left out: only the tape replaces such parts by values."""
     values = node_values(program, np.zeros((len(NAMES), 1)))[:, 0]
     depends_on_input = np.zeros(len(program), bool)
     for node, code in enumerate(program.operators):

@@ -185,7 +185,7 @@ def test_a_program_that_fails_is_quoted(slurm: BatchJobs, programs: FakeBatch) -
 
 def test_without_slurm_the_missing_program_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(UsageError, match="sbatch was not found; run adapt on a machine from which"):
+    with pytest.raises(UsageError, match="sbatch was not found; run adapt on a machine where"):
         BatchJobs(SYSTEMS["slurm"], "atoll-abc", ["island-worker"], 1, [])
 
 

@@ -50,7 +50,7 @@ def test_jobs_that_end_before_a_worker_has_joined_are_not_submitted_for_ever() -
     for number in range(MOST_FAILURES - 1):
         policy.decide(number, need(4), [BatchJob(str(number), number, "pending")])
     policy.decide(5.0, need(4), [BatchJob("7", 7, "running")])
-    with pytest.raises(AtollError, match=r"3 jobs one after the other ended .* the last of them 7; read their output"):
+    with pytest.raises(AtollError, match=r"3 consecutive jobs ended .* the last one was 7; read their output"):
         policy.decide(6.0, need(4), [])
 
 
@@ -60,7 +60,7 @@ def test_a_job_in_error_is_cancelled_replaced_and_counts_as_a_failure() -> None:
         in_error = [BatchJob(str(number), number, "failed")]
         assert policy.decide(number, need(4), in_error) == AdaptDecision(submit=1, take_back=(str(number),))
         assert policy.decide(number + 0.3, need(4), in_error) == AdaptDecision(submit=1), "it is cancelled once"
-    with pytest.raises(AtollError, match="the last of them 2"):
+    with pytest.raises(AtollError, match="the last one was 2"):
         policy.decide(9.0, need(4), [])
 
 

@@ -265,7 +265,7 @@ def test_an_address_is_needed_and_checked(
         (["share", "al"], ("share", "alpha", True), "job alpha is shared with everybody"),
         (["share", "al", "--private"], ("share", "alpha", False), "job alpha is private"),
         (["retry", "al", "--id", "beta"], ("retry", "alpha", "beta"), "beta"),
-        (["cordon", "den"], ("worker", "den-0", "cordoned"), "worker den-0 keeps the islands that it has"),
+        (["cordon", "den"], ("worker", "den-0", "cordoned"), "worker den-0 keeps its islands"),
         (["uncordon", "lab-1"], ("worker", "lab-1", "open"), "worker lab-1 gets islands again"),
         (["drain", "gone"], ("worker", "gone", "draining"), "worker gone hands over its islands"),
         (["queue", "pause"], ("queue", True), "the queue is paused"),
@@ -410,7 +410,7 @@ class TestWithACoordinator:
         assert main(["cancel"]) == 0
         assert "job beta is cancelled" in capsys.readouterr().out
         assert main(["cancel", "alpha"]) == 0
-        assert "had ended already: done" in capsys.readouterr().out
+        assert "had already ended: done" in capsys.readouterr().out
 
     def test_delete_takes_a_job_that_has_ended(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["delete", "al"]) == 0

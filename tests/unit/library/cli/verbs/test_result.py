@@ -67,7 +67,7 @@ def test_what_is_neither_a_result_nor_a_job_is_said(
 ) -> None:
     monkeypatch.delenv("ATOLL_CONNECT", raising=False)
     assert main(["result", "7f3a"]) == 2
-    assert "7f3a is not a saved result, and no coordinator was given" in capsys.readouterr().err
+    assert "7f3a is not a saved result, and no coordinator with a job of this id was given" in capsys.readouterr().err
     assert main(["result", str(tmp_path / "reslut.json")]) == 2
     assert capsys.readouterr().err.endswith("give the path of a saved result.json; did you mean 'result.json'?\n")
     assert main(["run", str(tmp_path / "reslut.json"), "--dry-run"]) == 2

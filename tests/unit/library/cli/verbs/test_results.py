@@ -113,7 +113,7 @@ def test_paths_of_a_process_are_written_as_bounds_or_each(tmp_path: Path, capsys
     assert main([*words, "--paths", "2", "--json", "--each-path"]) == 0
     assert len(json.loads(capsys.readouterr().out)["states"]["x"]) == 2
     assert main(words) == 0
-    assert "the drift was simulated, without the noise of the process; --paths" in capsys.readouterr().err
+    assert "the drift was simulated without the noise of the process; --paths" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -318,7 +318,7 @@ def test_a_result_is_compared_with_its_candidate(decaying: Path, capsys: pytest.
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ((":1", "{}"), "A is ':1', but a result was expected, such as runs/JOB:1"),
+        ((":1", "{}"), "A is ':1', but the name of a result was expected, such as runs/JOB:1"),
         (("{}", ":2"), "has no candidate 2: it has candidates 1 to 1"),
         (("{}", "{}/nothing"), "cannot be read"),
     ],
@@ -435,10 +435,15 @@ def noisy(tmp_path: Path) -> Path:
         ("found", "suggest", "--rival ;", "--rival wants dx=EXPR, but got nothing"),
         ("found", "suggest", "--rival dx=z", "z"),
         ("exportable", "export", "--format petab", "petab is a folder of several files; name it with -o FOLDER"),
-        ("exportable", "export", "--format c --candidate 2", "--candidate 2 is not there: the result has 1 candidates"),
+        (
+            "exportable",
+            "export",
+            "--format c --candidate 2",
+            "--candidate 2 does not exist; the result has 1 candidates",
+        ),
         ("exportable", "export", "--format c --candidate 1 --pick x=0", "both choose equations"),
         ("exportable", "export", "--format c --hold v=1", "--hold names 'v'; the inputs are u"),
-        ("exportable", "export", "--format c --data a.csv", "--data belongs to --format petab"),
+        ("exportable", "export", "--format c --data a.csv", "--data was given without --format petab"),
         ("exportable", "export", "--format fortran", "but 'fortran' was given"),
         ("noisy", "simulate", "--seed 1", "--seed needs --paths"),
         ("noisy", "simulate", "--each-path", "--each-path needs --paths"),

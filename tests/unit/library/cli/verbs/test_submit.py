@@ -104,7 +104,7 @@ def after(
         ),
         *(
             (
-                f"{AGAIN} --max-time 120s  # the time was over before the equations were fitted",
+                f"{AGAIN} --max-time 120s  # the time limit ended the job before equations were fitted",
                 {"verdict": "doubtful", "refining": end, "config": {"budget": {"max_time": 60.0}}},
             )
             for end in ("not refined", "max-time")

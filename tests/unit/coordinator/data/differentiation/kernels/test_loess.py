@@ -1,4 +1,4 @@
-"""The loess kernels against their definitions, and against polynomials that they must reproduce."""
+"""The loess kernels against their definitions, and on polynomials that they must reproduce."""
 
 import numpy as np
 import pytest
@@ -114,7 +114,7 @@ def test_a_row_without_weight_does_not_count():
 
 
 def test_where_few_rows_are_trusted_the_window_is_wider():
-    """Five rows hold two trusted ones; a cubic needs four, and one more to be checked."""
+    """Of five rows two have a positive weight. A cubic needs four, and cross-validation needs one more."""
     times = np.arange(40.0)
     values, weights = times**3, np.zeros(40)
     weights[::3] = 1.0

@@ -1,4 +1,4 @@
-"""The implicit steps: against scipy, where explicit ones give up, and their sensitivities against differences."""
+"""Implicit steps against scipy, also where explicit steps fail; their sensitivities against finite differences."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,10 @@ def parsed(texts):
 
 
 def integrated(texts, start, *, table=STIFF, tolerance=1e-7, values=None, budget=100_000, limit=1e3):
-    """Return what `integrate_segments` does, states (D, N) and sensitivities (N, D, Q); `values` replace constants."""
+    """Return the result of `integrate_segments`, states (D, N) and sensitivities (N, D, Q).
+
+    `values` replace the constants.
+    """
     system = system_of(parsed(texts), NAMES, NAMES)
     system = system if values is None else system.with_values(values)
     states = len(system.outputs)

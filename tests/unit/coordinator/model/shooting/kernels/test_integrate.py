@@ -1,4 +1,4 @@
-"""The integration kernels against scipy, and their sensitivities against differences of perturbed integrations."""
+"""The integration kernels against scipy, and their sensitivities against finite differences of integrations."""
 
 import json
 import os
@@ -34,7 +34,7 @@ def integrated(
     programs, start, *, table=PRECISE, tolerance=1e-9, times=TIMES, inputs=WAVE, input_slopes=RISE, segments=WHOLE,
     limits=WIDE, budget=100_000, wants=True,
 ):  # fmt: skip
-    """Return how many segments were integrated, states (D, N) and sensitivities (N, D, Q)."""
+    """Return the number of integrated segments, states (D, N) and sensitivities (N, D, Q)."""
     system = programs if not isinstance(programs, list) else system_of(programs, NAMES, NAMES)
     states = len(system.outputs)
     starts = np.atleast_2d(np.asarray(start, dtype=np.float64))
@@ -95,7 +95,7 @@ def test_the_weights_make_a_method_of_the_order_that_is_claimed(table):
 
 
 def chain(code):
-    """Return c2 op(c1 x, c3) - 0.1 y, or with one argument c2 op(c1 x) - 0.1 y: three or four constants."""
+    """Return c2 op(c1 x, c3) - 0.1 y, or for a unary operator c2 op(c1 x) - 0.1 y."""
     nodes = [(VARIABLE, 0, 0, 0.0), (CONSTANT, 0, 0, 0.7), (MULTIPLY, 1, 0, 0.0), (CONSTANT, 0, 0, 1.3)]
     nodes += [(code, 2, 3 if ARITY[code] == 2 else 0, 0.0), (CONSTANT, 0, 0, -0.2), (MULTIPLY, 5, 4, 0.0)]
     nodes += [(VARIABLE, 1, 0, 0.0), (CONSTANT, 0, 0, -0.1), (MULTIPLY, 8, 7, 0.0), (ADD, 6, 9, 0.0)]
@@ -104,7 +104,7 @@ def chain(code):
 
 
 def differences(programs, start, step=1e-5):
-    """Return the sensitivities (N, D, Q) by differences."""
+    """Return the sensitivities (N, D, Q) from central differences with this `step`."""
     system = system_of(programs, NAMES, NAMES)
     columns = []
     for p in range(len(system.places)):
@@ -125,7 +125,7 @@ def differences(programs, start, step=1e-5):
     "code", [operator.code for operator in OPERATORS if operator.arity], ids=lambda code: OPERATORS[code].name
 )
 def test_sensitivities_are_the_differences_for_every_operator(code):
-    """With both signs of the argument where the operator has values there."""
+    """The argument has both signs if the operator has values for negative arguments."""
     other = from_infix("0.3*x - 0.5*y + 0.2*u", NAMES)
     starts = [np.array([1.2, 0.4])]
     starts += [np.array([-1.2, 0.4])] if OPERATORS[code].name not in ("log", "sqrt", "pow") else []
@@ -136,7 +136,7 @@ def test_sensitivities_are_the_differences_for_every_operator(code):
 
 
 def test_a_whole_power_of_a_negative_number_has_sensitivities():
-    """x' = 0.1 (x - 3)^3, the exponent held: 1/(x - 3)^2 grows by -t/5."""
+    """The solution of x' = 0.1 (x - 3)^3, with the exponent held, has 1/(x - 3)^2 = 1/4 - t/5 for x(0) = 1."""
     program = from_infix("0.1*(x - 3.0)**2.5", NAMES)
     exponent = int(program.right[np.flatnonzero(program.operators == POW)[0]])
     program = with_constants(program, {exponent: 3.0})
@@ -180,7 +180,7 @@ def test_a_fixed_constant_has_no_column():
 
 
 def test_a_blow_up_ends_the_segment_at_its_row_and_those_behind_are_not_tried():
-    """x' = x^2 from 1 is 1/(1 - t); the range is left between 0.7 and 1.1, where x = 5."""
+    """The solution of x' = x^2, x(0) = 1, is 1/(1 - t). It reaches the limit 5 between the rows at 0.7 and 1.1."""
     programs = parsed("x*x", "0*y")
     segments = np.array([[0, 2], [2, 7], [7, 8]], dtype=np.int64)
     starts = [[1.0, 0.0], [1.0 / 0.8, 0.0], [3.0, 0.0]]
@@ -193,7 +193,7 @@ def test_a_blow_up_ends_the_segment_at_its_row_and_those_behind_are_not_tried():
 
 @pytest.mark.parametrize("text", ["log(x)", "-1.0 - sqrt(x)", "1/(0.4 - x)", "-exp(8.0/x)"])
 def test_where_the_rates_have_no_value_the_segment_ends(text):
-    """x falls to zero, or meets a pole, between rows."""
+    """x falls to zero, or the rate has a pole, between two rows."""
     done, simulated, _ = integrated(parsed(text, "0*y"), [0.3, 1.0])
     assert done == 0
     ended = np.isnan(simulated[0]).argmax()
@@ -211,7 +211,7 @@ def test_rates_without_a_value_at_the_start_end_it_there():
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_a_step_too_wide_for_one_state_is_taken_again_whatever_the_other_says(order):
-    """A first trial step overshoots to where the root has no value; shorter ones do not."""
+    """The first trial step reaches negative x, where the root has no value; shorter steps do not."""
     texts = ("0.001*sqrt(x) - 20.0*(x - 0.1)", "0.1")
     names = ("x", "y")
     swapped = [(texts[index], names[index]) for index in order]
@@ -229,7 +229,7 @@ def test_a_step_too_wide_for_one_state_is_taken_again_whatever_the_other_says(or
 
 
 def test_when_the_steps_are_used_up_the_rows_before_stay():
-    """A stiff system needs many steps; fewer of them reach fewer rows."""
+    """A stiff system needs many steps; with a smaller budget fewer rows are reached."""
     programs = parsed("-3000.0*(x - u)", "0*y")
     reached = []
     for budget in (100, 400, 1200):
@@ -250,7 +250,10 @@ def test_when_the_steps_are_used_up_the_rows_before_stay():
     cuts=st.sets(st.integers(1, len(TIMES) - 1)),
 )
 def test_a_linear_equation_is_solved_whatever_the_segments(rate, level, start, cuts):
-    """x' = r x + l: states and sensitivities in closed form, cut anywhere when the starts lie on the solution."""
+    """x' = r x + l has states and sensitivities in closed form.
+
+    The trajectory is split into segments anywhere; their initial states are points of the solution.
+    """
     program = from_infix("0.5*x + 0.25", NAMES)
     system = system_of([program], NAMES, ("x", "u", "y"))
     system = system.with_values(np.array([rate, level]))
@@ -266,7 +269,7 @@ def test_a_linear_equation_is_solved_whatever_the_segments(rate, level, start, c
     assert done == len(segments)
     assert simulated[0] == pytest.approx(expected, abs=1e-7)
     since = TIMES - TIMES[np.repeat(segments[:, 0], np.diff(segments, axis=1)[:, 0])]
-    assert gradients[:, 0, 2] == pytest.approx(np.exp(rate * since), abs=1e-3)  # steps go by the states alone
+    assert gradients[:, 0, 2] == pytest.approx(np.exp(rate * since), abs=1e-3)  # only the states control the steps
 
 
 TINY = """
@@ -277,7 +280,7 @@ sys.stdout.write(json.dumps(numbers()))
 
 
 def numbers():
-    """Return states and sensitivities of some systems, one of which has no finite rates, and a fit, by both methods."""
+    """Return states and sensitivities of some systems (one without finite rates) and a fit, from both methods."""
     with np.errstate(all="ignore"):
         parts = [
             part
@@ -298,7 +301,7 @@ def small_fit(precision):
 
 @pytest.mark.slow
 def test_interpreted_kernels_give_the_numbers_of_the_compiled_ones():
-    """Not the bits: sine and cosine may be another library's."""
+    """The bits may differ, because the interpreter may take sine and cosine from another library."""
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     finished = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", TINY], cwd=ROOT, env=environment, capture_output=True, text=True
@@ -309,7 +312,7 @@ def test_interpreted_kernels_give_the_numbers_of_the_compiled_ones():
 
 @pytest.mark.parametrize("table", [PRECISE, QUICK, STIFF], ids=["precise", "quick", "stiff"])
 def test_an_input_without_slopes_is_held_until_the_next_row(table):
-    """dx/dt = u - x: between rows x goes towards the value of u at the row before."""
+    """For dx/dt = u - x, x approaches the value that u has at the row before."""
     inputs = np.array([[1.0, -2.0, 0.0, 5.0, 5.0, 1.0, -1.0, 9.0]])
     programs = parsed("u - x", "0*y")
     tolerance = 1e-9 if table is PRECISE else 1e-6

@@ -1,4 +1,4 @@
-"""The sums of a fit and the solution for its step against dense matrices."""
+"""The normal equations of a trajectory fit, and their solution, against dense matrices."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def drawn(fitted, states, observed, seed=0):
 
 
 def blocks(segments, observed, residuals, weights, gradients, shares=(0.0, 0.0), decays=(0.0, 0.0)):
-    """Return the blocks of the normal equations: J'WJ by P x P, G x P x D, G x D x D, and J'Wr."""
+    """Return the blocks of the normal equations: J'WJ as (P, P), (G, P, D), (G, D, D), and J'Wr."""
     states = gradients.shape[1]
     fitted, groups, columns = gradients.shape[2] - states, len(segments), gradients.shape[2] + 1
     made = (
@@ -37,7 +37,7 @@ def blocks(segments, observed, residuals, weights, gradients, shares=(0.0, 0.0),
 
 
 def dense(segments, observed, residuals, weights, gradients):
-    """Return J'WJ and J'Wr with one column for each constant, then for each state of each segment."""
+    """Return J'WJ and J'Wr with one column for each constant, then one for each state of each segment."""
     states = gradients.shape[1]
     fitted, groups = gradients.shape[2] - states, len(segments)
     jacobian, left, right = [], [], []
@@ -99,7 +99,7 @@ def test_errors_that_go_together_are_weighted_by_their_inverse_covariance(shares
 
 
 def covariance(rows, weights, share, decay):
-    """Return the covariance of errors at these rows: a share goes together, by decay for each median step."""
+    """Return the covariance of errors at these rows: the correlation of `share` falls by `decay` per median step."""
     places = np.cumsum(STEPS)[rows]
     together = share * decay ** np.abs(places[:, None] - places[None]) if decay else share * np.eye(len(rows))
     return (together + (1.0 - share) * np.eye(len(rows))) / np.sqrt(np.outer(weights[rows], weights[rows]))
@@ -143,7 +143,7 @@ def solved(made, damping):
     seed=st.integers(0, 1000),
 )
 def test_the_step_is_that_of_the_damped_dense_equations(case, damping, unit, seed):
-    """Whatever the units of the constants; segments of few rows leave initial states to the damping."""
+    """The units of the constants do not matter. In segments with few rows, damping determines the initial states."""
     fitted, states, observed = case
     residuals, weights, gradients = drawn(fitted, states, observed, seed)
     gradients[:, :, :1] *= 10.0**unit

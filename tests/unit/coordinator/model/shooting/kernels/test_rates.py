@@ -1,4 +1,4 @@
-"""Rates of a system's states and their slopes, against evaluation by numpy."""
+"""Rates of a system's states and their derivatives, against evaluation by numpy."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def evaluated(tape, values, adjoints, rate, jacobian, direct) -> None:
 
 
 def rate_and_slopes(name: str, a: float, b: float) -> tuple[float, list[float]]:
-    """Return the value of an operator on two fitted constants, and its slopes by those it takes."""
+    """Return the value of an operator on fitted constants, and its derivatives with respect to them."""
     operator = BY_NAME[name]
     system = system_of([program_of([a, b, (operator.code, *range(operator.arity))])], ("x",), ("x",))
     rate, direct = np.zeros((1, 1)), np.zeros(2)
@@ -41,7 +41,7 @@ def test_every_operator_has_the_value_and_the_slopes_of_its_definition(name, a, 
 
 
 def numpy_slopes(name: str, a: float, b: float) -> list[float]:
-    """Return the slopes of an operator by numpy."""
+    """Return the derivatives of an operator from numpy's evaluation."""
     arity = BY_NAME[name].arity
     program = program_of([a, b, (BY_NAME[name].code, *range(arity))])
     _, gradient = values_and_gradient(program, np.zeros((1, 1)), constant_places(program))
@@ -49,7 +49,7 @@ def numpy_slopes(name: str, a: float, b: float) -> list[float]:
 
 
 def search_slopes(name: str, a: float, b: float) -> list[float]:
-    """Return the same by the kernels of the search."""
+    """Return the derivatives of an operator from the kernels of the search."""
     operator = BY_NAME[name]
     program = program_of([a, b, (operator.code, *range(operator.arity))])
     return [float(slope) for slope in kernel_gradient(program, [[0.0]])[: operator.arity, 0]]
@@ -71,7 +71,10 @@ def search_slopes(name: str, a: float, b: float) -> list[float]:
     ],
 )
 def test_slopes_at_singular_points_are_the_same_everywhere(name, a, b, expected):
-    """0**b is 0 for all b > 0; a negative base has no real power beside a whole one, hence no slope by it."""
+    """0**b is 0 for all b > 0. Powers of a negative base exist only for integer exponents.
+
+    Therefore they have no derivative with respect to the exponent.
+    """
     with np.errstate(all="ignore"):
         for slopes_of in (rate_and_slopes(name, a, b)[1], numpy_slopes(name, a, b), search_slopes(name, a, b)):
             np.testing.assert_array_equal(slopes_of, expected)
@@ -90,7 +93,7 @@ def test_slopes_at_singular_points_are_the_same_everywhere(name, a, b, expected)
     ],
 )
 def test_values_at_singular_points_are_the_same_everywhere(name, a, b, expected):
-    """What is infinite in one place and not a number in another may become finite: exp(log(0)) is 0."""
+    """If log(0) were infinite in one module and NaN in another, exp(log(0)) would be 0 in one and NaN in the other."""
     code = BY_NAME[name].code
     with np.errstate(all="ignore"):
         slopes = [
