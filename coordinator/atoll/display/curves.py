@@ -43,8 +43,8 @@ def residuals(measured: Curve, simulated: Curve) -> list[float | None]:
 
 def front(members: Sequence[Member], *, is_selected: bool = False) -> tuple[list[int], list[float | None]]:
     """Return complexities and errors of the members of a front that have an error, or only of selected members."""
-    shown = [member for member in members if member.normalized_error and (member.selected or not is_selected)]
-    return [member.complexity or 0 for member in shown], [member.normalized_error for member in shown]
+    displayed = [member for member in members if member.normalized_error and (member.selected or not is_selected)]
+    return [member.complexity or 0 for member in displayed], [member.normalized_error for member in displayed]
 
 
 TOLERANCE: Final = 5e-4

@@ -145,8 +145,8 @@ def compare(
         swapped = on(second, first, "B", table)
         swapped_length = None if swapped.longer is None else -swapped.longer
         data.append(OnData(swapped.source, (swapped.sides[1], swapped.sides[0]), -swapped.nats, swapped_length))
-    shown = tuple({equation.lhs: equation.expression for equation in model.equations} for model in models)
-    return Comparison(names, (shown[0], shown[1]), _forms(*models), tuple(data))
+    displayed = tuple({equation.lhs: equation.expression for equation in model.equations} for model in models)
+    return Comparison(names, (displayed[0], displayed[1]), _forms(*models), tuple(data))
 
 
 def _forms(first: ModelCore, second: ModelCore) -> dict[str, str]:
@@ -193,21 +193,21 @@ def most_errors(count: int) -> float:
 
 def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
     _require_columns(holder, other)
-    shown = fit_displayed(measured_of(holder, table), holder)
+    displayed = fit_displayed(measured_of(holder, table), holder)
     texts = {equation.variable: equation.expression or "" for equation in other.equations}
     equations = equations_of(holder)
     for place, (variable, entry) in enumerate(zip(equations.variables, holder.equations, strict=True)):
         program = from_infix(texts[variable], equations.names)
         if program != from_infix(entry.expression or "", equations.names):
             equations = equations.with_equation(place, program)
-    fitted = fit_equations(shown.measured, equations, shown.fit.starts)
+    fitted = fit_equations(displayed.measured, equations, displayed.fit.starts)
     if fitted is None:
         raise UsageError(
             "one model cannot be simulated along the data of the other model; compare them on different data"
         )
-    nats, longer = weigh_pair(shown, fitted)
-    source = shown.measured.source.replace("the result", letter)
-    return OnData(source, (_side(holder, shown), _side(holder, fitted)), nats, longer)
+    nats, longer = weigh_pair(displayed, fitted)
+    source = displayed.measured.source.replace("the result", letter)
+    return OnData(source, (_side(holder, displayed), _side(holder, fitted)), nats, longer)
 
 
 def _require_columns(holder: Result, other: Result) -> None:

@@ -356,8 +356,8 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
         program = equations.programs[place]
         values = program.constants[constant_places(program)].tolist()
         text = from_infix(result.equations[place].expression or "", equations.names)
-        shown = text.constants[constant_places(text)].tolist()
-        numbers = match_constants(values, shown)
+        displayed = text.constants[constant_places(text)].tolist()
+        numbers = match_constants(values, displayed)
         terms = iter(explicit.terms)
         for origin in explicit.origins if place not in equations.fixed else ():
             if origin is None:
@@ -366,9 +366,9 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
                 continue
             number = numbers[origin]
             name = f"c{taken + number + 1}" if number is not None else f"{values[origin]:.4g} (d{variable})"
-            sign = 1.0 if number is None or values[origin] * shown[number] >= 0.0 else -1.0
+            sign = 1.0 if number is None or values[origin] * displayed[number] >= 0.0 else -1.0
             constants.append(FreeConstant(name, variable, sign, True))
-        taken += len(shown)
+        taken += len(displayed)
     return tuple(constants)
 
 

@@ -329,13 +329,13 @@ def suggest(result: Result, request: DesignRequest, table: Table | None = None) 
             within the bounds, or there is only one candidate and it has no constants.
     """
     request.check()
-    shown = fit_displayed(measured_of(result, table), result)
-    space = space_of(result, shown.measured, request)
+    displayed = fit_displayed(measured_of(result, table), result)
+    space = space_of(result, displayed.measured, request)
     # users may call an equation x, dx, or dx/dt as in the result
     sides = {equation.lhs: equation.variable for equation in result.equations}
     sides |= {side.partition("/")[0]: name for side, name in sides.items()}
     given = [{sides.get(side, side): text for side, text in rival.items()} for rival in request.rivals]
-    return _Suggester(result, request, space, shown, alternatives_of(result, shown, given)).suggestions()
+    return _Suggester(result, request, space, displayed, alternatives_of(result, displayed, given)).suggestions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,15 +399,15 @@ class _Suggester:
         result: Result,
         request: DesignRequest,
         space: DesignSpace,
-        shown: FittedEquations,
+        displayed: FittedEquations,
         systems: Sequence[WeightedSystem],
     ) -> None:
         self._result, self._request, self._space = result, request, space
-        self._shown, self._systems = shown, tuple(systems)
-        limits = space.limits(shown.measured.measurements.smoothed)
-        self._sigmas = shown.errors.sigmas * np.sqrt(np.maximum(shown.measured.share, 1.0))
+        self._displayed, self._systems = displayed, tuple(systems)
+        limits = space.limits(displayed.measured.measurements.smoothed)
+        self._sigmas = displayed.errors.sigmas * np.sqrt(np.maximum(displayed.measured.share, 1.0))
         self._predictors = [DesignPredictor(known.fitted, space.widths, limits, self._sigmas) for known in systems]
-        self._shown_predictor = DesignPredictor(shown, space.widths, limits, self._sigmas)
+        self._displayed_predictor = DesignPredictor(displayed, space.widths, limits, self._sigmas)
         self._weights = [known.weight for known in systems]
         self._useful_evidence = useful_evidence([known.length for known in systems])
 
@@ -419,10 +419,12 @@ class _Suggester:
         reason = self._reason(chosen)
         if reason is None:
             return self._collect("discrimination", chosen, f"{len(self._systems)} candidates differ")
-        if not len(self._shown.values):
+        if not len(self._displayed.values):
             raise UsageError(f"{reason}, and the model has no constants, so an experiment gives no information")
-        constants = len(self._shown.values)
-        precise = _DesignSearch(self._space, lambda design: precision(self._shown_predictor.at(design), constants)[0])
+        constants = len(self._displayed.values)
+        precise = _DesignSearch(
+            self._space, lambda design: precision(self._displayed_predictor.at(design), constants)[0]
+        )
         chosen = precise.best(count, seed)
         if not chosen:
             raise UsageError("the model cannot be simulated from any initial state in the bounds; give other bounds")
@@ -472,18 +474,18 @@ class _Suggester:
             dict(zip(self._space.names, ends, strict=True)),
             tuple(name for name in self._space.names if name not in given),
             self._request.cost,
-            self._shown.measured.source,
+            self._displayed.measured.source,
         )
 
     def _candidate(self, system: WeightedSystem) -> CandidateSystem:
-        shown = self._result.equations
+        displayed = self._result.equations
         length = next(other.length for other in self._systems if other.origin == "shown")
         fitted, written = system.fitted.texts(self._result), {}
         if system.origin == "shown":
             names = system.fitted.equations.names
             written = {
                 equation.lhs: to_infix(from_infix(equation.expression or "", names), names, digits=4)
-                for equation in shown
+                for equation in displayed
             }
         others = {} if written == fitted else written
         return CandidateSystem(fitted, system.origin, system.weight, system.nats, system.length - length, others)
@@ -508,10 +510,10 @@ class _Suggester:
 
     def _worst(self, design: Design) -> tuple[str, float, float]:
         """Return the constant with the largest relative error, and this error before and after an experiment."""
-        root = self._shown_predictor.root
-        before, after = root @ root.T, root @ precision(self._shown_predictor.at(design), len(root))[1] @ root.T
-        sizes = np.maximum(np.abs(self._shown.values), 1e-300)
+        root = self._displayed_predictor.root
+        before, after = root @ root.T, root @ precision(self._displayed_predictor.at(design), len(root))[1] @ root.T
+        sizes = np.maximum(np.abs(self._displayed.values), 1e-300)
         errors = [np.sqrt(np.maximum(np.diag(covariance), 0.0)) / sizes for covariance in (before, after)]
         index = int(np.argmax(errors[0]))
-        name = constants_of(self._shown.equations, self._result)[index].name
+        name = constants_of(self._displayed.equations, self._result)[index].name
         return name, float(errors[0][index]), float(errors[1][index])

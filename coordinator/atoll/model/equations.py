@@ -63,8 +63,8 @@ def displayed_equation(result: Result, equation: Equation) -> DisplayedEquation:
     if result.kind != "regression" and "/" in equation.lhs:
         both = (f"({name})" if _COMPOUND.search(name) else name for name in (above, below))
         unit = "/".join(both) + ("^2" if equation.lhs.startswith("d2") else "") if above and below else ""
-    shown = {"expression": rounded(exact, result.names), "exact": exact, "unit": unit, "nats": equation.nats or 0.0}
-    return DisplayedEquation.model_construct(**(dict(equation) | shown))
+    displayed = {"expression": rounded(exact, result.names), "exact": exact, "unit": unit, "nats": equation.nats or 0.0}
+    return DisplayedEquation.model_construct(**(dict(equation) | displayed))
 
 
 def program_of(equation: Equation, names: Sequence[str]) -> Program:
@@ -235,14 +235,14 @@ def with_errors(constants: Sequence[Constant]) -> list[Constant]:
 
 def words_of(constant: Constant) -> ConstantWords:
     """Return a constant for display. If the equation has another value than the fit, the fitted value is a note."""
-    shown, fitted = number_text(constant.value, 6), fitted_text(constant)
+    displayed, fitted = number_text(constant.value, 6), fitted_text(constant)
     notes = [] if constant.identifiable else ["not determined"]
     if constant.at_bound:
         notes = ["at its bound", interval_text(constant.interval)]
     elif constant.std_error is not None:
-        begins_alike = fitted.startswith(f"{shown} ")
-        shown, notes = (fitted, notes) if begins_alike else (shown, [fitted, *notes])
-    return ConstantWords(shown, tuple(notes), constant.unit)
+        begins_alike = fitted.startswith(f"{displayed} ")
+        displayed, notes = (fitted, notes) if begins_alike else (displayed, [fitted, *notes])
+    return ConstantWords(displayed, tuple(notes), constant.unit)
 
 
 def fitted_text(constant: Constant) -> str:
