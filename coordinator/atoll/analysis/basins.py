@@ -1,4 +1,12 @@
-"""Basins of attraction: the attractors that simulations from the box reach. Letters: N initial states, D states."""
+"""Basins of attraction: the attractors that simulations from the box reach.
+
+Initial states are the cells of a grid (two states) or random points of the box. All are integrated together. A
+simulation ends when its state is near a stable attractor, diverges, or meets an undefined rate. States that are nearly
+at rest at the end are integrated for longer, because they may move slowly towards an attractor.
+
+Doubtful: a state that only passes near an attractor counts as having reached it. Basins thinner than the grid are not
+resolved. Letters: N initial states, D states.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

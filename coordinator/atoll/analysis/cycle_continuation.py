@@ -216,7 +216,7 @@ class _OrbitChange:
     parameter: float
 
 
-class _Factors:
+class _LUFactors:
     def __init__(self, rows: FloatArray, columns: FloatArray, values: FloatArray) -> None:
         from scipy.sparse import csc_matrix
         from scipy.sparse.linalg import splu
@@ -291,7 +291,7 @@ class Linearised:
         carried = np.array(mesh_states)
         return carried, np.einsum("njde,ne->njd", self.inner[..., :size], carried)
 
-    def factorise(self, rows: tuple[_OrbitChange, _OrbitChange]) -> _Factors:
+    def factorise(self, rows: tuple[_OrbitChange, _OrbitChange]) -> _LUFactors:
         """Return the LU factors of the condensed system (ND + 2, ND + 2): the equations and two further rows."""
         count, size = self.ends.shape[:2]
         block = np.arange(count * size).reshape(count, size)
@@ -308,10 +308,10 @@ class Linearised:
             places.append(np.full(count * size + 2, count * size + number))
             columns.append(np.arange(count * size + 2))
             values.append(np.append((row.mesh_states + by_inner[:, :size]).ravel(), last))
-        return _Factors(*(np.concatenate([np.ravel(part) for part in parts]) for parts in (places, columns, values)))
+        return _LUFactors(*(np.concatenate([np.ravel(part) for part in parts]) for parts in (places, columns, values)))
 
     def solve(
-        self, factors: _Factors, rows: tuple[_OrbitChange, _OrbitChange], right: tuple[float, float], *, is_step: bool
+        self, factors: _LUFactors, rows: tuple[_OrbitChange, _OrbitChange], right: tuple[float, float], *, is_step: bool
     ) -> _OrbitChange:
         """Solve the linear system `factors`; the right-hand sides of its two further `rows` are `right`.
 

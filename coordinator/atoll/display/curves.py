@@ -174,11 +174,13 @@ def _listed_rows(part: Simulated) -> _ListedRows | None:
     return _ListedRows(tuple(part.values), times, values)
 
 
-_Simulation = tuple[FloatArray, FloatArray, int]
+_SimulatedPieces = tuple[FloatArray, FloatArray, int]
 """Times (M,), values (D, M) of the listed states (NaN between pieces), and the number of pieces."""
 
 
-def _from_start(model: "ModelCore", part: Simulated, known: _ListedRows, inputs: Inputs | None) -> _Simulation | None:
+def _from_start(
+    model: "ModelCore", part: Simulated, known: _ListedRows, inputs: Inputs | None
+) -> _SimulatedPieces | None:
     """Return the simulation from the fitted initial state; None if it differs from the listed rows."""
     columns = [model.result.columns_by_symbol[state] for state in model.states]
     start = np.array([(part.start or {}).get(column) for column in columns], dtype=np.float64)
@@ -215,7 +217,7 @@ def _is_fine(scaled: FloatArray, grid: FloatArray) -> bool:
     )  # the error of lines of half the length is a quarter
 
 
-def _between_rows(model: "ModelCore", known: _ListedRows, inputs: Inputs | None) -> _Simulation | None:
+def _between_rows(model: "ModelCore", known: _ListedRows, inputs: Inputs | None) -> _SimulatedPieces | None:
     """Integrate the model from each listed row to the next; a piece ends if the integration misses the next row.
 
     Return None if the rows do not list all states, for example for equations of second order.

@@ -45,7 +45,7 @@ class ComparedModel:
 
 
 @dataclass(frozen=True)
-class OnData:
+class DataComparison:
     """The fits of both models to the same data; `source` names the data.
 
     `nats` is the logarithm of the odds for A, from the fits alone. `longer` is the description length of B minus the
@@ -83,7 +83,7 @@ class Comparison:
     names: tuple[str, str]
     equations: tuple[Mapping[str, str], Mapping[str, str]]
     forms: Mapping[str, str]
-    data: tuple[OnData, ...]
+    data: tuple[DataComparison, ...]
 
     def __str__(self) -> str:
         each = zip(_NAMES, self.names, self.equations, strict=True)
@@ -144,7 +144,7 @@ def compare(
     if table is None and digests[0] != digests[1]:
         swapped = on(second, first, "B", table)
         swapped_length = None if swapped.longer is None else -swapped.longer
-        data.append(OnData(swapped.source, (swapped.sides[1], swapped.sides[0]), -swapped.nats, swapped_length))
+        data.append(DataComparison(swapped.source, (swapped.sides[1], swapped.sides[0]), -swapped.nats, swapped_length))
     displayed = tuple({equation.lhs: equation.expression for equation in model.equations} for model in models)
     return Comparison(names, (displayed[0], displayed[1]), _forms(*models), tuple(data))
 
@@ -191,7 +191,7 @@ def most_errors(count: int) -> float:
     return float(ndtri(0.5 + 0.5 * _LEVEL ** (1.0 / max(count, 1))))
 
 
-def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
+def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> DataComparison:
     _require_columns(holder, other)
     displayed = fit_displayed(measured_of(holder, table), holder)
     texts = {equation.variable: equation.expression or "" for equation in other.equations}
@@ -207,7 +207,7 @@ def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -
         )
     nats, longer = weigh_pair(displayed, fitted)
     source = displayed.measured.source.replace("the result", letter)
-    return OnData(source, (_side(holder, displayed), _side(holder, fitted)), nats, longer)
+    return DataComparison(source, (_side(holder, displayed), _side(holder, fitted)), nats, longer)
 
 
 def _require_columns(holder: Result, other: Result) -> None:
@@ -231,7 +231,7 @@ def _side(result: Result, fitted: FittedEquations) -> ComparedModel:
     return ComparedModel(fitted.texts(result), len(fitted.values), residuals)
 
 
-def _regressions(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
+def _regressions(holder: Result, other: Result, letter: str, table: Table | None) -> DataComparison:
     """Compare two equations y = f(X) over the rows listed in a result, without fitting constants again."""
     rows = holder.regression
     if table is not None:
@@ -256,4 +256,4 @@ def _regressions(holder: Result, other: Result, letter: str, table: Table | None
         misfit = 0.5 * count * math.log(max(square, 1e-24 * spread**2)) if math.isfinite(square) else math.inf
         lengths.append(half_akaike(misfit, len(model.params), count))
     nats = lengths[1] - lengths[0] if math.isfinite(lengths[0]) or math.isfinite(lengths[1]) else 0.0
-    return OnData(f"{len(target)} of {count:.0f} rows of {letter}", (sides[0], sides[1]), nats, None)
+    return DataComparison(f"{len(target)} of {count:.0f} rows of {letter}", (sides[0], sides[1]), nats, None)

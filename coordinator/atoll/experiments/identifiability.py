@@ -523,7 +523,7 @@ def _reading_order(constant: FreeConstant, fitted: FittedEquations) -> tuple[int
 
 
 @dataclass(frozen=True)
-class _Parts:
+class _ProfilerParts:
     """The form in which a `_Profiler` is sent to workers: its result as JSON, and its table as bytes."""
 
     result: str
@@ -564,15 +564,17 @@ class _Profiler:
             return None
         return replace(self, fitted=replace(self.fitted, fit=fit), restarts=(*self.restarts, values))
 
-    def parts(self) -> _Parts:
+    def parts(self) -> _ProfilerParts:
         table = None if self.table is None else self.table.to_bytes()
-        return _Parts(self.result.to_json(), table, self.quantile, self.restarts)
+        return _ProfilerParts(self.result.to_json(), table, self.quantile, self.restarts)
 
     def itself(self) -> "_Profiler":
         return self
 
 
-_PROFILE: Final = BatchFunction("profile", _Parts, int, ConstantProfile, _Profiler.profile, _Parts.profiler)
+_PROFILE: Final = BatchFunction(
+    "profile", _ProfilerParts, int, ConstantProfile, _Profiler.profile, _ProfilerParts.profiler
+)
 
 
 def _profile_all(profiler: _Profiler, count: int, spread: Spread) -> tuple[FittedEquations, list[ConstantProfile]]:

@@ -18,7 +18,7 @@ from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import DataError, UsageError
 
-Found = TypeVar("Found")
+ValueT = TypeVar("ValueT")
 MOST_PROFILES: Final = 12
 """Largest number of constants whose profiles are drawn: each point of a profile needs a fit."""
 
@@ -74,7 +74,7 @@ def count_constants(result: Result) -> int:
     return sum(len(equation.constants) + len(equation.implied) for equation in result.equations)
 
 
-def _try(find: Callable[[], Found]) -> Found | None:
+def _try(find: Callable[[], ValueT]) -> ValueT | None:
     """Return the value of a computation; None if the result lacks the measurements for it."""
     try:
         return find()
