@@ -1,5 +1,5 @@
-"""The command line: every verb with its module, help and arguments in one table (`VERBS`), its parser, and the reading
-of values that argparse does not convert.
+"""The command line: one table (`VERBS`) with the module, help and arguments of every verb, its parser, and functions
+that convert values which argparse does not convert.
 
 It has only light imports, because ``--help`` must be instant. `atoll.client.options` declares the options of a job.
 """
