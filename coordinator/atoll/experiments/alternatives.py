@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from atoll.experiments.fits import EquationSet, FitData, FittedEquations, fit_equations
-from atoll_coordinator.model.criteria import constant_nats_of, system_length
+from atoll_coordinator.model.description_length import constant_nats_of, system_length
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.evaluation import values_of

@@ -3,7 +3,7 @@
 `pipeline` tells the whole way on one page; it goes down this list from refinement to result:
 
 - `pools`: the input of refining (the `Pool` of each variable, laws); `refinement`: its result (`Refinement`)
-- `criteria`: the description lengths, side by side
+- `description_length`: the three description lengths and their prices
 - `batches`: named pure functions of which any machine may compute batches (`BatchFunction`, `Batches`, `Spread`)
 - `deadline`: the end set by ``--max-time``
 - `thinning`: subsets of many rows

@@ -20,7 +20,7 @@ from atoll_coordinator.model.constants.standard_errors import (
     joint_covariance,
     student_95,
 )
-from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.description_length import structure_length
 from atoll_coordinator.model.inference.final_model import FinalModel, estimate_errors, finalize
 from atoll_coordinator.model.inference.long_run import long_run_of
 from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
@@ -42,7 +42,7 @@ from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import remarks
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
-from atoll_coordinator.model.shooting.noise import estimate_variances
+from atoll_coordinator.model.shooting.smoothing_noise import estimate_variances
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.result.equations import Constant, Prediction

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.description_length import structure_length
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.constants.rounding import Estimates
-from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.description_length import structure_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.system import Place, SharedNumber

@@ -29,7 +29,7 @@ from atoll_coordinator.model.inference.trajectory_simulation import squares_abou
 from atoll_coordinator.model.refinement import Alternative, JobKind, Refined
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE, roughness
+from atoll_coordinator.model.shooting.residual_noise import ROUGHNESS_VARIANCE, roughness
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.result.equations import Prediction
 from atoll_coordinator.settings import SETTINGS

@@ -18,8 +18,8 @@ from atoll_coordinator.model.constants.standard_errors import (
     describe_constants,
     explicit_coefficients,
 )
-from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.description_length import RegressionCriterion
 from atoll_coordinator.model.pools import Member, may_be_shown
 from atoll_coordinator.model.refinement import Alternative, Refined
 from atoll_coordinator.model.regression.errors import errors_on

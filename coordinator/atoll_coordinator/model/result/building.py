@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.criteria import select_member
+from atoll_coordinator.model.description_length import select_member
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.errors import errors_on

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.description_length import structure_length
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison, differ
 from atoll_coordinator.model.selection.cross_validation import R2, Validation

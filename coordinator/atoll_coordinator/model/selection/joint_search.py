@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import is_function
+from atoll_coordinator.model.description_length import is_function
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.score import FittedModel

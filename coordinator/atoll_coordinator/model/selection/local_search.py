@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import least_term_length
+from atoll_coordinator.model.description_length import least_term_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.trajectory_fit import covariance

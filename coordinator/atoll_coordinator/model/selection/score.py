@@ -1,7 +1,7 @@
 """The score by which systems of equations are compared: the length of their description in nats (Rissanen 1978).
 
 A description consists of the errors of the simulated states, minus their log-likelihood, of the structures of the
-equations, and of 1/2 ln N for each fitted constant (`model.criteria`). The error model (the size of the
+equations, and of 1/2 ln N for each fitted constant (`model.description_length`). The error model (the size of the
 independent errors, correlated errors of a sensor) comes from the smoother at first, later from the residuals of the
 best system. A score never changes: `Score.calibrated` returns another one, and lengths by two scores are never
 compared.
@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.model.constants.rounding import quadratic_form
-from atoll_coordinator.model.criteria import (
+from atoll_coordinator.model.description_length import (
     TrajectoryMisfit,
     constant_nats_of,
     least_term_length,
@@ -28,7 +28,7 @@ from atoll_coordinator.model.criteria import (
 )
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
-from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
+from atoll_coordinator.model.shooting.residual_noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
 from atoll_coordinator.settings import SETTINGS

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.description_length import structure_length
 from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import combine, compare_rivals, exchange, fit_jointly

@@ -4,8 +4,8 @@
 - `measurements`: the recording laid out for fits: all rows one after another, and the pieces that are simulated
 - `system`: several programs as one system whose constants can be fitted
 - `integration`: states and sensitivities along segments; `kernels`: compiled parts of integration and of a fit's steps
-- `error_model`: correlated errors of neighbouring rows; `noise`: the size of errors of measurement, from smoothing and
-  from residuals
+- `error_model`: correlated errors of neighbouring rows; `smoothing_noise` and `residual_noise`: the size of errors of
+  measurement, before a law is known and from its residuals
 - `trajectory_fit`: a fitted system, the covariance of its constants, the growth of its errors
 - `points_between`: points off the measured curves, from two measured ones
 - `warmup`: makes the kernels ready

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.data.recording import Recording, Trajectory
-from atoll_coordinator.model.shooting.noise import VarianceModel, estimate_variances
+from atoll_coordinator.model.shooting.smoothing_noise import VarianceModel, estimate_variances
 from atoll_coordinator.model.thinning import lattice_step
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray

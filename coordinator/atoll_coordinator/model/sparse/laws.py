@@ -18,7 +18,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation, Recording, by_group
 from atoll_coordinator.model.batches import BatchFunction, Spread
-from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
+from atoll_coordinator.model.description_length import constant_nats_of, log, structure_length
 from atoll_coordinator.model.pools import Law, LawsByGroup, may_be_shown
 from atoll_coordinator.model.sparse.atoms import (
     Product,

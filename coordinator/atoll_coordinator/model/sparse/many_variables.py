@@ -20,7 +20,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, predict_left_out
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
-from atoll_coordinator.model.criteria import log
+from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.sparse.atoms import Atom, Product, dictionary, product_atoms, product_libraries
 from atoll_coordinator.model.sparse.pursuit import fitted, further_terms, grid_of, polished

@@ -32,7 +32,7 @@ from functools import cached_property
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import constant_nats_of, log
+from atoll_coordinator.model.description_length import constant_nats_of, log
 from atoll_coordinator.model.sparse.atoms import Atom, program_of, sum_of
 from atoll_coordinator.model.sparse.kernels.elimination import DEPENDENT, eliminate, windowed_sums
 from atoll_coordinator.model.sparse.rows import Assessment, Errors, Rows

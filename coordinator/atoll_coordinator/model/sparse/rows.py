@@ -28,7 +28,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, make_signal, predict_left_out
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
-from atoll_coordinator.model.criteria import log
+from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.sparse.atoms import Atom, Product
 from atoll_coordinator.model.sparse.kernels.elimination import sum_error_products, windowed_sums
 from atoll_coordinator.model.thinning import thinned_places

@@ -20,8 +20,8 @@ import numpy as np
 
 from atoll_coordinator.data.increments import Steps, take_steps
 from atoll_coordinator.data.recording import ProcessRecording
-from atoll_coordinator.model.criteria import constant_nats_of, system_length
 from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.description_length import constant_nats_of, system_length
 from atoll_coordinator.model.regression.shortening import MARGIN, Measured, Shortening
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel

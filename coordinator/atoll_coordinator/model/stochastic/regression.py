@@ -19,8 +19,8 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.increments import Steps, all_windows, lagged, products, split_into_bins
-from atoll_coordinator.model.criteria import RegressionCriterion, constant_nats_of, system_length
 from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.description_length import RegressionCriterion, constant_nats_of, system_length
 from atoll_coordinator.model.regression.equation import target_shortening
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.shortening import Measured

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.criteria import (
+from atoll_coordinator.model.description_length import (
     count_constants,
     front_length,
     log,

@@ -8,7 +8,7 @@ import pytest
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.constants.standard_errors import student_95
-from atoll_coordinator.model.criteria import RegressionCriterion
+from atoll_coordinator.model.description_length import RegressionCriterion
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool, decode_members
 from atoll_coordinator.model.refinement import Refined

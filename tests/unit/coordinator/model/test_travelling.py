@@ -9,7 +9,7 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation, ProcessRecording, SampledPath
-from atoll_coordinator.model.criteria import TrajectoryMisfit
+from atoll_coordinator.model.description_length import TrajectoryMisfit
 from atoll_coordinator.model.pools import Law, LawsByGroup, Pools
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements

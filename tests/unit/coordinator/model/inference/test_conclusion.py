@@ -13,8 +13,8 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.batches import Batches
 from atoll_coordinator.model.constants.rounding import FittedEquations
 from atoll_coordinator.model.constants.standard_errors import describe_constants
-from atoll_coordinator.model.criteria import system_length
 from atoll_coordinator.model.deadline import CHOICE_SHARE, Deadline
+from atoll_coordinator.model.description_length import system_length
 from atoll_coordinator.model.inference import conclusion, final_model, trajectory_checks
 from atoll_coordinator.model.inference.conclusion import _odds_of_data
 from atoll_coordinator.model.inference.final_model import _show, estimate_errors

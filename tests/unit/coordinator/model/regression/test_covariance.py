@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.criteria import RegressionCriterion
+from atoll_coordinator.model.description_length import RegressionCriterion
 from atoll_coordinator.model.regression.equation import estimate_constants
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_core.data.dataset import Problem, Target

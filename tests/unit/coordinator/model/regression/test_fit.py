@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.criteria import RegressionCriterion, program_length
+from atoll_coordinator.model.description_length import RegressionCriterion, program_length
 from atoll_coordinator.model.pools import decode_members
 from atoll_coordinator.model.regression.equation import WeighedRows, estimate_constants, estimate_errors, fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares

@@ -11,8 +11,8 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.model.batches import Spread
-from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.description_length import structure_length
 from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import Constraints, ModelComparison

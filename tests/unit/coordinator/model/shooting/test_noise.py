@@ -8,7 +8,8 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from atoll_coordinator.model.shooting.noise import VarianceModel, _correlation_length, count_pieces, estimate_variances
+from atoll_coordinator.model.shooting.residual_noise import _correlation_length, count_pieces
+from atoll_coordinator.model.shooting.smoothing_noise import VarianceModel, estimate_variances
 from atoll_core.config import JobConfig
 from tests.unit.coordinator.data.tables import table_of
 from tests.unit.coordinator.model.shooting.made import LOTKA, SWING, recording

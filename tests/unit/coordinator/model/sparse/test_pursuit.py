@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.description_length import constant_nats_of, structure_length
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem, Target

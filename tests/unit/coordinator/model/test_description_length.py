@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.model.criteria import (
+from atoll_coordinator.model.description_length import (
     SMALLEST_UNCERTAINTY,
     RegressionCriterion,
     TrajectoryMisfit,

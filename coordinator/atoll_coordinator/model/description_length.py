@@ -1,4 +1,4 @@
-"""The three criteria by which equations are compared, side by side: description lengths in nats; the shortest wins.
+"""The three description lengths by which equations are compared, in nats; the shortest wins.
 
 Each is the length of the data given the model plus the length of the model (Rissanen 1978). They differ in the
 data and in the prices of operators and constants; scores of different criteria are never compared.
