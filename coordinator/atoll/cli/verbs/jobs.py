@@ -187,7 +187,7 @@ def share(options: argparse.Namespace) -> int:
     """Make a job visible to all users, or only to its submitter and admins."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         view = client.share(client.resolve(options.job), shared=not options.private)
-    return _print_views(options, view, f"job {view.job} is {'shared with everybody' if view.shared else 'private'}")
+    return _print_views(options, view, f"job {view.job} is {'visible to all users' if view.shared else 'private'}")
 
 
 def retry(options: argparse.Namespace) -> int:
