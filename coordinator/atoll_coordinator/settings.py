@@ -306,7 +306,7 @@ class Settings:
 
 VARIABLE: Final = "ATOLL_TRY_SETTINGS"
 """Environment variable with other values, such as ``selection.least_gain=0.2 effort.steps=80``, to measure the effect
-of a setting (``benchmarks.pools settings``). With it, results differ from the results of this engine."""
+of a setting (``benchmarks.pools settings``). With it, results may differ from the defaults."""
 
 
 def with_changes(settings: Settings, text: str) -> Settings:
@@ -331,7 +331,7 @@ def with_changes(settings: Settings, text: str) -> Settings:
 
 _CHANGES: Final = os.environ.get(VARIABLE, "")
 if _CHANGES:
-    logging.getLogger(__name__).warning("%s is set (%s): results are not those of this engine", VARIABLE, _CHANGES)
+    logging.getLogger(__name__).warning("%s is set (%s): results may differ from the defaults", VARIABLE, _CHANGES)
 
 SETTINGS: Final = with_changes(Settings(), _CHANGES)
 """The values in use."""

@@ -199,7 +199,7 @@ class Worker:
         if not isinstance(key, topics.ControlKey):
             raise RemoteProtocolError(f"nothing is expected on key {event.key}")
         if key.cluster != self._requests.cluster:
-            raise RemoteProtocolError(f"a message of cluster {key.cluster} came, which is not ours")
+            raise RemoteProtocolError(f"a message of cluster {key.cluster} came, but this worker is not in it")
         self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
 
     def _on_query(self, event: Query) -> None:

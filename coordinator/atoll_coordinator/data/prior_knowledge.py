@@ -79,7 +79,7 @@ class LeftSides:
         fitting = named or [name for name in self.variables if self._is_derivative(text, name, self.order)]
         if fitting:
             return fitting[0]
-        sought = f"equations are sought for {', '.join(self.variables)}{did_you_mean(text, self.variables)}"
+        sought = f"equations are searched for {', '.join(self.variables)}{did_you_mean(text, self.variables)}"
         for order in _FORMS:
             if not any(self._is_derivative(text, name, order) for name in self.variables):
                 continue
@@ -87,7 +87,7 @@ class LeftSides:
             if self.order is not None:
                 other = "leave --order 2 out" if self.order == 2 else "add --order 2"
                 form = f"d{'2' * (self.order == 2)}x=…"
-                sought = f"{_ORDINALS[self.order]} derivatives are sought; write {form}, or {other}"
+                sought = f"{_ORDINALS[self.order]} derivatives are searched; write {form}, or {other}"
             raise UsageError(f"{option} names '{text}', a {_ORDINALS[order]} derivative, but {sought}")
         raise UsageError(f"{option} names '{text}', but {sought}")
 

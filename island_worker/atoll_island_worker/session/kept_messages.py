@@ -63,7 +63,7 @@ class RetransmitBuffer:
         return epochs.EpochReport(**self._shard, epoch=epoch, islands=islands)
 
     def migrants(self, pull: epochs.PullMigrants) -> epochs.Migrants | None:
-        """Return the requested emigrants, as many as fit into one message; None: a source has not finished the epoch."""
+        """Return the requested emigrants that fit into one message; None: a source has not finished the epoch."""
         if not all((pull.epoch, source) in self._sent for source in pull.sources):
             return None
         blocks: list[epochs.Block] = []

@@ -66,7 +66,7 @@ class StartedProcess(Protocol):
         """End it."""
 
     def wait(self, timeout: float) -> int | None:
-        """Wait for the end of the process; return its exit code, negative for a signal; None: unknown, or not in time."""
+        """Wait for the end of the process; return its exit code, negative for a signal, None if unknown or too late."""
 
     def close(self) -> None:
         """Release the resources of the process."""

@@ -259,7 +259,7 @@ class TaskRunner:
         self._answer_helpers(lease.task)
 
     def _push(self, leased: _Leased) -> None:
-        """Send the result of a task, if it has ended; the coordinator releases the task when it has the whole result."""
+        """Send the result of a task that has ended; the coordinator releases the task when it has the whole result."""
         if leased.failed is not None:
             self._requests.publish("result", messages.TaskReport(body=leased.failed))
         elif leased.state == "done":

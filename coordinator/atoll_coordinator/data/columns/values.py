@@ -154,7 +154,7 @@ def check_counters(columns: ExaminedColumns) -> Iterator[Finding]:
         counts, them, are = ("counts", "it", "is") if len(counters) == 1 else ("count", "them", "are")
         yield Finding(
             f"{quoted(counters)} {counts} the rows and {are} no quantity of the system",
-            f"no equation is sought for {them} (--states {listed(states)} keeps {them})",
+            f"no equation is searched for {them} (--states {listed(states)} keeps {them})",
             left_out=counters,
         )
 
@@ -334,7 +334,7 @@ def check_relations(columns: ExaminedColumns) -> Iterator[Finding]:
             yield Finding(
                 f"'{total.name}' is {_sum(total.coefficients, total.is_exact)} in every row, so that it only adds "
                 "other ways to write each equation",
-                f"no equation is sought for it (--states {listed(states)} keeps it)",
+                f"no equation is searched for it (--states {listed(states)} keeps it)",
                 left_out=(total.name,),
             )
         else:
