@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from atoll.terminal.output import clipped, error_text, shortened, table
+from atoll.terminal.output import clip, error_text, shorten, table
 from benchmarks.harness import tables
 from benchmarks.harness.tables import Columns, grouped, median, percent
 from benchmarks.noise.data import Key
@@ -149,7 +149,7 @@ def miss(equation: EquationOutcome) -> str:
     """Return what was found instead of the truth, and why it does not count."""
     elsewhere = f"; the truth is among the {equation.elsewhere}" if equation.elsewhere else ""
     grade = f"; verdict {equation.grade}: {equation.grade_reason}" if equation.grade else ""
-    text = clipped(shortened(equation.expression or "-", 4), 90)
+    text = clip(shorten(equation.expression or "-", 4), 90)
     function = error_text(equation.function_error)
     return f"{equation.reason}{elsewhere}, function error {function}, R² {_two(equation.r2)}{grade}: {text}"
 

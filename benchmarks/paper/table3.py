@@ -21,7 +21,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from atoll.terminal.output import clipped, error_text, note, say, shortened
+from atoll.terminal.output import clip, error_text, note, say, shorten
 from atoll_coordinator.data.prepare import prepare
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.data.dataset import FloatArray
@@ -158,7 +158,7 @@ class Row:
     @property
     def shown(self) -> str:
         """The equation as a table has it."""
-        return clipped(shortened(self.expression or "-", 4), 70)
+        return clip(shorten(self.expression or "-", 4), 70)
 
 
 def with_slopes(system: str, sampled: Sampled) -> Table:

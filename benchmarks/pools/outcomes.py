@@ -10,7 +10,7 @@ from typing import Final
 
 from scipy.stats import binomtest
 
-from atoll.terminal.output import clipped, table
+from atoll.terminal.output import clip, table
 from benchmarks.first_hour.outcomes import CONFIDENT
 from benchmarks.harness.tables import grouped
 from benchmarks.pools.cases import Judged
@@ -140,7 +140,7 @@ def _pairs(now: PoolOutcome, before: PoolOutcome) -> list[tuple[Judged, Judged]]
 
 def _changes(now: PoolOutcome, before: PoolOutcome) -> list[str]:
     return [
-        f"{now.title}: {one.variable}: {_mark(then)} -> {_mark(one)}: {clipped(one.expression or '-', LONGEST)}"
+        f"{now.title}: {one.variable}: {_mark(then)} -> {_mark(one)}: {clip(one.expression or '-', LONGEST)}"
         for one, then in _pairs(now, before)
         if (one.is_right, one.grade, one.is_false) != (then.is_right, then.grade, then.is_false)
     ]

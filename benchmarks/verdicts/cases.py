@@ -20,7 +20,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from atoll.cli.options import parse
 from atoll.cli.request import JobRequest, request_of
-from atoll.terminal.output import clipped, say, table
+from atoll.terminal.output import clip, say, table
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.errors import DataError, UsageError
 from benchmarks.first_hour.outcomes import CONFIDENT
@@ -153,7 +153,7 @@ def _faults(outcome: CaseOutcome) -> Iterator[str]:
         yield f"FAILED {outcome.key}: {outcome.end}: {outcome.sentence}"
     for equation in outcome.equations:
         if not equation.is_allowed:
-            shown = f"{equation.variable} = {clipped(equation.expression or '-', LONGEST)}"
+            shown = f"{equation.variable} = {clip(equation.expression or '-', LONGEST)}"
             yield f"FAILED {outcome.key}: {equation.grade}: {shown}; {equation.reason}"
 
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.terminal.output import clipped, table
+from atoll.terminal.output import clip, table
 from benchmarks.first_hour.outcomes import CONFIDENT
 from benchmarks.harness.tables import grouped
 from benchmarks.verdicts.autonomous import FULL, LIMITED
@@ -105,7 +105,7 @@ def cases(outcomes: Sequence[Outcome]) -> list[str]:
     for outcome, equation in _pairs(outcomes):
         where = f"{outcome.key.title} ({outcome.kind}, {outcome.rows} rows)"
         r2 = "-" if equation.r2 is None else f"{equation.r2:.3g}"
-        text = clipped(equation.expression or "-", LONGEST)
+        text = clip(equation.expression or "-", LONGEST)
         if equation.is_false:
             lines.append(f"FALSE {equation.grade}: {where}: {equation.variable} = {text}, not {equation.law}; R2 {r2}")
         elif equation.is_identified and equation.is_right and equation.grade not in CONFIDENT:
@@ -124,8 +124,8 @@ def limits(outcomes: Sequence[Outcome], table_of: TableOf) -> list[str]:
             if rank(other.grade) < rank(one.grade) and not is_same_model(one, other, table_of(full.key)):
                 lines.append(
                     f"BETTER for a limit: {limited.key.title} ({limited.kind}, {limited.limit:g} s): {one.variable} is "
-                    f"{other.grade} as {clipped(other.expression or '-', LONGEST)}; without a limit {one.grade} as "
-                    f"{clipped(one.expression or '-', LONGEST)}"
+                    f"{other.grade} as {clip(other.expression or '-', LONGEST)}; without a limit {one.grade} as "
+                    f"{clip(one.expression or '-', LONGEST)}"
                 )
     return lines
 
@@ -139,7 +139,7 @@ def rates(outcomes: Sequence[Outcome], table_of: TableOf) -> list[str]:
             for one, other in zip(slow.equations, fast.equations, strict=True):
                 where = f"{slow.key.title} and {fast.key.variant} ({slow.kind}): {one.variable}"
                 if not is_same_model(one, other, table_of(slow.key)):
-                    shown = (clipped(each.expression or "-", LONGEST) for each in (one, other))
+                    shown = (clip(each.expression or "-", LONGEST) for each in (one, other))
                     lines.append(f"OTHER MODEL: {where} = {' and '.join(shown)} ({one.grade}, {other.grade})")
                 elif one.grade != other.grade:
                     lines.append(f"OTHER VERDICT: {where} is {one.grade} and {other.grade}")

@@ -34,7 +34,7 @@ MOST_STATES: Final = 12
 
 _MARGIN: Final = 0.5
 """The default box is wider than the measured range by this share of its width on either side. The margin decides where
-the analysis searches, which is reported; it does not change results inside the range."""
+the analysis searches. The analysis reports the box, and the margin does not change results inside the range."""
 
 
 @np.errstate(all="ignore")  # rates may overflow in a part of the box

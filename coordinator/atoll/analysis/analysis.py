@@ -133,10 +133,10 @@ def as_text(analysis: Analysis) -> str:
 
 def describe(analysis: Analysis) -> list[str | TextTable]:
     """Return the sentences and tables of an analysis, in order; sentences begin with a small letter."""
-    return [*_described(analysis)]
+    return [*_describe_parts(analysis)]
 
 
-def _described(analysis: Analysis) -> Iterator[str | TextTable]:
+def _describe_parts(analysis: Analysis) -> Iterator[str | TextTable]:
     box, field, spectrum = analysis.box, analysis.field, analysis.lyapunov
     if analysis.caveat:
         yield analysis.caveat

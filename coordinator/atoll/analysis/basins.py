@@ -1,4 +1,12 @@
-"""Basins of attraction: the attractors that simulations from the box reach. Letters: N initial states, D states."""
+"""Basins of attraction: the attractors that simulations from the box reach.
+
+Initial states are the cells of a grid (two states) or random points of the box. All are integrated together. A
+simulation ends when its state is near a stable attractor, diverges, or meets an undefined rate. States that are nearly
+at rest at the end are integrated for longer, because they may move slowly towards an attractor.
+
+Doubtful: a state that only passes near an attractor counts as having reached it. Basins thinner than the grid are not
+resolved. Letters: N initial states, D states.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.analysis.fixed_points import NON_HYPERBOLIC, FixedPoint, FixedSet, time_scale
-from atoll.analysis.flow import LONGER, SETTLING, UNBOUNDED, Box, Flow, IntegrationBatch, is_nearly_at_rest
+from atoll.analysis.flow import EXTENSIONS, SETTLING, UNBOUNDED, Box, Flow, IntegrationBatch, is_nearly_at_rest
 from atoll.analysis.limit_cycles import LimitCycle
 from atoll_core.data.dataset import FloatArray
 
@@ -29,7 +37,7 @@ NO_VALUE: Final = -3
 _PARTS: Final = 60
 """Number of tests whether the states have reached an attractor: one test in each time needed to cross the box."""
 
-_CAUGHT: Final = 1e-2
+_CAPTURE_RADIUS: Final = 1e-2
 """Distance, in widths of the box, at which an attractor counts as reached, but at most a tenth of the distance to the
 next attractor."""
 
@@ -83,7 +91,7 @@ def destinations(
     radii = _radii(attractors, box)
     batch = IntegrationBatch.of(starts, 1e-4 * duration)
     rows, before, is_last_part = np.arange(len(starts)), batch.states, False
-    for until in [duration * part / _PARTS for part in range(1, _PARTS + 1)] + [duration * more for more in LONGER]:
+    for until in [duration * part / _PARTS for part in range(1, _PARTS + 1)] + [duration * more for more in EXTENSIONS]:
         if is_last_part:
             is_slow = is_nearly_at_rest(batch.states, before, box, SETTLING / _PARTS)
             batch, rows = batch.of_rows(is_slow), rows[is_slow]
@@ -94,7 +102,7 @@ def destinations(
         with np.errstate(invalid="ignore"):
             destination[box.excursions(batch.states) > UNBOUNDED] = RUNS_AWAY
         for index, (attractor, radius) in enumerate(zip(attractors, radii, strict=True)):
-            destination[(destination == UNDECIDED) & _is_caught(attractor, radius, flow, batch.states, box)] = index
+            destination[(destination == UNDECIDED) & _is_reached(attractor, radius, flow, batch.states, box)] = index
         destination[(destination == UNDECIDED) & batch.is_lost] = NO_VALUE
         reached[rows], ends[rows] = destination, batch.states
         rows, before = rows[destination == UNDECIDED], before[destination == UNDECIDED]
@@ -104,13 +112,13 @@ def destinations(
     return reached, ends
 
 
-def _is_caught(attractor: Attractor, radius: float, flow: Flow, states: FloatArray, box: Box) -> np.ndarray:
+def _is_reached(attractor: Attractor, radius: float, flow: Flow, states: FloatArray, box: Box) -> np.ndarray:
     """Tell which of the `states` (N, D) are within `radius` of an attractor, or of an attracting part of a set."""
     if not isinstance(attractor, FixedSet):
         return np.asarray(attractor.distances(states, box) < radius)
-    is_caught = attractor.distances(flow, states, box) < radius
-    is_caught[is_caught] = attractor.attracts_at(flow, states[is_caught], box)
-    return is_caught
+    is_reached = attractor.distances(flow, states, box) < radius
+    is_reached[is_reached] = attractor.attracts_at(flow, states[is_reached], box)
+    return is_reached
 
 
 def _radii(attractors: Sequence[Attractor], box: Box) -> list[float]:
@@ -131,5 +139,5 @@ def _radii(attractors: Sequence[Attractor], box: Box) -> list[float]:
                 gaps.append(float(np.sqrt((away**2).sum(axis=2).min())))
             else:
                 gaps.append(float(attractor.distances(other.outline, box).min()))
-        radii.append(min(5.0 * _CAUGHT if is_slow else _CAUGHT, 0.1 * min(gaps)))
+        radii.append(min(5.0 * _CAPTURE_RADIUS if is_slow else _CAPTURE_RADIUS, 0.1 * min(gaps)))
     return radii

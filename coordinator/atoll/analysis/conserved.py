@@ -118,9 +118,9 @@ def _dictionaries(flow: Flow, box: Box) -> list[_Functions]:
     for slopes in _angles(flow, box):
         parts = [(slope, name) for slope, name in zip(slopes, states, strict=True) if slope]
         exact = " + ".join(f"{slope:.17g}*{name}" for slope, name in parts)
-        shown = " + ".join(name if slope == 1.0 else f"{slope:.10g}*{name}" for slope, name in parts)
-        shown = shown.replace("+ -", "- ")
-        elementary += [(f"{name}({shown})", f"{name}({exact})") for name in ("cos", "sin")]
+        displayed = " + ".join(name if slope == 1.0 else f"{slope:.10g}*{name}" for slope, name in parts)
+        displayed = displayed.replace("+ -", "- ")
+        elementary += [(f"{name}({displayed})", f"{name}({exact})") for name in ("cos", "sin")]
     logarithms = [f"log({states[index]})" for index in np.flatnonzero(box.lower >= 0.0).tolist()]
     elementary += [(text, text) for text in logarithms]
     return [*degrees[:2], elementary, *degrees[2:]]

@@ -38,23 +38,23 @@ from atoll_core.expression.unit_coefficients import make_coefficients_explicit
 _COMPARED_POINTS: Final = 32
 """Number of points at which a term is compared with the derivative with respect to a constant."""
 
-_SAME: Final = 1e-9
+_SAME_FUNCTION: Final = 1e-9
 """Largest relative difference of both if they are the same function: rounding."""
 
 _SHORTEST: Final = 1e-6
 """Shortest step along a curve."""
 
-_STRAIGHT: Final = 0.95
+_SMALLEST_COSINE: Final = 0.95
 """Cosine of the largest angle between the tangents of consecutive points. At a larger angle, the step may have jumped
 to another curve nearby."""
 
 _EVALUATIONS: Final = 60
 """Largest number of evaluations to locate a special point. Regula falsi takes about ten; bisection would take 43."""
 
-_LOCATED: Final = 1e-13
+_LOCATION_ERROR: Final = 1e-13
 """Accuracy of a special point as a share of the step: rounding."""
 
-_AVOIDED: Final = 0.01
+_DETOUR: Final = 0.01
 """Distance from a singular point at which the test is evaluated instead, as a share of the bracket."""
 
 FOLD: Final = "fold"
@@ -70,7 +70,7 @@ MOST_BRANCHES: Final = 20
 LONGEST: Final = 0.02
 """Longest step along a branch, in ranges of parameter and box."""
 
-_SEEDED: Final = 3
+_FURTHER_VALUES: Final = 3
 """Number of values, spread over the range of the parameter, at which branches begin besides the value of the model."""
 
 OUTSIDE: Final = 1.0
@@ -204,7 +204,7 @@ class Coefficients:
         for index, constant in enumerate(self.explicit.parameters):
             slope = slopes[:, self.explicit.states.index(constant.variable), index]
             difference = min(np.abs(slope - values).max(), np.abs(slope + values).max())
-            if (not separator or variable == constant.variable) and difference <= _SAME * np.abs(values).max():
+            if (not separator or variable == constant.variable) and difference <= _SAME_FUNCTION * np.abs(values).max():
                 indices.append(index)
         return indices
 
@@ -302,7 +302,7 @@ def continue_curve(curve: Curve[PointT], start: FloatArray, direction: FloatArra
         last = points[-1]
         z = curve.correct(last.z + length * last.tangent, last.tangent)
         after = None if z is None else curve.curve_point(z, last.tangent)
-        if after is None or after.tangent @ last.tangent < _STRAIGHT or _length(after.z - last.z) > 2.0 * length:
+        if after is None or after.tangent @ last.tangent < _SMALLEST_COSINE or _length(after.z - last.z) > 2.0 * length:
             length *= 0.5
             if length < _SHORTEST:
                 return CurveSide(points, special, "steps have become too short")
@@ -313,12 +313,12 @@ def continue_curve(curve: Curve[PointT], start: FloatArray, direction: FloatArra
         if not curve.limits[0] <= after.z[-1] <= curve.limits[1]:
             limit = curve.limits[0] if after.z[-1] < curve.limits[0] else curve.limits[1]
             share = (limit - last.z[-1]) / (after.z[-1] - last.z[-1])
-            final = _between(curve, last, after, share, np.append(np.zeros(len(last.z) - 1), 1.0))
+            final = _correct_between(curve, last, after, share, np.append(np.zeros(len(last.z) - 1), 1.0))
             if final is not None:
-                special += _special_between(curve, last, final)
+                special += _find_special_points(curve, last, final)
                 points.append(final)
             return CurveSide(points, special, "end of the range")
-        special += _special_between(curve, last, after)
+        special += _find_special_points(curve, last, after)
         points.append(curve.adapt(after))
         if len(points) > 10 and len(after.z) == len(start) and _length(after.z - start) < 0.5 * length:
             return CurveSide(points, special, "closed")
@@ -330,7 +330,7 @@ def _length(step: FloatArray) -> float:
     return float(np.sqrt(step @ step))
 
 
-def _special_between(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
+def _find_special_points(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
     """Return the special points between two points, each with its kind: there a test changes its sign.
 
     At a branch point the test for a fold may also change its sign, but this is not a fold.
@@ -351,10 +351,10 @@ def _locate(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> P
     low_value, high_value = first.tests[kind], second.tests[kind]
     for _ in range(_EVALUATIONS):
         share = (low * high_value - high * low_value) / (high_value - low_value)
-        point = _between(curve, first, second, share, first.tangent)
+        point = _correct_between(curve, first, second, share, first.tangent)
         if point is None:  # the matrix of Newton steps is singular at a branch point: move aside
-            share += _AVOIDED * (high - share)
-            point = _between(curve, first, second, share, first.tangent)
+            share += _DETOUR * (high - share)
+            point = _correct_between(curve, first, second, share, first.tangent)
         if point is None or not np.isfinite(point.tests[kind]):
             break
         value = point.tests[kind]
@@ -363,14 +363,16 @@ def _locate(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> P
             low, low_value = high, high_value
         else:
             low_value *= 0.5
-        is_done = abs(high - share) < _LOCATED or value == 0.0
+        is_done = abs(high - share) < _LOCATION_ERROR or value == 0.0
         high, high_value = share, value
         if is_done:
             break
     return best
 
 
-def _between(curve: Curve[PointT], first: PointT, second: PointT, share: float, across: FloatArray) -> PointT | None:
+def _correct_between(
+    curve: Curve[PointT], first: PointT, second: PointT, share: float, across: FloatArray
+) -> PointT | None:
     z = curve.correct(first.z + share * (second.z - first.z), across)
     return None if z is None else curve.curve_point(z, first.tangent)
 
@@ -473,7 +475,7 @@ def continuation(
     """
     curve = _FixedPointCurve(flow, box, parameter, bounds)
     own = parameter.value
-    spread = np.linspace(*bounds, 2 * _SEEDED + 1)[1::2].tolist()
+    spread = np.linspace(*bounds, 2 * _FURTHER_VALUES + 1)[1::2].tolist()
     branches: list[Branch] = []
     for value in [*([own] if bounds[0] <= own <= bounds[1] else []), *spread]:
         for fixed in fixed_points(parameter.at(flow, value), box).points:

@@ -40,7 +40,7 @@ from atoll.analysis.limit_cycles import SAMPLES, SMALLEST, LimitCycle, multiplie
 from atoll_core.data.dataset import FloatArray
 
 INTERVALS: Final = 80
-"""Number of intervals of a mesh. The hardest test are canards of the FitzHugh-Nagumo model, where multipliers change by
+"""Number of intervals of a mesh. It was chosen for canards of the FitzHugh-Nagumo model, where multipliers change by
 powers of ten within 1e-8 of the parameter. With 80 intervals, the multipliers at folds are 1 with an error of 2e-3, and
 period and fold have an error of 1e-9. 40 intervals are not enough."""
 
@@ -79,13 +79,13 @@ PERIOD_DOUBLING: Final = "period doubling"
 TORUS: Final = "torus"
 HOPF_END: Final = "Hopf point"
 
-_NEWTON: Final = 8
+_MOST_NEWTON_STEPS: Final = 8
 """Largest number of Newton steps. A step doubles the number of correct digits: a guess with 1 % error needs four."""
 
-_KNOWN: Final = 1e-3
+_LARGEST_TRIVIAL_ERROR: Final = 1e-3
 """Largest error of the trivial multiplier, which is 1. If its error is larger, the other multipliers are not used."""
 
-_RENEWED: Final = 4
+_MESH_STEPS: Final = 4
 """Number of steps after which the mesh is adapted."""
 
 
@@ -149,8 +149,8 @@ def _passes(branch: CycleBranch, value: float, cycle: LimitCycle, box: Box) -> b
     for (left, first), (right, second) in pairwise(zip(branch.values.tolist(), branch.cycles, strict=True)):
         if min(left, right) <= value <= max(left, right):
             for neighbour in (first, second):
-                apart = float(neighbour.distances(cycle.points[::20], box).max())
-                if apart < 2.0 * LONGEST and abs(np.log(neighbour.period / cycle.period)) < 2.0 * LONGEST:
+                distance = float(neighbour.distances(cycle.points[::20], box).max())
+                if distance < 2.0 * LONGEST and abs(np.log(neighbour.period / cycle.period)) < 2.0 * LONGEST:
                     return True
     return False
 
@@ -182,9 +182,9 @@ class Orbit:
     def at(self, times: FloatArray) -> FloatArray:
         """Return the states (n, D) at times (n,) from 0 to 1, from the polynomial of each interval."""
         which = np.clip(np.searchsorted(self.mesh, times, side="right") - 1, 0, len(self.mesh) - 2)
-        apart = ((times - self.mesh[which]) / self.lengths[which])[:, None] - _KNOTS
-        apart = np.where(apart == 0.0, 1e-300, apart)
-        shares = _DIFFERENCES / apart
+        distance = ((times - self.mesh[which]) / self.lengths[which])[:, None] - _KNOTS
+        distance = np.where(distance == 0.0, 1e-300, distance)
+        shares = _DIFFERENCES / distance
         return np.asarray((shares[:, :, None] * self.knots[which]).sum(axis=1) / shares.sum(axis=1)[:, None])
 
 
@@ -216,7 +216,7 @@ class _OrbitChange:
     parameter: float
 
 
-class _Factors:
+class _LUFactors:
     def __init__(self, rows: FloatArray, columns: FloatArray, values: FloatArray) -> None:
         from scipy.sparse import csc_matrix
         from scipy.sparse.linalg import splu
@@ -291,7 +291,7 @@ class Linearised:
         carried = np.array(mesh_states)
         return carried, np.einsum("njde,ne->njd", self.inner[..., :size], carried)
 
-    def factorise(self, rows: tuple[_OrbitChange, _OrbitChange]) -> _Factors:
+    def factorise(self, rows: tuple[_OrbitChange, _OrbitChange]) -> _LUFactors:
         """Return the LU factors of the condensed system (ND + 2, ND + 2): the equations and two further rows."""
         count, size = self.ends.shape[:2]
         block = np.arange(count * size).reshape(count, size)
@@ -308,10 +308,10 @@ class Linearised:
             places.append(np.full(count * size + 2, count * size + number))
             columns.append(np.arange(count * size + 2))
             values.append(np.append((row.mesh_states + by_inner[:, :size]).ravel(), last))
-        return _Factors(*(np.concatenate([np.ravel(part) for part in parts]) for parts in (places, columns, values)))
+        return _LUFactors(*(np.concatenate([np.ravel(part) for part in parts]) for parts in (places, columns, values)))
 
     def solve(
-        self, factors: _Factors, rows: tuple[_OrbitChange, _OrbitChange], right: tuple[float, float], *, is_step: bool
+        self, factors: _LUFactors, rows: tuple[_OrbitChange, _OrbitChange], right: tuple[float, float], *, is_step: bool
     ) -> _OrbitChange:
         """Solve the linear system `factors`; the right-hand sides of its two further `rows` are `right`.
 
@@ -399,7 +399,7 @@ class _CycleCurve:
         states = np.concatenate([change.mesh_states.ravel(), change.nodes.ravel()]) * self._weights
         return np.append(states, [change.log_period, change.parameter])
 
-    def _linearised(self, z: FloatArray) -> Linearised | None:
+    def _linearise(self, z: FloatArray) -> Linearised | None:
         flow, orbit, widths = self.parameter.at(self.flow, self.value(z)), self._orbit(z), self.box.widths
         x = orbit.nodes.reshape(-1, self._shape[2]) * widths
         by_states = flow.jacobian(x) * widths / widths[:, None]
@@ -409,10 +409,10 @@ class _CycleCurve:
 
     def correct(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
         guess, row = z.copy(), self._row(tangent)
-        for _ in range(_NEWTON):
+        for _ in range(_MOST_NEWTON_STEPS):
             if abs(guess[-2] - z[-2]) > 1.0:
                 return None
-            linearised = self._linearised(guess)
+            linearised = self._linearise(guess)
             if linearised is None:
                 return None
             missed = float((self._phase.nodes * (self._orbit(guess).nodes - self._reference)).sum())
@@ -430,7 +430,7 @@ class _CycleCurve:
         return guess if np.abs(step).max() < 1e-7 else None
 
     def curve_point(self, z: FloatArray, before: FloatArray) -> _CycleOnCurve | None:
-        linearised = self._linearised(z)
+        linearised = self._linearise(z)
         if linearised is None:
             return None
         rows = (self._phase, self._row(before))
@@ -442,7 +442,7 @@ class _CycleCurve:
         tangent = tangent / np.sqrt(tangent @ tangent)
         if not np.isfinite(tangent).all():
             return None
-        # the tangent continues in the direction of `before`: the determinant has the same sign with either as row
+        # the tangent points in the direction of `before`: either of them as row gives the same sign of the determinant
         tests = {FOLD: float(tangent[-1]), BRANCH_POINT: factors.scaled_determinant}
         tests |= _multiplier_tests(linearised.monodromy)
         return _CycleOnCurve(z, tangent, tests, self._orbit(z), float(np.exp(z[-2])), linearised)
@@ -455,17 +455,17 @@ class _CycleCurve:
             for point in (last, after)
         )
         if float((first * second).sum()) <= 0.0 or np.abs(second).max() < 0.5 * SMALLEST:
-            return HOPF_END  # the cycle has shrunk to a point; after it, the same cycles come again, half a turn later
+            return HOPF_END  # the cycle has shrunk to a point; then the same cycles follow, shifted by half a turn
         if self.doublings:
             times = np.linspace(0.0, 0.5, self._shape[0], endpoint=False)
             first, second = (point.orbit.at(times) - point.orbit.at(times + 0.5) for point in (last, after))
             if float((first * second).sum()) <= 0.0:
-                return PERIOD_DOUBLING  # after it, the same cycles come again, half a period later
+                return PERIOD_DOUBLING  # then the same cycles follow, shifted by half a period
         return "period without bounds" if after.z[-2] > self._longest_period else None
 
     def adapt(self, point: _CycleOnCurve) -> _CycleOnCurve:
         self._steps += 1
-        if self._steps % _RENEWED:
+        if self._steps % _MESH_STEPS:
             self._set_phase(point.orbit)
             return point
         kept = self._mesh, self._reference, self._phase
@@ -503,7 +503,7 @@ def _multiplier_tests(monodromy: FloatArray) -> dict[str, float]:
     if len(monodromy) == 2:
         return {PERIOD_DOUBLING: np.nan, TORUS: np.nan}
     trivial, *others = multipliers_of(monodromy, 0.0)
-    values = np.array(others) if abs(trivial - 1.0) < _KNOWN else np.full(len(others), np.nan + 0j)
+    values = np.array(others) if abs(trivial - 1.0) < _LARGEST_TRIVIAL_ERROR else np.full(len(others), np.nan + 0j)
     doubling = np.prod(values + 1.0)
     torus = np.prod([first * second - 1.0 for first, second in combinations(values, 2)]) if len(values) > 1 else 1.0
     return {PERIOD_DOUBLING: float(np.real(doubling)), TORUS: float(np.real(torus))}

@@ -26,14 +26,14 @@ ROWS: Final = 2000
 _FEWEST_GAPS: Final = 2
 """Smallest number of gaps between rises through the mean for a period: two, so that their spread is known."""
 
-_LONGER: Final = 8.0
+_ORBIT_DURATIONS: Final = 8.0
 """Duration of the simulation that finds the period of a closed orbit, in durations of the measured trajectory. If the
 trajectory is half a turn, the simulation has four turns."""
 
-_REGULAR: Final = 0.2
-"""Largest standard deviation of the gaps, as a share of their mean, of a regular oscillation: twice `_SAME`."""
+_LARGEST_SPREAD: Final = 0.2
+"""Largest standard deviation of the gaps, as a share of their mean, of a regular oscillation: twice `_EQUAL`."""
 
-_SAME: Final = 0.1
+_EQUAL: Final = 0.1
 """Relative difference up to which periods and amplitudes count as equal."""
 
 
@@ -68,7 +68,7 @@ class TrajectoryComparison:
     """The model compared with one measured trajectory; `reaches` is the index of an attractor or a code of `basins`.
 
     `orbit_period` is the period of the closed orbit that the model follows, if closed orbits are not isolated. `end`
-    (D,) is the last state of the simulation that searches an attractor.
+    (D,) is the last state of the simulation that determines the attractor.
     """
 
     name: str
@@ -85,23 +85,23 @@ class TrajectoryComparison:
         first, second = self.measured.period, self.simulated.period
         if first is None and second is None:
             return None
-        return first is not None and second is not None and abs(second / first - 1.0) <= _SAME
+        return first is not None and second is not None and abs(second / first - 1.0) <= _EQUAL
 
     @property
     def has_same_amplitudes(self) -> bool:
         """Whether the amplitudes of all states agree to 10 % of the larger amplitude."""
         first, second = self.measured.amplitudes, self.simulated.amplitudes
         with np.errstate(invalid="ignore"):
-            return bool((np.abs(second - first) <= _SAME * np.maximum(first, second)).all())
+            return bool((np.abs(second - first) <= _EQUAL * np.maximum(first, second)).all())
 
     @property
     def has_same_phases(self) -> bool | None:
-        """Whether the phases of all states agree to a tenth of a period; None if one of both has no phases."""
+        """Whether the phases of all states agree to a tenth of a period; None if the data or the model have none."""
         first, second = self.measured.phases, self.simulated.phases
         if first is None or second is None:
             return None
-        apart = (second - first + 0.5) % 1.0 - 0.5
-        return bool((np.abs(apart) <= _SAME).all())
+        differences = (second - first + 0.5) % 1.0 - 0.5
+        return bool((np.abs(differences) <= _EQUAL).all())
 
 
 def measured_trajectories(result: Result, field: VectorField) -> tuple[MeasuredTrajectory, ...]:
@@ -109,11 +109,11 @@ def measured_trajectories(result: Result, field: VectorField) -> tuple[MeasuredT
 
     For equations of second order, velocities are finite differences of the positions.
     """
-    known = (_measured(result, field, part) for part in result.simulated)
+    known = (_read_trajectory(result, field, part) for part in result.simulated)
     return tuple(trajectory for trajectory in known if trajectory is not None)
 
 
-def _measured(result: Result, field: VectorField, part: Simulated) -> MeasuredTrajectory | None:
+def _read_trajectory(result: Result, field: VectorField, part: Simulated) -> MeasuredTrajectory | None:
     """Return one trajectory; None if a state is unknown or fewer than 4 rows are known."""
     columns, half = [result.columns_by_symbol[name] for name in field.states], len(field.states) // 2
     known, values = part.times, part.values or {}
@@ -133,7 +133,7 @@ def _measured(result: Result, field: VectorField, part: Simulated) -> MeasuredTr
             return None
     states = np.array(curves).T
     start = [(part.start or {}).get(name) for name in columns]
-    if None not in start:  # includes velocities
+    if None not in start:  # the fitted initial state includes velocities
         states[0] = start
     rows = np.isfinite(states).all(axis=1)
     if rows.sum() <= 3:
@@ -181,7 +181,7 @@ def compare(
     comparisons = []
     for trajectory, reaches, end in zip(trajectories, reached.tolist(), ends, strict=True):
         times = np.union1d(np.linspace(0.0, trajectory.times[-1], ROWS), trajectory.times)
-        states = _simulated(flow, trajectory, times, box)
+        states = _simulate(flow, trajectory, times, box)
         with np.errstate(invalid="ignore"):
             is_bounded = bool((box.excursions(states) < UNBOUNDED).all())
         known = np.isfinite(states).all(axis=1)
@@ -191,7 +191,7 @@ def compare(
         simulated = replace(motion(times[known], states[known]), amplitudes=amplitudes)
         orbit = None
         if has_family and reaches == UNDECIDED:
-            longer = np.linspace(0.0, _LONGER * trajectory.times[-1], ROWS)
+            longer = np.linspace(0.0, _ORBIT_DURATIONS * trajectory.times[-1], ROWS)
             states = follow(flow.rates, trajectory.states[0], longer, box.widths)
             orbit = motion(longer, states).period if np.isfinite(states).all() else None
         measured = motion(trajectory.times, trajectory.states)
@@ -199,7 +199,7 @@ def compare(
     return tuple(comparisons)
 
 
-def _simulated(flow: Flow, trajectory: MeasuredTrajectory, times: FloatArray, box: Box) -> FloatArray:
+def _simulate(flow: Flow, trajectory: MeasuredTrajectory, times: FloatArray, box: Box) -> FloatArray:
     """Return the simulated states (n, D) from the initial state of a trajectory, with its recorded inputs if any."""
     recorded = trajectory.inputs
     if recorded is None:
@@ -247,6 +247,6 @@ def _period(times: FloatArray, values: FloatArray) -> float | None:
             rises.append(times[row - 1] + share * (times[row] - times[row - 1]))
             is_low = False
     gaps = np.diff(rises)
-    if len(gaps) < _FEWEST_GAPS or gaps.std() > _REGULAR * gaps.mean():
+    if len(gaps) < _FEWEST_GAPS or gaps.std() > _LARGEST_SPREAD * gaps.mean():
         return None
     return float(np.median(gaps))

@@ -38,7 +38,7 @@ _ITERATIONS: Final = 80
 """Number of steps from each start. A simple root takes a few steps. At a singular root each step halves the distance,
 so that 30 steps reach `TOLERANCE`; the other 50 steps bring the point near the root."""
 
-_EXACT: Final = 1e-13
+_ZERO_RATE: Final = 1e-13
 """Rates below this share of the typical rates count as 0 up to rounding."""
 
 _LONGEST_ROOT_STEP: Final = 1e-6
@@ -51,10 +51,10 @@ _SINGULAR: Final = 1e-4
 MOST_POINTS: Final = 100
 """Largest number of distinct points. More points belong to a curve or a surface, and this number is enough for it."""
 
-_APART: Final = 1e-5
+_SMALLEST_DISTANCE: Final = 1e-5
 """Smallest distance of distinct points, in widths of the box."""
 
-_APART_DEGENERATE: Final = 1e-3
+_SMALLEST_DISTANCE_DEGENERATE: Final = 1e-3
 """The same distance if the Jacobian is singular, because Newton steps then converge slowly."""
 
 NON_HYPERBOLIC: Final = "non-hyperbolic"
@@ -62,7 +62,7 @@ NON_HYPERBOLIC: Final = "non-hyperbolic"
 _AMPLITUDES: Final = (0.02, 0.1, 0.3)
 """Amplitudes of the orbits around a centre that are simulated, in widths of the box."""
 
-_CLOSED: Final = 1e-6
+_CLOSING_ERROR: Final = 1e-6
 """Largest closing error of an orbit around a centre, as a share of its amplitude: a hundred integration errors."""
 
 _ROUNDING: Final = 10.0 * float(np.finfo(np.float64).eps)
@@ -94,7 +94,7 @@ _STEP: Final = 0.02
 _MOST_CURVE_STEPS: Final = 400
 """Largest number of steps along a curve in each direction."""
 
-_ON: Final = 2e-3
+_CURVE_DISTANCE: Final = 2e-3
 """Largest distance, in widths, of a point that belongs to a followed curve: the chords of a curve are more accurate."""
 
 _EXAMPLES: Final = 9
@@ -172,7 +172,7 @@ class FixedSet:
         sizes = np.sort(np.abs(values), axis=1)
         is_across = np.abs(values) > sizes[:, self.dimension - 1 : self.dimension]
         slowest = np.where(is_across, values.real, -np.inf).max(axis=1, initial=-np.inf)
-        return np.asarray((slowest < 0.0) | (attracts & (slowest <= _ON * sizes[:, -1])))
+        return np.asarray((slowest < 0.0) | (attracts & (slowest <= _CURVE_DISTANCE * sizes[:, -1])))
 
     def distances(self, flow: Flow, states: FloatArray, box: Box) -> FloatArray:
         """Return the distances (N,) of `states` (N, D) from the set, in widths; for a surface, the Newton step."""
@@ -216,7 +216,7 @@ def fixed_points(flow: Flow, box: Box) -> FixedPoints:
 def distinct_points(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
     """Return one point for each cluster of fixed points (n, D), in order of their coordinates."""
     singular = np.linalg.svd(_scaled_jacobian(flow, points, box, rate_scale(flow, box)), compute_uv=False)
-    apart = np.where(singular[:, -1] < _SINGULAR * singular[:, 0], _APART_DEGENERATE, _APART)
+    apart = np.where(singular[:, -1] < _SINGULAR * singular[:, 0], _SMALLEST_DISTANCE_DEGENERATE, _SMALLEST_DISTANCE)
     kept: list[FloatArray] = []
     for point, least in zip(points, apart.tolist(), strict=True):
         if len(kept) > MOST_POINTS:
@@ -249,7 +249,7 @@ def newton_steps(flow: Flow, box: Box, starts: FloatArray) -> tuple[FloatArray, 
             break
     with np.errstate(all="ignore"):
         size = np.abs(values).max(axis=1)
-        is_root = (size < 1e-10) & ((last < TOLERANCE) | (size < _EXACT) | (damping < 1e8))
+        is_root = (size < 1e-10) & ((last < TOLERANCE) | (size < _ZERO_RATE) | (damping < 1e8))
     rows = np.flatnonzero(is_root)
     # Rates that only become small, such as exp(-x), give a long Newton step. Rates that come near 0 and grow again
     # give a singular Jacobian and values above rounding errors.
@@ -258,7 +258,7 @@ def newton_steps(flow: Flow, box: Box, starts: FloatArray) -> tuple[FloatArray, 
     newton = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, rcond=1e-10), values[rows])
     is_regular = singular[:, -1] > _SINGULAR * singular[:, 0]
     is_short = np.abs(newton).max(axis=1) < _LONGEST_ROOT_STEP
-    rows = rows[is_short & (is_regular | (size[rows] < _EXACT))]
+    rows = rows[is_short & (is_regular | (size[rows] < _ZERO_RATE))]
     points[rows] = _polish(flow, points[rows], box, scale)
     is_root[:] = False
     is_root[rows] = True
@@ -407,12 +407,12 @@ def _eigenvalues(
 def _changes(flow: Flow, point: FloatArray, box: Box, matrix: FloatArray, along: FloatArray) -> Iterator[FloatArray]:
     """Yield changes of the Jacobian (D, D): from the point to states that rounding does not distinguish from it.
 
-    In each direction, these are the states whose rates are below `_EXACT` or at most twice as large as at the point.
+    In each direction, the rates of these states are below `_ZERO_RATE` or at most twice as large as at the point.
     Directions `along` a curve of fixed points do not count.
     """
     scale = rate_scale(flow, box)
     directions = np.linalg.svd(_scaled_jacobian(flow, point[None], box, scale)[0])[2]
-    limit = max(_EXACT, 2.0 * float(np.abs(flow.rates(point) / scale).max()))
+    limit = max(_ZERO_RATE, 2.0 * float(np.abs(flow.rates(point) / scale).max()))
     for direction in directions - directions @ along.T @ along:
         moved = point + _SHIFTS[:, None, None] * np.array([[1.0], [-1.0]]) * direction * box.widths
         sizes = np.abs(flow.rates(moved.reshape(-1, flow.size)) / scale).max(axis=1).reshape(-1, 2).max(axis=1)
@@ -468,7 +468,7 @@ def _is_centre(flow: Flow, point: FloatArray, eigenvalues: Complexes, box: Box) 
         return None
 
     turns = [turn(share * box.widths[0]) for share in _AMPLITUDES]
-    return turns[0] is not None and all(ratio is None or abs(ratio - 1.0) < _CLOSED for ratio in turns)
+    return turns[0] is not None and all(ratio is None or abs(ratio - 1.0) < _CLOSING_ERROR for ratio in turns)
 
 
 # -------------------------------------------------------------------------------------------------- curves and surfaces
@@ -512,7 +512,7 @@ def _fixed_sets(flow: Flow, box: Box, points: FloatArray) -> tuple[list[FixedSet
         course, whole = _follow_both_ways(flow, box, points[seed], directions[seed][0])
         is_left[seed] = False
         if len(course) > 2:
-            is_left &= box.distances(points, course) > _ON
+            is_left &= box.distances(points, course) > _CURVE_DISTANCE
             kinds = []
             for row in _spread(len(course)):
                 chord = (course[min(row + 1, len(course) - 1)] - course[max(row - 1, 0)]) / box.widths
@@ -531,7 +531,7 @@ def _fixed_sets(flow: Flow, box: Box, points: FloatArray) -> tuple[list[FixedSet
     alone = (counts == 0) | (is_left & (counts > 1))
     for fixed in sets:
         if fixed.dimension == 1:
-            alone &= box.distances(points, fixed.course) > _ON
+            alone &= box.distances(points, fixed.course) > _CURVE_DISTANCE
     return sets, points[alone]
 
 
@@ -551,7 +551,7 @@ def _follow_both_ways(flow: Flow, box: Box, seed: FloatArray, direction: FloatAr
     course = np.array([*reversed(behind), seed, *ahead])
     if len(course) < 3:
         return course, course
-    margin = flow.size * box.widths  # if the sum of the states is conserved, a curve can be so long
+    margin = flow.size * box.widths  # if the sum of the states is conserved, a curve can be that long
     wide = Box(box.lower - margin, box.upper + margin)
     beyond = []
     for last, before in ((course[0], course[1]), (course[-1], course[-2])):

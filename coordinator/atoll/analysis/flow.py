@@ -30,10 +30,10 @@ SETTLING: Final = 60.0
 """Length of simulations, in units of the time in which a state crosses the box. A transient with ten times this time
 constant has then decayed to exp(-6), a quarter of a percent."""
 
-LONGER: Final = (1e2, 1e4, 1e6)
+EXTENSIONS: Final = (1e2, 1e4, 1e6)
 """Factors that extend the duration for states that are nearly at rest, because they move in a slow direction."""
 
-_RESTING: Final = 0.02
+_REST_DISTANCE: Final = 0.02
 """A state is nearly at rest when it moves less than this number of box widths within the time needed to cross
 the box."""
 
@@ -213,7 +213,7 @@ def is_nearly_at_rest(states: FloatArray, before: FloatArray, box: Box, span: fl
 
     `span` is the elapsed time, in units of the time in which a state crosses the box.
     """
-    return np.asarray(np.abs((states - before) / box.widths).max(axis=1) < _RESTING * span)
+    return np.asarray(np.abs((states - before) / box.widths).max(axis=1) < _REST_DISTANCE * span)
 
 
 @dataclass(eq=False)
@@ -304,15 +304,15 @@ class IntegrationBatch:
         with np.errstate(all="ignore"):
             inverse = np.linalg.inv((2.0 / size)[:, None, None] * np.eye(state.shape[1]) - slopes)
 
-            def solved(right: FloatArray) -> FloatArray:
+            def solve(right: FloatArray) -> FloatArray:
                 return np.asarray((inverse @ right[:, :, None])[:, :, 0])
 
             per_step, rate = 1.0 / size[:, None], rates(state)
-            first = solved(rate)
-            second = solved(rate + 4.0 * per_step * first)
-            third = solved(rates(state + 2.0 * first) + per_step * (first - second))
+            first = solve(rate)
+            second = solve(rate + 4.0 * per_step * first)
+            third = solve(rates(state + 2.0 * first) + per_step * (first - second))
             after = state + 2.0 * first + third
-            fourth = solved(rates(after) + per_step * (first - second - 8.0 / 3.0 * third))
+            fourth = solve(rates(after) + per_step * (first - second - 8.0 / 3.0 * third))
             after = after + fourth
             allowed = rtol * (scale + np.maximum(np.abs(state), np.abs(after)))
         self._accept(rows, size, until, after, fourth / allowed, 1.0 / 3.0)

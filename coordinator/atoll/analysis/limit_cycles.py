@@ -29,7 +29,7 @@ from atoll.analysis.fixed_points import (
     time_scale,
 )
 from atoll.analysis.flow import (
-    LONGER,
+    EXTENSIONS,
     SETTLING,
     UNBOUNDED,
     Box,
@@ -57,31 +57,31 @@ _MOST_FAILURES: Final = 2
 SAMPLES: Final = 400
 """Number of points of a cycle. The extent of a harmonic cycle then has a relative error of (pi/400)**2/2 = 3e-5."""
 
-_NEAR: Final = 0.1
+_NEAR_RETURN: Final = 0.1
 """Largest distance of a near return, as a share of the extent of the trajectory. Newton's method then decides whether
 there is a cycle."""
 
 SMALLEST: Final = 1e-3
 """Smallest extent of a cycle, in widths of the box."""
 
-_SLOWLY: Final = 0.05
+_SLOW_DISTANCE: Final = 0.05
 """Distance from a fixed point, in widths, within which a state counts as at rest if it approaches the point slowly, in
 the direction of an eigenvalue 0."""
 
-_CLOSED: Final = 1e-8
+_CLOSING_ERROR: Final = 1e-8
 """Largest distance between the ends of a closed cycle, in widths of the box: ten times the integration error."""
 
 _NEUTRAL: Final = 1e-4
 """A multiplier nearer to 1, or to the unit circle, counts as 1, or as on the circle. The error of a double multiplier
-is the square root of `_CLOSED`."""
+is the square root of `_CLOSING_ERROR`."""
 
 _NEUTRAL_IN_PLANE: Final = 1e-7
 """The same limit for two states, where the multiplier is an integral: a hundred times the integration tolerance."""
 
-_KNOWN: Final = 0.01
+_LARGEST_ERROR: Final = 0.01
 """Largest error of a cycle, as a share of its extent: the closing error over the contraction in a period."""
 
-_SMALL: Final = 0.01
+_SMALL_EXTENT: Final = 0.01
 """Extent of an orbit, in widths of the box. Errors of smaller orbits are relative to the box, not to their extent."""
 
 _MOST_RETURNS: Final = 40
@@ -160,15 +160,15 @@ def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequen
 
 
 def _reached_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[FixedSet]) -> LimitCycles:
-    ends, count, duration = _ends(flow, box, fixed)
+    ends, count, duration = _final_states(flow, box, fixed)
     for fixed_set in sets:
-        ends = ends[fixed_set.distances(flow, ends, box) > _SLOWLY]
-    rests = _rests(flow, ends, box)
+        ends = ends[fixed_set.distances(flow, ends, box) > _SLOW_DISTANCE]
+    resting_points = _resting_points(flow, ends, box)
     cycles: list[LimitCycle] = []
     unsettled, failures = [], 0
     for end in ends:
         is_known = any(known.distances(end[None], box)[0] < 1e-2 for known in cycles)
-        if is_known or any(_is_at_rest(end, point, box) for point in (*fixed, *rests)):
+        if is_known or any(_is_at_rest(end, point, box) for point in (*fixed, *resting_points)):
             continue
         if failures >= _MOST_FAILURES or len(cycles) >= MOST_CYCLES:
             unsettled.append(end)
@@ -183,10 +183,10 @@ def _reached_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Seq
             unsettled += [end] if cycle is None or cycle.is_isolated else []
             failures += 1
     left = np.array(unsettled).reshape(-1, flow.size)
-    return LimitCycles(tuple(cycles), count, duration, tuple(rests), left)
+    return LimitCycles(tuple(cycles), count, duration, tuple(resting_points), left)
 
 
-def _ends(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray, int, float]:
+def _final_states(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray, int, float]:
     """Return the last states (n, D) of bounded simulations, the number of simulations, and their duration.
 
     Simulations begin in the box and near its fixed points.
@@ -202,14 +202,14 @@ def _ends(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray
         batch.is_lost |= box.excursions(batch.states) > UNBOUNDED
     is_slow = is_nearly_at_rest(batch.states, before, box, 0.2 * SETTLING) & ~batch.is_lost
     slow = batch.of_rows(is_slow)
-    for longer in LONGER if is_slow.any() else ():
+    for longer in EXTENSIONS if is_slow.any() else ():
         slow.settle(flow, box, longer * duration, rtol=1e-6, most_steps=_MOST_STEPS // 5)
     batch.states[is_slow], batch.is_lost[is_slow] = slow.states, slow.is_lost
     batch.is_lost |= box.excursions(batch.states) > UNBOUNDED
     return batch.states[~batch.is_lost], len(starts), duration
 
 
-def _rests(flow: Flow, ends: FloatArray, box: Box) -> list[FixedPoint]:
+def _resting_points(flow: Flow, ends: FloatArray, box: Box) -> list[FixedPoint]:
     """Return the attracting fixed points outside of the box that Newton's method finds near `ends` (n, D).
 
     This includes points on curves of fixed points if the curve attracts.
@@ -219,14 +219,14 @@ def _rests(flow: Flow, ends: FloatArray, box: Box) -> list[FixedPoint]:
     is_near = [bool((np.abs((ends - point) / box.widths).max(axis=1) < 0.01).any()) for point in points]
     points = points[np.array(is_near, dtype=bool) & ~box.contains(points, 1e-6)]
     along = tangents(flow, points, box)
-    rests = [classify(flow, point, box, directions) for point, directions in zip(points, along, strict=True)]
-    return [rest for rest in rests if rest.attracts_in_box]
+    resting_points = [classify(flow, point, box, directions) for point, directions in zip(points, along, strict=True)]
+    return [rest for rest in resting_points if rest.attracts_in_box]
 
 
 def _is_at_rest(end: FloatArray, point: FixedPoint, box: Box) -> bool:
     near = SMALLEST
     if point.attracts_in_box:  # the approach along the direction of an eigenvalue 0 is slow
-        near = 10.0 * (_SLOWLY if point.kind == NON_HYPERBOLIC else SMALLEST)
+        near = 10.0 * (_SLOW_DISTANCE if point.kind == NON_HYPERBOLIC else SMALLEST)
     return bool(np.abs((end - point.point) / box.widths).max() < near)
 
 
@@ -255,7 +255,7 @@ def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> fl
             if returns[-1][1] < 1e-3 * farthest:
                 break
     nearest = min((far for _, far in returns), default=np.inf)
-    if farthest < SMALLEST or nearest > _NEAR * min(farthest, 1.0):
+    if farthest < SMALLEST or nearest > _NEAR_RETURN * min(farthest, 1.0):
         return None
     return next(time for time, far in returns if far <= 3.0 * nearest + 1e-5)
 
@@ -269,7 +269,7 @@ def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> Lim
         missed = (end - point) / box.widths
         if not np.isfinite(monodromy).all() or not np.isfinite(end).all():
             return None
-        if np.abs(missed).max() < _CLOSED:
+        if np.abs(missed).max() < _CLOSING_ERROR:
             break
         if iteration >= 5 and np.abs(missed).max() > 1e-2:
             return None
@@ -289,8 +289,8 @@ def _closed_orbit(flow: Flow, start: FloatArray, period: float, box: Box) -> Lim
     cycle = LimitCycle(point, period, multipliers_of(monodromy, log_multiplier_product), log_multiplier_product, points)
     miss = float(np.abs(missed).max())
     if not cycle.is_isolated:  # an orbit of a family closes exactly; a small spiral that shrinks slowly does not
-        return cycle if miss <= _CLOSED * max(extent, _SMALL) else None
-    return cycle if miss / np.abs(cycle.multipliers[1:] - 1.0).min() <= _KNOWN * extent else None
+        return cycle if miss <= _CLOSING_ERROR * max(extent, _SMALL_EXTENT) else None
+    return cycle if miss / np.abs(cycle.multipliers[1:] - 1.0).min() <= _LARGEST_ERROR * extent else None
 
 
 def _transport(flow: Flow, start: FloatArray, duration: float, box: Box) -> tuple[FloatArray, FloatArray, float]:

@@ -1,6 +1,11 @@
 """The spectrum of Lyapunov exponents: variational equations with repeated orthogonalisation (Benettin et al. 1980).
 
-Many trajectories are integrated together; the spread of their exponents gives the standard error. Letters: D states.
+Many trajectories first settle on the attractor. Then each is integrated together with D perturbation vectors. After
+each interval, a QR decomposition makes the vectors orthonormal again, and the logarithms of the diagonal of R are
+added. Their mean growth per time gives the exponents; the spread over the trajectories gives the standard error.
+
+Doubtful: exponents are averages over a finite time. If trajectories reach different attractors, the mean mixes their
+exponents. Letters: D states.
 """
 
 from dataclasses import dataclass

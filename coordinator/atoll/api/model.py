@@ -29,7 +29,7 @@ from atoll.model.arguments import (
     recorded_inputs,
     require_inputs,
     rows_of,
-    stacked,
+    stack_columns,
     start_of,
     times_of,
 )
@@ -232,7 +232,7 @@ class Model(ModelCore):
             raise UsageError(f"a score needs columns by name, a frame or a list of these, but {shown(data)} was given")
         if self.is_regression:
             target = self._result.equations[0].variable
-            both = [stacked([column(part, target), self.predict(part)]) for part in parts]
+            both = [stack_columns([column(part, target), self.predict(part)]) for part in parts]
             return _r2(*np.concatenate(both, axis=1))
         columns = self._result.columns_by_symbol
         states = [name for name in self.states if all(has(part, columns[name]) for part in parts)]
@@ -248,8 +248,8 @@ class Model(ModelCore):
                 simulation = self.simulate(start, times, inputs or None, has_bands=False)
             if simulation.status != "finished":
                 return -np.inf
-            simulated.append(stacked([simulation[name] for name in states]))
-            measured.append(stacked([column(part, columns[name]) for name in states]))
+            simulated.append(stack_columns([simulation[name] for name in states]))
+            measured.append(stack_columns([column(part, columns[name]) for name in states]))
         pairs = zip(np.concatenate(measured, axis=1), np.concatenate(simulated, axis=1), strict=True)
         return float(np.mean([_r2(rows, values) for rows, values in pairs]))
 

@@ -20,7 +20,7 @@ BatchState = Literal["pending", "running", "ending", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class AdaptLimits:
-    """Limits: jobs; worker processes in each job; seconds for which fewer jobs must suffice before a job is ended."""
+    """Smallest and largest number of jobs, workers in each job, and seconds of lower need before a job is ended."""
 
     minimum: int
     maximum: int

@@ -72,5 +72,5 @@ def _record(error: Exception) -> str:
         handle, name = tempfile.mkstemp(".log", "atoll-coordinator-")
     with os.fdopen(handle, "w") as file:
         file.write(text)
-    what = f"an unexpected error ({type(error).__name__}) stopped this command"
-    return f"{what}; please report it, with the details in {name}"
+    message = f"an unexpected error ({type(error).__name__}) stopped this command"
+    return f"{message}; please report it, with the details in {name}"

@@ -1,5 +1,5 @@
-"""The command line: every verb with its module, help and arguments in one table (`VERBS`), its parser, and the reading
-of values that argparse does not convert.
+"""The command line: one table (`VERBS`) with the module, help and arguments of every verb, its parser, and functions
+that convert values which argparse does not convert.
 
 It has only light imports, because ``--help`` must be instant. `atoll.client.options` declares the options of a job.
 """
@@ -227,7 +227,7 @@ _ONE_JOB: Final = _of_coordinator("id or its beginning", nargs=None)
 _WORKER: Final = _of_coordinator("name or its beginning", nargs=None)
 
 VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
-    "run": ("verbs.run", "search on this machine; nothing needs to be started beforehand", (
+    "run": ("verbs.run", "search on this machine, without a running coordinator", (
         *_JOB,
         _value(
             "--web", "HOST:PORT", "show the job in a browser while it runs (default: 127.0.0.1:7480)",
@@ -305,9 +305,10 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
     "adapt": ("adapt", "start and end jobs of a batch system, with workers, as the coordinator's queue needs them", (
         *_CONNECT,
         _value(
-            "--minimum", "N", "fewest jobs (default: %(default)s)", type=whole_number(0, 10**6 - 1), default=0
+            "--minimum", "N", "smallest number of jobs (default: %(default)s)",
+            type=whole_number(0, 10**6 - 1), default=0,
         ),
-        _value("--maximum", "N", "most jobs", type=whole_number(0, 10**6 - 1), required=True),
+        _value("--maximum", "N", "largest number of jobs", type=whole_number(0, 10**6 - 1), required=True),
         _value(
             "--cores", "N", "cores of each job, with one worker per core (default: %(default)s)",
             type=whole_number(1, MOST_WORKERS), default=1,

@@ -237,7 +237,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("order", "data.order", whole, "1|2", "2: search d2x/dt2 from positions (default: 1)"),
         Option(
             "angle", "data.angles", angles, "theta[:deg]",
-            "a state that is an angle and is unwrapped", is_repeatable=True,
+            "a state that is an angle; it is unwrapped", is_repeatable=True,
         ),
         Option("only", "data.only", names, "x", "search only these equations; they may use all states"),
         Option("offsets", "data.offsets", names, "x", "states with an unknown offset, fitted for each trajectory"),
@@ -268,7 +268,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
     ),
     "search": (
         Option("seed", "seed", whole, "S", "random seed; the same seed gives the same result (default: 0)"),
-        Option("preset", "preset", text, "default|paper", "paper: only Table II of Schmidt & Lipson 2008"),
+        Option("preset", "preset", text, "default|paper", "paper: only the algorithm of Schmidt & Lipson 2008"),
         Option(
             "operators", "space.operators space.operators_of", operators, "LIST",
             "operators of expressions (default: +,-,*,/,sin,cos, and others that reduce the description length); "
@@ -284,8 +284,8 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option(
             "bound", "prior.bounds", bounds, '"[x:] c > 0"',
-            "bounds on constants: c for all, |c| for magnitudes, inner those inside terms, x*y the coefficient of "
-            "that term, as in 'x: -2 < x*y < 0'", is_repeatable=True,
+            "bounds on constants: c (all constants), |c| (magnitudes), inner (constants inside terms), x*y "
+            "(coefficient of this term, as in 'x: -2 < x*y < 0')", is_repeatable=True,
         ),
         Option(
             "guess", "prior.guesses", guesses, "dx=EXPR",

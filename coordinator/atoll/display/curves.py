@@ -43,8 +43,8 @@ def residuals(measured: Curve, simulated: Curve) -> list[float | None]:
 
 def front(members: Sequence[Member], *, is_selected: bool = False) -> tuple[list[int], list[float | None]]:
     """Return complexities and errors of the members of a front that have an error, or only of selected members."""
-    shown = [member for member in members if member.normalized_error and (member.selected or not is_selected)]
-    return [member.complexity or 0 for member in shown], [member.normalized_error for member in shown]
+    displayed = [member for member in members if member.normalized_error and (member.selected or not is_selected)]
+    return [member.complexity or 0 for member in displayed], [member.normalized_error for member in displayed]
 
 
 TOLERANCE: Final = 5e-4
@@ -104,7 +104,7 @@ def curves_of(model: "ModelCore | None", part: Simulated) -> ModelCurves:
     Without a model, or if the model cannot be simulated, these are the listed rows. It raises no errors.
     """
     listed = ModelCurves(part.times, part.values or {}, part.lower, part.upper)
-    known = _rows(part)
+    known = _listed_rows(part)
     if model is None or model.is_regression or known is None:
         return listed
     groups = model.result.groups if differing_groups(model.result) else ()
@@ -163,7 +163,7 @@ def _corners(scaled: FloatArray, times: FloatArray, tolerance: float) -> npt.NDA
     return np.array(sorted(kept))
 
 
-def _rows(part: Simulated) -> _ListedRows | None:
+def _listed_rows(part: Simulated) -> _ListedRows | None:
     if not part.values:
         return None
     times, values = values_of_curve(part.times), np.array([values_of_curve(curve) for curve in part.values.values()])
@@ -174,11 +174,13 @@ def _rows(part: Simulated) -> _ListedRows | None:
     return _ListedRows(tuple(part.values), times, values)
 
 
-_Found = tuple[FloatArray, FloatArray, int]
+_SimulatedPieces = tuple[FloatArray, FloatArray, int]
 """Times (M,), values (D, M) of the listed states (NaN between pieces), and the number of pieces."""
 
 
-def _from_start(model: "ModelCore", part: Simulated, known: _ListedRows, inputs: Inputs | None) -> _Found | None:
+def _from_start(
+    model: "ModelCore", part: Simulated, known: _ListedRows, inputs: Inputs | None
+) -> _SimulatedPieces | None:
     """Return the simulation from the fitted initial state; None if it differs from the listed rows."""
     columns = [model.result.columns_by_symbol[state] for state in model.states]
     start = np.array([(part.start or {}).get(column) for column in columns], dtype=np.float64)
@@ -215,7 +217,7 @@ def _is_fine(scaled: FloatArray, grid: FloatArray) -> bool:
     )  # the error of lines of half the length is a quarter
 
 
-def _between_rows(model: "ModelCore", known: _ListedRows, inputs: Inputs | None) -> _Found | None:
+def _between_rows(model: "ModelCore", known: _ListedRows, inputs: Inputs | None) -> _SimulatedPieces | None:
     """Integrate the model from each listed row to the next; a piece ends if the integration misses the next row.
 
     Return None if the rows do not list all states, for example for equations of second order.

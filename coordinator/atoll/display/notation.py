@@ -94,12 +94,12 @@ def _mathml_parts(lhs: str, variable: str, expression: str, names: Sequence[str]
 
 
 def _cells(constant: "Parameter") -> tuple[str, ...]:
-    between = "?" if constant.interval is None else _between(constant.value, *constant.interval)
+    between = "?" if constant.interval is None else _interval_text(constant.value, *constant.interval)
     error = "?" if constant.stderr is None else f"{constant.stderr:.2g}"
     return constant.name, f"{constant.value:.6g}{unit_text(constant.unit)}", error, between, constant.variable
 
 
-def _between(value: float, low: float, high: float) -> str:
+def _interval_text(value: float, low: float, high: float) -> str:
     """Return ``± half`` if `value` is the middle of the interval, otherwise ``low to high``, as at a bound."""
     half = 0.5 * (high - low)
     if abs(0.5 * (low + high) - value) > 0.05 * half:  # a larger difference than two digits show

@@ -36,9 +36,9 @@ _LONGEST: Final = 10.0
 """Largest Δ description length of a candidate that is fitted again."""
 _FIRST_SHARE: Final = 0.1
 """Initial value of a constant in a denominator, divided by the mean of the other part of the denominator."""
-_SAME: Final = 1e-3
+_EQUAL_MISFIT: Final = 1e-3
 """Largest difference of misfits, in nats, between two forms of the same function."""
-_WANTED: Final = ("shown", "given")
+_ALWAYS_KEPT: Final = ("shown", "given")
 """Origins of systems that are always kept, even with a bad fit."""
 
 
@@ -58,25 +58,25 @@ class WeightedSystem:
 
 
 def alternatives_of(
-    result: Result, shown: FittedEquations, given: Sequence[Mapping[str, str]]
+    result: Result, displayed: FittedEquations, given: Sequence[Mapping[str, str]]
 ) -> tuple[WeightedSystem, ...]:
-    """Return the displayed system `shown` and the systems that fit about as well, the best first.
+    """Return the `displayed` system and the systems that fit about as well, the best first.
 
-    Candidates of the result replace one or two equations of `shown`. The systems `given` by the user are right-hand
+    Candidates of the result replace one or two equations of `displayed`. The systems `given` by the user are right-hand
     sides by state. Raises UsageError for a state without an equation, and for a system that cannot be parsed or
     simulated.
     """
-    measured = shown.measured
-    fits: list[tuple[FittedEquations, str]] = [(shown, "shown")]
+    measured = displayed.measured
+    fits: list[tuple[FittedEquations, str]] = [(displayed, "shown")]
     for texts in given:
-        equations = _given(shown.equations, texts)
+        equations = _replace_equations(displayed.equations, texts)
         fitted = fit_equations(measured, equations)
         if fitted is None:
             named = ", ".join(texts.values())
             raise UsageError(f"the alternative model {named} cannot be simulated along the data; give another one")
         fits.append((fitted, "given"))
-    for equations, origin in _systems(result, measured, shown.equations):
-        fitted = fit_equations(measured, equations, shown.fit.starts)
+    for equations, origin in _systems(result, measured, displayed.equations):
+        fitted = fit_equations(measured, equations, displayed.fit.starts)
         if fitted is not None and not ("denominator" in origin and _has_pole(fitted)):
             fits.append((fitted, origin))
     return _weigh(fits)
@@ -86,11 +86,11 @@ def _weigh(fits: Sequence[tuple[FittedEquations, str]]) -> tuple[WeightedSystem,
     lengths = [_half_akaike(fitted) for fitted, _ in fits]
     least = min(lengths)
     kept: list[tuple[float, FittedEquations, str]] = []
-    ordered = sorted(zip(lengths, fits, strict=True), key=lambda entry: (entry[1][1] not in _WANTED, entry[0]))
+    ordered = sorted(zip(lengths, fits, strict=True), key=lambda entry: (entry[1][1] not in _ALWAYS_KEPT, entry[0]))
     for nats, (fitted, origin) in ordered:
         is_plausible = nats - least <= -math.log(_LEAST_WEIGHT) and len(kept) < MOST_SYSTEMS
-        is_new = all(abs(fitted.misfit - other.misfit) > _SAME for _, other, _ in kept)
-        if origin in _WANTED or (is_plausible and is_new):
+        is_new = all(abs(fitted.misfit - other.misfit) > _EQUAL_MISFIT for _, other, _ in kept)
+        if origin in _ALWAYS_KEPT or (is_plausible and is_new):
             kept.append((nats, fitted, origin))
     kept.sort(key=lambda rival: rival[0])
     weights = np.exp([least - nats for nats, *_ in kept])
@@ -123,37 +123,39 @@ def _half_akaike(fitted: FittedEquations) -> float:
     return half_akaike(fitted.misfit, count, float(fitted.measured.independent.sum()))
 
 
-def _given(shown: EquationSet, texts: Mapping[str, str]) -> EquationSet:
+def _replace_equations(displayed: EquationSet, texts: Mapping[str, str]) -> EquationSet:
     for name, text in texts.items():
-        if name not in shown.variables:
-            known = f"the model has equations of {', '.join(shown.variables)}"
+        if name not in displayed.variables:
+            known = f"the model has equations of {', '.join(displayed.variables)}"
             raise UsageError(f"an alternative model has an equation of '{name}', but {known}")
-        place = shown.variables.index(name)
-        shown = replace(shown, fixed=shown.fixed - {place}).exchanged(place, from_infix(text, shown.names))
-    return shown
+        place = displayed.variables.index(name)
+        displayed = replace(displayed, fixed=displayed.fixed - {place}).with_equation(
+            place, from_infix(text, displayed.names)
+        )
+    return displayed
 
 
-def _systems(result: Result, measured: FitData, shown: EquationSet) -> Iterator[tuple[EquationSet, str]]:
+def _systems(result: Result, measured: FitData, displayed: EquationSet) -> Iterator[tuple[EquationSet, str]]:
     """Yield systems in which one or two of the displayed equations are replaced."""
     options: list[tuple[int, Program, str]] = []
     for place, entry in enumerate(result.equations):
-        if place in shown.fixed:
+        if place in displayed.fixed:
             continue
         others = sorted(
             (candidate.nats, candidate.expression)
             for candidate in entry.candidates
             if not candidate.selected and candidate.nats is not None and candidate.nats <= _LONGEST
         )
-        options += [(place, from_infix(text, shown.names), "candidate") for _, text in others[:_PER_EQUATION]]
+        options += [(place, from_infix(text, displayed.names), "candidate") for _, text in others[:_PER_EQUATION]]
         options += [
-            (place, program, "denominator") for program in without_poles(shown.programs[place], shown, measured)
+            (place, program, "denominator") for program in without_poles(displayed.programs[place], displayed, measured)
         ]
     for place, program, origin in options:
-        yield shown.exchanged(place, program), origin
+        yield displayed.with_equation(place, program), origin
     pairs = (pair for pair in combinations(options, 2) if pair[0][0] != pair[1][0])
     for (place, first, origin), (other, second, other_origin) in islice(pairs, max(_MOST_FITTED - len(options), 0)):
         origins = " and ".join(sorted({origin, other_origin}))
-        yield shown.exchanged(place, first).exchanged(other, second), origins
+        yield displayed.with_equation(place, first).with_equation(other, second), origins
 
 
 def without_poles(program: Program, equations: EquationSet, measured: FitData) -> Iterator[Program]:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from atoll.experiments.alternatives import half_akaike, weigh_pair
-from atoll.experiments.fits import FittedEquations, equations_of, fit_equations, fit_shown, measured_of
+from atoll.experiments.fits import FittedEquations, equations_of, fit_displayed, fit_equations, measured_of
 from atoll.experiments.suggestion import equations_text, which_of_two
 from atoll.model.core import ModelCore
 from atoll.model.equations import Parameter
@@ -45,11 +45,12 @@ class ComparedModel:
 
 
 @dataclass(frozen=True)
-class OnData:
+class DataComparison:
     """The fits of both models to the same data; `source` names the data.
 
     `nats` is the logarithm of the odds for A, from the fits alone. `longer` is the description length of B minus the
-    description length of A in nats, which includes the lengths of the equations; it is None for equations without time.
+    description length of A in nats. Description lengths include the lengths of the equations; they are not known for
+    equations without time, and `longer` is then None.
     """
 
     source: str
@@ -82,7 +83,7 @@ class Comparison:
     names: tuple[str, str]
     equations: tuple[Mapping[str, str], Mapping[str, str]]
     forms: Mapping[str, str]
-    data: tuple[OnData, ...]
+    data: tuple[DataComparison, ...]
 
     def __str__(self) -> str:
         each = zip(_NAMES, self.names, self.equations, strict=True)
@@ -143,13 +144,13 @@ def compare(
     if table is None and digests[0] != digests[1]:
         swapped = on(second, first, "B", table)
         swapped_length = None if swapped.longer is None else -swapped.longer
-        data.append(OnData(swapped.source, (swapped.sides[1], swapped.sides[0]), -swapped.nats, swapped_length))
-    shown = tuple({equation.lhs: equation.expression for equation in model.equations} for model in models)
-    return Comparison(names, (shown[0], shown[1]), _forms(*models), tuple(data))
+        data.append(DataComparison(swapped.source, (swapped.sides[1], swapped.sides[0]), -swapped.nats, swapped_length))
+    displayed = tuple({equation.lhs: equation.expression for equation in model.equations} for model in models)
+    return Comparison(names, (displayed[0], displayed[1]), _forms(*models), tuple(data))
 
 
 def _forms(first: ModelCore, second: ModelCore) -> dict[str, str]:
-    """Return for each equation whether both models have the same form, and the difference of its constants."""
+    """Return for each equation whether both models have the same form, and how much its constants differ."""
     others = {equation.lhs: equation for equation in second.equations}
     forms = {}
     for equation in first.equations:
@@ -190,23 +191,23 @@ def most_errors(count: int) -> float:
     return float(ndtri(0.5 + 0.5 * _LEVEL ** (1.0 / max(count, 1))))
 
 
-def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
+def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> DataComparison:
     _require_columns(holder, other)
-    shown = fit_shown(measured_of(holder, table), holder)
+    displayed = fit_displayed(measured_of(holder, table), holder)
     texts = {equation.variable: equation.expression or "" for equation in other.equations}
     equations = equations_of(holder)
     for place, (variable, entry) in enumerate(zip(equations.variables, holder.equations, strict=True)):
         program = from_infix(texts[variable], equations.names)
         if program != from_infix(entry.expression or "", equations.names):
-            equations = equations.exchanged(place, program)
-    fitted = fit_equations(shown.measured, equations, shown.fit.starts)
+            equations = equations.with_equation(place, program)
+    fitted = fit_equations(displayed.measured, equations, displayed.fit.starts)
     if fitted is None:
         raise UsageError(
             "one model cannot be simulated along the data of the other model; compare them on different data"
         )
-    nats, longer = weigh_pair(shown, fitted)
-    source = shown.measured.source.replace("the result", letter)
-    return OnData(source, (_side(holder, shown), _side(holder, fitted)), nats, longer)
+    nats, longer = weigh_pair(displayed, fitted)
+    source = displayed.measured.source.replace("the result", letter)
+    return DataComparison(source, (_side(holder, displayed), _side(holder, fitted)), nats, longer)
 
 
 def _require_columns(holder: Result, other: Result) -> None:
@@ -230,7 +231,7 @@ def _side(result: Result, fitted: FittedEquations) -> ComparedModel:
     return ComparedModel(fitted.texts(result), len(fitted.values), residuals)
 
 
-def _regressions(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
+def _regressions(holder: Result, other: Result, letter: str, table: Table | None) -> DataComparison:
     """Compare two equations y = f(X) over the rows listed in a result, without fitting constants again."""
     rows = holder.regression
     if table is not None:
@@ -255,4 +256,4 @@ def _regressions(holder: Result, other: Result, letter: str, table: Table | None
         misfit = 0.5 * count * math.log(max(square, 1e-24 * spread**2)) if math.isfinite(square) else math.inf
         lengths.append(half_akaike(misfit, len(model.params), count))
     nats = lengths[1] - lengths[0] if math.isfinite(lengths[0]) or math.isfinite(lengths[1]) else 0.0
-    return OnData(f"{len(target)} of {count:.0f} rows of {letter}", (sides[0], sides[1]), nats, None)
+    return DataComparison(f"{len(target)} of {count:.0f} rows of {letter}", (sides[0], sides[1]), nats, None)

@@ -126,7 +126,7 @@ class DesignPredictor:
 def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
     """Return eigenvalues (n,), at least `least`, and eigenvectors (n, n) of a symmetric matrix (n, n).
 
-    An inverse would not do: information about constants can span too many orders of magnitude.
+    An inverse is not accurate enough, because information about constants can span many orders of magnitude.
     """
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return np.maximum(values, least), np.asarray(vectors)
@@ -164,7 +164,7 @@ FARTHEST: Final = 500.0
 is negligible, and larger distances occur only far outside of the data."""
 
 
-def needed(lengths: Sequence[float]) -> FloatArray:
+def useful_evidence(lengths: Sequence[float]) -> FloatArray:
     """Return the useful evidence (C, C), in nats, for candidate i against j, from the C description lengths so far.
 
     This evidence makes the description of i distinctly shorter than the description of j. Two standard deviations are
@@ -256,7 +256,7 @@ def with_trajectory(measurements: Measurements, design: Design, values: FloatArr
     inputs, slopes = design.courses()
     ones = np.ones_like(values)
 
-    def joined(left: FloatArray, right: FloatArray) -> FloatArray:
+    def join(left: FloatArray, right: FloatArray) -> FloatArray:
         return np.ascontiguousarray(np.concatenate([left, right], axis=1))
 
     inverse, resting = measurements.inverse_variances, measurements.resting
@@ -265,13 +265,13 @@ def with_trajectory(measurements: Measurements, design: Design, values: FloatArr
         bounds=np.concatenate([measurements.bounds, [[count, count + rows]]]),
         owners=np.append(measurements.owners, len(measurements.names)),
         times=np.concatenate([measurements.times, design.times]),
-        measured=joined(measurements.measured, values),
-        weights=joined(measurements.weights, ones),
-        smoothed=joined(measurements.smoothed, states),
-        inputs=joined(measurements.inputs, inputs),
-        input_slopes=joined(measurements.input_slopes, slopes),
+        measured=join(measurements.measured, values),
+        weights=join(measurements.weights, ones),
+        smoothed=join(measurements.smoothed, states),
+        inputs=join(measurements.inputs, inputs),
+        input_slopes=join(measurements.input_slopes, slopes),
         names=(*measurements.names, "experiment"),
-        inverse_variances=None if inverse is None else joined(inverse, ones),
+        inverse_variances=None if inverse is None else join(inverse, ones),
         resting=None if resting is None else np.concatenate([resting, ones == 0.0], axis=1),
     )
 
@@ -304,7 +304,7 @@ _CORNER: Final = 0.02
 _SHORTER: Final = (1.0, 0.5, 0.25, 0.125)
 """Tried shares of the largest duration or number of samples, if the duration or the samples have a cost."""
 _FEWEST_SAMPLES: Final = 8
-_APART: Final = 0.25
+_SMALLEST_DIFFERENCE: Final = 0.25
 """Smallest difference between two suggestions, in widths of the bounds, in at least one number."""
 
 
@@ -412,8 +412,8 @@ class DesignSpace:
 
     def price(self, design: Design) -> float:
         """Return the cost of an experiment."""
-        lasts, samples = float(design.times[-1] - design.times[0]), float(len(design.times))
-        return {"trajectory": 1.0, "duration": lasts, "samples": samples}[self.cost]
+        duration, samples = float(design.times[-1] - design.times[0]), float(len(design.times))
+        return {"trajectory": 1.0, "duration": duration, "samples": samples}[self.cost]
 
     def around(self, point: FloatArray, step: float) -> Iterator[FloatArray]:
         """Yield the points within the bounds that differ in one number by `step` widths."""
@@ -423,10 +423,10 @@ class DesignSpace:
                 moved[index] = np.clip(moved[index] + moved_by, self.box.lower[index], self.box.upper[index])
                 yield moved
 
-    def are_apart(self, first: Design, second: Design) -> bool:
+    def are_distinct(self, first: Design, second: Design) -> bool:
         """Tell whether two experiments differ in at least one number by a quarter of the width of its bounds."""
-        apart = np.abs(self.point(first) - self.point(second)) / np.maximum(self.box.widths, 1e-300)
-        return bool(apart.max() >= _APART)
+        differences = np.abs(self.point(first) - self.point(second)) / np.maximum(self.box.widths, 1e-300)
+        return bool(differences.max() >= _SMALLEST_DIFFERENCE)
 
 
 def space_of(result: Result, measured: FitData, request: DesignRequest) -> DesignSpace:
@@ -451,8 +451,8 @@ def space_of(result: Result, measured: FitData, request: DesignRequest) -> Desig
     box = Box(lower, upper)
     begin = float(np.median(measurements.inputs[clock[0]][measurements.bounds[:, 0]])) if clock else 0.0
     whole = [measurements.times[measurements.owners_of_rows == owner] for owner in np.unique(measurements.owners)]
-    lasted = float(np.median([times[-1] - times[0] for times in whole]))
+    median_duration = float(np.median([times[-1] - times[0] for times in whole]))
     rows = float(np.median([len(times) for times in whole])) * measured.rows / measurements.rows
     samples = request.samples or min(max(round(rows), 2), MOST_SAMPLES)
-    lasts = request.duration or lasted
-    return DesignSpace(states, inputs, clock, box, begin, lasts, samples, request.cost, measured_box)
+    duration = request.duration or median_duration
+    return DesignSpace(states, inputs, clock, box, begin, duration, samples, request.cost, measured_box)

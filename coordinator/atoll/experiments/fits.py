@@ -1,9 +1,9 @@
 """Fit the equations of a result again, with all constants free, to its trajectories or to data files.
 
-A result lists at most some of its measured rows, so fits use the listed rows and count all rows. The measurement errors
-are estimated from the residuals of the first fit and are constant in all later fits; deviances of later fits are
-therefore comparable. Equations are fitted to whole trajectories; if the residuals exceed the noise, they are fitted to
-shorter pieces. A coefficient of 1 that the text does not show is a free constant too.
+A result may list only some of its measured rows. Fits use the listed rows, and errors take all rows into account. The
+measurement errors are estimated from the residuals of the first fit and are constant in all later fits. Therefore the
+deviances of later fits are comparable. Equations are fitted to whole trajectories. If the residuals exceed the noise,
+they are fitted to shorter pieces. A coefficient of 1 that the text does not show is a free constant too.
 
 Doubtful: pieces hide errors that grow over long times. Correlated errors enter only as a smaller number of independent
 rows.
@@ -71,13 +71,13 @@ class FitData:
         """The largest number of rows that are simulated from one initial state."""
         return int(np.diff(self.measurements.bounds, axis=1).max())
 
-    def shortened(self, piece: int) -> "FitData":
+    def with_piece(self, piece: int) -> "FitData":
         """Return the same trajectories, with at most `piece` rows simulated from one initial state."""
         return replace(self, measurements=measurements_of(self.recording, self.modelled, piece=piece))
 
 
 def measured_of(result: Result, table: Table | None = None) -> FitData:
-    """Return the measurements of a result, or those in a table, which is read with the settings of the job.
+    """Return the measurements of a result, or the measurements in `table`, which is read with the settings of the job.
 
     Raises:
         UsageError: the states were not measured over time, or the result has no measurements.
@@ -214,7 +214,7 @@ def _prepare_recording(result: Result, table: Table) -> Recording:
         config = config.model_copy(update={"data": settings})
     recording = prepare(table, config).recording
     if recording is None or set(recording.states) != set(result.columns.states):
-        raise UsageError(f"the data do not have the states {', '.join(result.columns.states)} measured in time")
+        raise UsageError(f"the data must have measurements of {', '.join(result.columns.states)} over time")
     return recording if group is None or column is not None else _trajectory_of_group(recording, group)
 
 
@@ -304,7 +304,7 @@ class EquationSet:
             for place, program in enumerate(self.programs)
         )
 
-    def exchanged(self, place: int, program: Program) -> "EquationSet":
+    def with_equation(self, place: int, program: Program) -> "EquationSet":
         """Return the same set with another equation at index `place`, which has no bounds."""
         bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
         programs = (*self.programs[:place], program, *self.programs[place + 1 :])
@@ -356,8 +356,8 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
         program = equations.programs[place]
         values = program.constants[constant_places(program)].tolist()
         text = from_infix(result.equations[place].expression or "", equations.names)
-        shown = text.constants[constant_places(text)].tolist()
-        numbers = match_constants(values, shown)
+        displayed = text.constants[constant_places(text)].tolist()
+        numbers = match_constants(values, displayed)
         terms = iter(explicit.terms)
         for origin in explicit.origins if place not in equations.fixed else ():
             if origin is None:
@@ -366,9 +366,9 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
                 continue
             number = numbers[origin]
             name = f"c{taken + number + 1}" if number is not None else f"{values[origin]:.4g} (d{variable})"
-            sign = 1.0 if number is None or values[origin] * shown[number] >= 0.0 else -1.0
+            sign = 1.0 if number is None or values[origin] * displayed[number] >= 0.0 else -1.0
             constants.append(FreeConstant(name, variable, sign, True))
-        taken += len(shown)
+        taken += len(displayed)
     return tuple(constants)
 
 
@@ -428,7 +428,7 @@ def fit_equations(
     return _fit(measured, equations, starts) or _fit(measured, written, starts)
 
 
-def fit_shown(measured: FitData, result: Result) -> FittedEquations:
+def fit_displayed(measured: FitData, result: Result) -> FittedEquations:
     """Fit the equations of a result again; raises AtollError if they cannot be simulated.
 
     If the residuals of whole trajectories exceed the noise, the equations are fitted to shorter pieces.
@@ -440,7 +440,7 @@ def fit_shown(measured: FitData, result: Result) -> FittedEquations:
     for rows in (None, *reversed(SETTINGS.shooting.lengths[1:])):
         if rows is not None and 2 * rows > measured.longest:
             continue
-        data = measured if rows is None else measured.shortened(rows)
+        data = measured if rows is None else measured.with_piece(rows)
         fitted = fit_equations(data, equations, starts_of(result, data))
         if fitted is not None and np.all(fitted.errors.sigmas <= most):
             return fitted

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from atoll.experiments.fits import FittedEquations, FreeConstant, constants_of, equations_of, fit_shown, measured_of
+from atoll.experiments.fits import FittedEquations, FreeConstant, constants_of, equations_of, fit_displayed, measured_of
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, covariance
@@ -153,7 +153,7 @@ class Identifiability:
         return frame_of(columns | ends, library)
 
     def as_dict(self) -> dict[str, object]:
-        """Return it as plain data, as ``coordinator identify --json`` prints it; null stands for infinite."""
+        """Return the identifiability as plain data; null stands for an infinite number."""
         names = [constant.name for constant in self.constants]
         constants = []
         for constant in self.constants:
@@ -188,7 +188,7 @@ _HALVINGS: Final = 5
 _SECANTS: Final = 4
 _REFINEMENTS: Final = 14
 """Largest number of fits to locate an end of an interval: first by secants, then by bisection."""
-_CLOSE: Final = 1e-3
+_END_ERROR: Final = 1e-3
 """Relative error of the root of the deviance at an end of an interval."""
 FLAT: Final = 0.01
 """Smallest deviance of a visible change: a tenth of a standard error, squared."""
@@ -275,7 +275,7 @@ class _ProfileSide:
                 return points[1:], points[-1].value, True
             points.append(point)
             if point.root >= self._quantile:
-                inside, end = self._crossing(points)
+                inside, end = self._locate_end(points)
                 return [*points[1:-1], *inside, point], end, False
             if abs(point.value - start.value) >= FARTHEST * self._size:
                 break
@@ -296,7 +296,7 @@ class _ProfileSide:
         lower, upper, last = self._lower.copy(), self._upper.copy(), points[-1].fit
         lower[self._index] = upper[self._index] = value
         held = replace(self._fitted.fit.system, lower=lower, upper=upper)
-        for constants, starts in (self._extrapolated(points, value), (last.system.values, last.starts)):
+        for constants, starts in (self._extrapolate(points, value), (last.system.values, last.starts)):
             fit = self._fitted.refit(held.with_values(constants), starts)
             if fit is not None:
                 deviance = self._fitted.deviance(fit)
@@ -304,7 +304,7 @@ class _ProfileSide:
                 return _ProfilePoint(value, root, fit)
         return None
 
-    def _extrapolated(self, points: list[_ProfilePoint], value: float) -> tuple[FloatArray, FloatArray]:
+    def _extrapolate(self, points: list[_ProfilePoint], value: float) -> tuple[FloatArray, FloatArray]:
         """Return constants (P,) and initial states (G, D), extrapolated linearly from the last two points."""
         last = points[-1]
         constants, starts = last.fit.system.values, last.fit.starts
@@ -318,7 +318,7 @@ class _ProfileSide:
         moved = constants + share * (constants - before.fit.system.values)
         return moved, starts + share * (starts - before.fit.starts)
 
-    def _crossing(self, points: list[_ProfilePoint]) -> tuple[list[_ProfilePoint], float]:
+    def _locate_end(self, points: list[_ProfilePoint]) -> tuple[list[_ProfilePoint], float]:
         """Return further points between the last two, and the value where the root of the deviance is the quantile."""
         *before, inside, outside = points
         points_between = list[_ProfilePoint]()
@@ -326,7 +326,7 @@ class _ProfileSide:
         for number in range(_REFINEMENTS):
             share = near / (near - far) if number < _SECANTS else 0.5
             value = inside.value + share * (outside.value - inside.value)
-            if min(abs(near), abs(far)) <= _CLOSE * self._quantile:
+            if min(abs(near), abs(far)) <= _END_ERROR * self._quantile:
                 break
             middle = self._point([*before, inside], value)
             if middle is None or middle.root > self._quantile:
@@ -345,9 +345,9 @@ class _ProfileSide:
 SLOPPY: Final = 1.0
 """Half width of an interval along a direction, relative to the constants, from which the direction is not determined:
 the constants could be twice as large, or 0."""
-_PART: Final = 0.1
+_SMALLEST_COMPONENT: Final = 0.1
 """Smallest component of a constant that belongs to a direction, as a share of the largest component."""
-_LEFT: Final = 0.1
+_LARGEST_CHANGE: Final = 0.1
 """Largest change of a determined relation along a profile, as a share of the change of its terms."""
 _LARGEST_POWER: Final = 3
 _LEAST_CURVATURE: Final = 1e-11
@@ -368,14 +368,14 @@ def directions(fitted: FittedEquations, profiles: Sequence[ConstantProfile], nam
     for value, vector in zip(values.tolist(), vectors.T, strict=True):
         error = 1.0 / math.sqrt(value) if value > _LEAST_CURVATURE * values[-1] else math.inf
         is_sloppy = quantile * error >= SLOPPY
-        words = _words(vector, profiles, names, signs, quantile) if is_sloppy else ""
+        words = _describe(vector, profiles, names, signs, quantile) if is_sloppy else ""
         eigendirections.append(Direction(error, vector * np.sign(vector[np.argmax(np.abs(vector))]), is_sloppy, words))
     return tuple(eigendirections)
 
 
-def _words(vector: FloatArray, profiles: Sequence[ConstantProfile], names: Sequence[str], signs: FloatArray,
+def _describe(vector: FloatArray, profiles: Sequence[ConstantProfile], names: Sequence[str], signs: FloatArray,
            quantile: float) -> str:  # fmt: skip
-    part: list[int] = np.flatnonzero(np.abs(vector) >= _PART * np.abs(vector).max()).tolist()
+    part: list[int] = np.flatnonzero(np.abs(vector) >= _SMALLEST_COMPONENT * np.abs(vector).max()).tolist()
     is_open = any(any(profiles[index].is_open) for index in part)
     if len(part) == 1:
         return f"{names[part[0]]} is not determined" if is_open else ""
@@ -398,9 +398,9 @@ def relation_of(path: FloatArray, names: tuple[str, str]) -> str | None:
     is constant, because along a short path every relation is nearly such a sum.
     """
     product, total = _product(path, names), _sum(path, names)
-    if total.change <= min(_LEFT, product.change) and (total.is_plain or product.change > _LEFT):
+    if total.change <= min(_LARGEST_CHANGE, product.change) and (total.is_plain or product.change > _LARGEST_CHANGE):
         return total.text
-    return product.text if product.change <= _LEFT else None
+    return product.text if product.change <= _LARGEST_CHANGE else None
 
 
 @dataclass(frozen=True)
@@ -461,7 +461,7 @@ def _power(name: str, power: int) -> str:
 MOST_CONSTANTS: Final = 60
 """Largest number of profiled constants; more would take minutes."""
 _RESTARTS: Final = 2
-_BETTER: Final = 0.01
+_IMPROVEMENT: Final = 0.01
 """Smallest decrease in deviance of a better fit that a profile has found."""
 
 _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
@@ -489,7 +489,7 @@ def identify(
     measured, equations = measured_of(result, table), equations_of(result)
     if not constants_of(equations, result):
         raise UsageError("the model has no fitted constants, so there is nothing to profile")
-    fitted = fit_shown(measured, result)
+    fitted = fit_displayed(measured, result)
     constants = constants_of(fitted.equations, result)
     count = len(constants)
     if count > MOST_CONSTANTS:
@@ -523,7 +523,7 @@ def _reading_order(constant: FreeConstant, fitted: FittedEquations) -> tuple[int
 
 
 @dataclass(frozen=True)
-class _Parts:
+class _ProfilerParts:
     """The form in which a `_Profiler` is sent to workers: its result as JSON, and its table as bytes."""
 
     result: str
@@ -534,7 +534,7 @@ class _Parts:
     def profiler(self) -> "_Profiler":
         result = Result.of(json.loads(self.result))
         table = None if self.table is None else Table.from_bytes(self.table)
-        profiler = _Profiler(fit_shown(measured_of(result, table), result), self.quantile, result, table)
+        profiler = _Profiler(fit_displayed(measured_of(result, table), result), self.quantile, result, table)
         for values in self.restarts:
             profiler = profiler.from_values(values) or profiler
         return profiler
@@ -564,15 +564,17 @@ class _Profiler:
             return None
         return replace(self, fitted=replace(self.fitted, fit=fit), restarts=(*self.restarts, values))
 
-    def parts(self) -> _Parts:
+    def parts(self) -> _ProfilerParts:
         table = None if self.table is None else self.table.to_bytes()
-        return _Parts(self.result.to_json(), table, self.quantile, self.restarts)
+        return _ProfilerParts(self.result.to_json(), table, self.quantile, self.restarts)
 
     def itself(self) -> "_Profiler":
         return self
 
 
-_PROFILE: Final = BatchFunction("profile", _Parts, int, ConstantProfile, _Profiler.profile, _Parts.profiler)
+_PROFILE: Final = BatchFunction(
+    "profile", _ProfilerParts, int, ConstantProfile, _Profiler.profile, _ProfilerParts.profiler
+)
 
 
 def _profile_all(profiler: _Profiler, count: int, spread: Spread) -> tuple[FittedEquations, list[ConstantProfile]]:
@@ -581,7 +583,7 @@ def _profile_all(profiler: _Profiler, count: int, spread: Spread) -> tuple[Fitte
         mapped = spread.map(_PROFILE, profiler.itself, range(count), parts=profiler.parts)
         profiles = [likelihood for likelihood in mapped if likelihood is not None]
         lowest = min(profiles, key=lambda likelihood: float(likelihood.deviances.min()))
-        if lowest.deviances.min() > -_BETTER:
+        if lowest.deviances.min() > -_IMPROVEMENT:
             break
         better = profiler.from_values(lowest.path[int(np.argmin(lowest.deviances))])
         if better is None:

@@ -33,11 +33,11 @@ from atoll.experiments.designs import (
     distance_after,
     distances_of,
     expected_gain,
-    needed,
     precision,
     space_of,
+    useful_evidence,
 )
-from atoll.experiments.fits import FittedEquations, constants_of, fit_shown, measured_of
+from atoll.experiments.fits import FittedEquations, constants_of, fit_displayed, measured_of
 from atoll.model.equations import outside_sentence
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.result.result import Result
@@ -65,10 +65,10 @@ Kass and Raftery (1995, doi 10.1080/01621459.1995.10476572) call odds below 3 "n
 odds of 20 or more strong.
 """
 _MOST_ODDS: Final = 1e6
-_SUREST: Final = 0.999
-_NOTHING: Final = 0.01
+_LARGEST_CERTAINTY: Final = 0.999
+_NEGLIGIBLE_NATS: Final = 0.01
 """Smallest difference in nats that is not negligible."""
-_SURE: Final = 0.95
+_CERTAIN: Final = 0.95
 """Smallest probability with which an experiment distinguishes two candidates."""
 _WEIGHTS: Final = "weights use only the fit to the data (Akaike); the result also counts the lengths of the equations"
 _IMPROVED: Final = 6
@@ -77,7 +77,7 @@ _ROUNDS: Final = (0.1, 0.1, 0.03, 0.03)
 """Steps of an improvement, in widths of the bounds."""
 _REFITTED: Final = 5
 """Number of candidates, with the largest weights, that are fitted to predicted outcomes of the best experiments."""
-_TOO_MANY: Final = 10
+_MOST_REPETITIONS: Final = 10
 """If this number of equal experiments would not decide between candidates, the purpose becomes precision."""
 
 
@@ -94,7 +94,7 @@ def which_of_two(first: str, second: str, nats: float) -> str:
     """
     if nats < 0.0:
         return which_of_two(second, first, -nats)
-    if nats < _NOTHING:
+    if nats < _NEGLIGIBLE_NATS:
         return f"{first} and {second} describe the data equally well."
     odds = math.exp(min(nats, 2.0 * math.log(_MOST_ODDS)))
     shares = "" if odds >= 100.0 else f" ({100.0 * odds / (1.0 + odds):.0f} to {100.0 / (1.0 + odds):.0f} %)"
@@ -111,8 +111,8 @@ def which_of_two(first: str, second: str, nats: float) -> str:
 
 def certainty_text_of(certainty: float) -> str:
     """Return the text of a lower bound of a probability; it is never rounded up."""
-    if certainty >= _SUREST:
-        return f"more than {100.0 * _SUREST:.1f} %"
+    if certainty >= _LARGEST_CERTAINTY:
+        return f"more than {100.0 * _LARGEST_CERTAINTY:.1f} %"
     return f"at least {math.floor(100.0 * certainty):.0f} %"
 
 
@@ -181,14 +181,15 @@ class Suggestion:
             return ""
         if len(self.certainties) == 1:
             return f"decides between the two with {certainty_text_of(self.certainties[0])} certainty"
-        apart = [place for place, sure in enumerate(self.certainties, start=2) if sure >= _SURE]
-        rest = [place for place, sure in enumerate(self.certainties, start=2) if sure < _SURE]
+        distinguished = [place for place, sure in enumerate(self.certainties, start=2) if sure >= _CERTAIN]
+        rest = [place for place, sure in enumerate(self.certainties, start=2) if sure < _CERTAIN]
         parts = []
-        if apart:
-            least = min(self.certainties[place - 2] for place in apart)
-            each = " each" if len(apart) > 1 else ""
+        if distinguished:
+            least = min(self.certainties[place - 2] for place in distinguished)
+            each = " each" if len(distinguished) > 1 else ""
             parts.append(
-                f"distinguishes 1 from {enumerated([*map(str, apart)])} with {certainty_text_of(least)} certainty{each}"
+                f"distinguishes 1 from {enumerated([*map(str, distinguished)])} "
+                f"with {certainty_text_of(least)} certainty{each}"
             )
         if rest:
             parts.append(f"may not distinguish 1 from {enumerated([*map(str, rest)])}")
@@ -328,17 +329,17 @@ def suggest(result: Result, request: DesignRequest, table: Table | None = None) 
             within the bounds, or there is only one candidate and it has no constants.
     """
     request.check()
-    shown = fit_shown(measured_of(result, table), result)
-    space = space_of(result, shown.measured, request)
+    displayed = fit_displayed(measured_of(result, table), result)
+    space = space_of(result, displayed.measured, request)
     # users may call an equation x, dx, or dx/dt as in the result
     sides = {equation.lhs: equation.variable for equation in result.equations}
     sides |= {side.partition("/")[0]: name for side, name in sides.items()}
     given = [{sides.get(side, side): text for side, text in rival.items()} for rival in request.rivals]
-    return _Suggester(result, request, space, shown, alternatives_of(result, shown, given)).suggestions()
+    return _Suggester(result, request, space, displayed, alternatives_of(result, displayed, given)).suggestions()
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
+class _EvaluatedDesign:
     """An experiment with its expected gain; `worth` ranks it by worth, then information, then evidence, per cost."""
 
     design: Design
@@ -358,33 +359,33 @@ class _DesignSearch:
 
     space: DesignSpace
     value: Callable[[Design], Gain]
-    examined: Callable[[_Tried], _Tried] = lambda tried: tried
+    examined: Callable[[_EvaluatedDesign], _EvaluatedDesign] = lambda tried: tried
 
-    def best(self, count: int, seed: int) -> list[_Tried]:
+    def best(self, count: int, seed: int) -> list[_EvaluatedDesign]:
         """Return up to `count` distinct experiments with a positive worth, the best first."""
         space, most = self.space, max(_IMPROVED, count)
         points = space.points(seed)
-        tried = [self._tried(space.design(point, share)) for share in space.shares for point in points]
-        improved = [self._improved(experiment) for experiment in self._apart(tried, most)]
-        finalists = self._apart([*improved, *tried], most)
-        return self._apart([self.examined(experiment) for experiment in finalists], count)
+        tried = [self._evaluate(space.design(point, share)) for share in space.shares for point in points]
+        improved = [self._improve(experiment) for experiment in self._distinct(tried, most)]
+        finalists = self._distinct([*improved, *tried], most)
+        return self._distinct([self.examined(experiment) for experiment in finalists], count)
 
-    def _tried(self, design: Design) -> _Tried:
+    def _evaluate(self, design: Design) -> _EvaluatedDesign:
         gain = self.value(design)
         is_finite = math.isfinite(gain.worth) and math.isfinite(gain.information)
-        return _Tried(design, self.space.price(design), gain if is_finite else NONE)
+        return _EvaluatedDesign(design, self.space.price(design), gain if is_finite else NONE)
 
-    def _improved(self, best: _Tried) -> _Tried:
+    def _improve(self, best: _EvaluatedDesign) -> _EvaluatedDesign:
         for step in _ROUNDS:
             for moved in self.space.around(self.space.point(best.design), step):
-                neighbour = self._tried(self.space.design(moved, self.space.share(best.design)))
+                neighbour = self._evaluate(self.space.design(moved, self.space.share(best.design)))
                 best = neighbour if neighbour.worth > best.worth else best
         return best
 
-    def _apart(self, tried: Sequence[_Tried], count: int) -> list[_Tried]:
-        kept: list[_Tried] = []
+    def _distinct(self, tried: Sequence[_EvaluatedDesign], count: int) -> list[_EvaluatedDesign]:
+        kept: list[_EvaluatedDesign] = []
         for experiment in sorted(tried, key=lambda experiment: experiment.worth, reverse=True):
-            is_other = all(self.space.are_apart(experiment.design, other.design) for other in kept)
+            is_other = all(self.space.are_distinct(experiment.design, other.design) for other in kept)
             if is_other and experiment.gain.worth > 0.0 and len(kept) < count:
                 kept.append(experiment)
         return kept
@@ -398,51 +399,53 @@ class _Suggester:
         result: Result,
         request: DesignRequest,
         space: DesignSpace,
-        shown: FittedEquations,
+        displayed: FittedEquations,
         systems: Sequence[WeightedSystem],
     ) -> None:
         self._result, self._request, self._space = result, request, space
-        self._shown, self._systems = shown, tuple(systems)
-        limits = space.limits(shown.measured.measurements.smoothed)
-        self._sigmas = shown.errors.sigmas * np.sqrt(np.maximum(shown.measured.share, 1.0))
+        self._displayed, self._systems = displayed, tuple(systems)
+        limits = space.limits(displayed.measured.measurements.smoothed)
+        self._sigmas = displayed.errors.sigmas * np.sqrt(np.maximum(displayed.measured.share, 1.0))
         self._predictors = [DesignPredictor(known.fitted, space.widths, limits, self._sigmas) for known in systems]
-        self._of_shown = DesignPredictor(shown, space.widths, limits, self._sigmas)
+        self._displayed_predictor = DesignPredictor(displayed, space.widths, limits, self._sigmas)
         self._weights = [known.weight for known in systems]
-        self._useful = needed([known.length for known in systems])
+        self._useful_evidence = useful_evidence([known.length for known in systems])
 
     def suggestions(self) -> Suggestions:
         count, seed = self._request.count, self._request.seed
-        chosen: list[_Tried] = []
+        chosen: list[_EvaluatedDesign] = []
         if len(self._systems) > 1:
-            chosen = _DesignSearch(self._space, self._discrimination, self._examined).best(count, seed)
+            chosen = _DesignSearch(self._space, self._discrimination, self._examine).best(count, seed)
         reason = self._reason(chosen)
         if reason is None:
-            return self._written("discrimination", chosen, f"{len(self._systems)} candidates differ")
-        if not len(self._shown.values):
+            return self._collect("discrimination", chosen, f"{len(self._systems)} candidates differ")
+        if not len(self._displayed.values):
             raise UsageError(f"{reason}, and the model has no constants, so an experiment gives no information")
-        constants = len(self._shown.values)
-        precise = _DesignSearch(self._space, lambda design: precision(self._of_shown.at(design), constants)[0])
+        constants = len(self._displayed.values)
+        precise = _DesignSearch(
+            self._space, lambda design: precision(self._displayed_predictor.at(design), constants)[0]
+        )
         chosen = precise.best(count, seed)
         if not chosen:
             raise UsageError("the model cannot be simulated from any initial state in the bounds; give other bounds")
-        return self._written("precision", chosen, reason)
+        return self._collect("precision", chosen, reason)
 
-    def _reason(self, chosen: Sequence[_Tried]) -> str | None:
+    def _reason(self, chosen: Sequence[_EvaluatedDesign]) -> str | None:
         """Return why experiments cannot distinguish candidates; None if they can."""
         if len(self._systems) < 2:
             return "there is only one candidate"
         if sum(weight > 0.0 for weight in self._weights) < 2:
             return f"the data already exclude all but one of {len(self._systems)} candidates"
         best = max((experiment.gain.evidence for experiment in chosen), default=0.0)
-        if best * _TOO_MANY < SETTINGS.inference.distinct_nats:
+        if best * _MOST_REPETITIONS < SETTINGS.inference.distinct_nats:
             return f"all {len(self._systems)} candidates predict the same outcomes within the bounds"
         return None
 
     def _discrimination(self, design: Design) -> Gain:
         predictions = [predictor.at(design) for predictor in self._predictors]
-        return expected_gain(distances_of(predictions, self._weights), self._weights, self._useful)
+        return expected_gain(distances_of(predictions, self._weights), self._weights, self._useful_evidence)
 
-    def _examined(self, tried: _Tried) -> _Tried:
+    def _examine(self, tried: _EvaluatedDesign) -> _EvaluatedDesign:
         """Return an experiment with a more accurate gain: the candidates with the largest weights are fitted again.
 
         Each of them is fitted to the data together with the outcome that another one predicts.
@@ -456,9 +459,9 @@ class _Suggester:
                     pair = self._systems[i].fitted, self._systems[j].fitted
                     distances[i, j] = distance_after(*pair, tried.design, predictions[i], self._sigmas)
         sure = certainties(distances, self._weights)
-        return replace(tried, gain=expected_gain(distances, self._weights, self._useful), certainties=sure)
+        return replace(tried, gain=expected_gain(distances, self._weights, self._useful_evidence), certainties=sure)
 
-    def _written(self, purpose: Purpose, chosen: Sequence[_Tried], reason: str) -> Suggestions:
+    def _collect(self, purpose: Purpose, chosen: Sequence[_EvaluatedDesign], reason: str) -> Suggestions:
         box, symbols = self._space.box, self._result.symbols
         given = {symbols.get(name, name) for name in self._request.bounds}
         ends = zip(box.lower.tolist(), box.upper.tolist(), strict=True)
@@ -471,23 +474,23 @@ class _Suggester:
             dict(zip(self._space.names, ends, strict=True)),
             tuple(name for name in self._space.names if name not in given),
             self._request.cost,
-            self._shown.measured.source,
+            self._displayed.measured.source,
         )
 
     def _candidate(self, system: WeightedSystem) -> CandidateSystem:
-        shown = self._result.equations
+        displayed = self._result.equations
         length = next(other.length for other in self._systems if other.origin == "shown")
         fitted, written = system.fitted.texts(self._result), {}
         if system.origin == "shown":
             names = system.fitted.equations.names
             written = {
                 equation.lhs: to_infix(from_infix(equation.expression or "", names), names, digits=4)
-                for equation in shown
+                for equation in displayed
             }
         others = {} if written == fitted else written
         return CandidateSystem(fitted, system.origin, system.weight, system.nats, system.length - length, others)
 
-    def _suggestion(self, tried: _Tried, *, is_precise: bool) -> Suggestion:
+    def _suggestion(self, tried: _EvaluatedDesign, *, is_precise: bool) -> Suggestion:
         space, design = self._space, tried.design
         initial = dict(zip(space.states, design.initial.tolist(), strict=True))
         inputs = {space.inputs[index]: float(design.inputs[index]) for index in space.free}
@@ -507,10 +510,10 @@ class _Suggester:
 
     def _worst(self, design: Design) -> tuple[str, float, float]:
         """Return the constant with the largest relative error, and this error before and after an experiment."""
-        root = self._of_shown.root
-        before, after = root @ root.T, root @ precision(self._of_shown.at(design), len(root))[1] @ root.T
-        sizes = np.maximum(np.abs(self._shown.values), 1e-300)
+        root = self._displayed_predictor.root
+        before, after = root @ root.T, root @ precision(self._displayed_predictor.at(design), len(root))[1] @ root.T
+        sizes = np.maximum(np.abs(self._displayed.values), 1e-300)
         errors = [np.sqrt(np.maximum(np.diag(covariance), 0.0)) / sizes for covariance in (before, after)]
         index = int(np.argmax(errors[0]))
-        name = constants_of(self._shown.equations, self._result)[index].name
+        name = constants_of(self._displayed.equations, self._result)[index].name
         return name, float(errors[0][index]), float(errors[1][index])

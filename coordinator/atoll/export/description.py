@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from atoll.model.arguments import Given, inputs_along, recorded_inputs, require_inputs, start_of, times_of
 from atoll.model.equations import Parameter
-from atoll.model.simulation import followed_sizes
+from atoll.model.simulation import state_sizes
 from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_core import VERSION
 from atoll_core.data.dataset import FloatArray
@@ -141,7 +141,8 @@ def describe(
     times = np.zeros(1) if model.is_regression else times_of(model, t)
     recorded = {} if model.is_regression or x0 is not None else recorded_inputs(model)
     inputs = tuple(
-        _input(model, name, given, times, recorded.get(name), has_tables=not without_tables) for name in model.inputs
+        _exported_input(model, name, given, times, recorded.get(name), has_tables=not without_tables)
+        for name in model.inputs
     )
     states: tuple[ExportedState, ...] = ()
     if not model.is_regression:
@@ -150,7 +151,7 @@ def describe(
         if not components:  # sizes as in simulations, with unknown inputs set to 0
             zeros = {variable.name: 0.0 for variable in inputs if variable.status == "unknown"}
             course = inputs_along(model, {**zeros, **given}, times, recorded)
-            sizes = followed_sizes(model.field, start, times, course, _MOST_EVALUATIONS)
+            sizes = state_sizes(model.field, start, times, course, _MOST_EVALUATIONS)
         states = _states(model, formulas, start, sizes)
     return Description(
         symbols=model.result.names,
@@ -208,7 +209,7 @@ def _unit(model: "ModelCore", symbol: str) -> str:
     return model.result.units.get(model.result.columns_by_symbol[symbol], "")
 
 
-def _input(
+def _exported_input(
     model: "ModelCore",
     name: str,
     given: Mapping[str, npt.ArrayLike | InputCurve],

@@ -42,7 +42,7 @@ def _fill_lines(template: Iterable[str], values: Values) -> Iterator[str]:
     for line in lines:
         instruction = _LINE.fullmatch(line)
         if instruction is None:
-            yield _text(line, values)
+            yield _fill_line(line, values)
             continue
         word, name, separator, rest = instruction.groups()
         body = [rest] if rest else [*_block(lines)]
@@ -73,15 +73,17 @@ def _scopes(name: str, values: Values) -> list[Values]:
     return [{**values, **item} for item in items]
 
 
-def _text(line: str, values: Values) -> str:
-    def written(part: re.Match[str]) -> str:
+def _fill_line(line: str, values: Values) -> str:
+    def replacement(part: re.Match[str]) -> str:
         items, text, separator, name = part.groups()
         if name:
             value = values[name]
             return str(value if isinstance(value, str | float | int) else len(value))
-        return (", " if separator is None else separator).join(_text(text, scope) for scope in _scopes(items, values))
+        return (", " if separator is None else separator).join(
+            _fill_line(text, scope) for scope in _scopes(items, values)
+        )
 
-    return _PART.sub(written, line)
+    return _PART.sub(replacement, line)
 
 
 _LETTER: Final = re.compile(r"(?:GREEK|CYRILLIC) (SMALL|CAPITAL) LETTER (?:FINAL )?(\w+)")
@@ -109,7 +111,7 @@ class Naming:
         taken: set[str] = set()
         for key in sorted(wanted, key=lambda wish: not self._is_good(wanted[wish])):
             name = wanted[key]
-            names[key] = self._unique(name if self._is_good(name) else self._rewritten(name), taken)
+            names[key] = self._unique(name if self._is_good(name) else self._rewrite(name), taken)
             taken.add(self._key(names[key]))
         return {key: names[key] for key in wanted}
 
@@ -123,8 +125,8 @@ class Naming:
     def _is_reserved(self, name: str) -> bool:
         return self._key(name) in {self._key(word) for word in self.reserved}
 
-    def _rewritten(self, name: str) -> str:
-        text = re.sub(r"_+", "_", spelled(name)).strip("_")
+    def _rewrite(self, name: str) -> str:
+        text = re.sub(r"_+", "_", spell(name)).strip("_")
         if not text[:1].isalpha() or text.startswith(self.prefixes):
             text = "x" + text
         text = text[: self.longest]
@@ -139,12 +141,12 @@ class Naming:
         return chosen
 
 
-def spelled(name: str) -> str:
+def spell(name: str) -> str:
     """Return `name` in ASCII letters, digits and _: accents are removed, Greek and Cyrillic letters are named."""
-    return "".join(map(_spelled, unicodedata.normalize("NFKC", name)))
+    return "".join(map(_spell, unicodedata.normalize("NFKC", name)))
 
 
-def _spelled(character: str) -> str:
+def _spell(character: str) -> str:
     plain = unicodedata.normalize("NFKD", character)[0]
     if plain.isascii():
         return plain if plain.isalnum() else "_"
@@ -256,14 +258,14 @@ class Wording:
         """Return unit and standard error of a constant."""
         unit = harmless(constant.unit) if constant.unit is not None and constant.unit != "1" else ""
         error = "" if constant.stderr is None else f"standard error {constant.stderr:.2g}"
-        return self._quoted(", ".join(part for part in (unit, error) if part))
+        return self._quote(", ".join(part for part in (unit, error) if part))
 
     def about(self, variable: ExportedState | ExportedInput) -> str:
         """Return column and unit of a variable."""
         unit = f" [{harmless(variable.unit)}]" if variable.unit else ""
-        return self._quoted(f"column {harmless(variable.column)}{unit}")
+        return self._quote(f"column {harmless(variable.column)}{unit}")
 
-    def _quoted(self, text: str) -> str:
+    def _quote(self, text: str) -> str:
         """Return a text for a remark; in some languages a remark is a string, so " becomes '."""
         return text.replace('"', "'") if '"' in self.language.remark else text
 
@@ -284,7 +286,7 @@ class Wording:
             *fill(language.usage, self.values),
             f"{_UNDEFINED} {language.where_undefined}. {_LARGE_ANGLES}",
         ]
-        return [part for line in lines for part in _wrapped(line)]
+        return [part for line in lines for part in _wrap(line)]
 
     @cached_property
     def values(self) -> Values:
@@ -310,10 +312,10 @@ class Wording:
             "inputs": [{"name": self[variable]} for variable in model.inputs],
             "process": bool(model.covariance),
             "noise": [{"name": name, "expression": text} for name, text in self._noise[0]],
-            "target": spelled(model.target),
+            "target": spell(model.target),
             "formula": "" if model.value is None else self.expression(model.value),
-            "header": ",".join([spelled(model.time), *(self[state] for state in model.states)]),
-            "time": spelled(model.time),
+            "header": ",".join([spell(model.time), *(self[state] for state in model.states)]),
+            "time": spell(model.time),
             "first_time": model.begin,
             "last_time": model.end,
             "duration": model.end - model.begin,
@@ -381,7 +383,7 @@ class Wording:
         return assignments, rows
 
 
-def _wrapped(line: str) -> list[str]:
+def _wrap(line: str) -> list[str]:
     indent = line[: len(line) - len(line.lstrip())]
     further = f"{indent}  " if indent else ""
     return textwrap.wrap(harmless(line), _WIDTH, initial_indent=indent, subsequent_indent=further) or [""]

@@ -45,14 +45,14 @@ _Row = tuple[str | float, ...]
 
 def export_petab(model: "ModelCore", folder: str | Path, data: Sequence[Columns] | None = None) -> None:
     """Write a PEtab problem into a folder; see `atoll.Model.to_petab`."""
-    trajectories = [] if data is None else _given(model, data)
+    trajectories = [] if data is None else _read_trajectories(model, data)
     start, times = (trajectories[0].start, trajectories[0].times) if trajectories else (None, None)
     columns = model.result.columns_by_symbol
     placeholders = {name: 0.0 for name in model.inputs if columns[name] != model.time}
     description = describe(model, start, times, placeholders)
     require_support(description, SBML)
     document = SBML.write(description, has_start_parameters=True)
-    trajectories = trajectories or _recorded(model)
+    trajectories = trajectories or _recorded_trajectories(model)
     if not trajectories:
         raise UsageError(
             "the result has no measurements of trajectories", python="give them as data", command="give --data FILE"
@@ -85,7 +85,7 @@ class PetabTrajectory:
     inputs: Mapping[str, FloatArray]
 
 
-def _recorded(model: "ModelCore") -> list[PetabTrajectory]:
+def _recorded_trajectories(model: "ModelCore") -> list[PetabTrajectory]:
     """Return the measurements in a result, without held-out trajectories, with their fitted initial states.
 
     A trajectory without a fitted initial state begins at its first row with all states. It is left out if it has no
@@ -115,7 +115,7 @@ def _recorded(model: "ModelCore") -> list[PetabTrajectory]:
     return trajectories
 
 
-def _given(model: "ModelCore", data: Sequence[Columns]) -> list[PetabTrajectory]:
+def _read_trajectories(model: "ModelCore", data: Sequence[Columns]) -> list[PetabTrajectory]:
     """Return the measurements in `data`; the initial state of a trajectory is its first row."""
     if not data:
         raise UsageError("no trajectory of measurements was given; give at least one")

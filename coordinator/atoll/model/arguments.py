@@ -44,7 +44,7 @@ GivenInputs = _InputsByName | npt.ArrayLike | _TimeFunction | None
 ROWS: Final = 501
 """Number of times of a simulation if the user gives only the last time."""
 
-_SLACK: Final = 1e-9
+_TIME_ROUNDING: Final = 1e-9
 """Largest rounding error of the last time, as a share of a step."""
 
 
@@ -76,7 +76,7 @@ def interval(given: object, what: str) -> tuple[float, float]:
     if bounds.shape != (2,):
         raise UsageError(f"{what} must be two numbers, such as (0.0, 1.0), but {shown(given)} was given")
     if not (np.isfinite(bounds).all() and bounds[0] < bounds[1]):
-        raise UsageError(f"{what} must have a lower bound, then an upper one, but {shown(given)} was given")
+        raise UsageError(f"{what} must be a finite lower bound and a larger upper bound, but {shown(given)} was given")
     return float(bounds[0]), float(bounds[1])
 
 
@@ -147,14 +147,14 @@ def rows_of(model: "ModelCore", part: Columns) -> tuple[FloatArray, dict[str, Fl
     times = column(part, model.time)
     measured = [name for name in model.states if name not in positions or has(part, columns[name])]
     values = {name: column(part, columns[name]) for name in measured}
-    stacked([times, *values.values()])
+    stack_columns([times, *values.values()])
     start = {}
     for name in model.states:
         if name in values:
             start[name] = float(values[name][0]) if len(times) else np.nan
             continue
         position = column(part, columns[positions[name]])
-        stacked([times, position])
+        stack_columns([times, position])
         if len(times) < 3:
             needed = f"the velocity of {positions[name]!r} is estimated from 3 or more rows"
             raise UsageError(f"{needed}, but the data have {len(times)}")
@@ -169,11 +169,11 @@ def points_of(model: "ModelCore", given: object, names: Sequence[str]) -> FloatA
     """Return rows (N, len(names)) from an array or from columns by name."""
     if has_columns(given):
         columns = model.result.columns_by_symbol
-        return stacked([column(given, columns.get(name, name), name) for name in names]).T
+        return stack_columns([column(given, columns.get(name, name), name) for name in names]).T
     rows = numbers(given, f"rows of {', '.join(names)}")
     rows = rows[:, np.newaxis] if rows.ndim == 1 and len(names) == 1 else np.atleast_2d(rows)
     if rows.ndim != 2 or rows.shape[1] != len(names):
-        raise UsageError(f"rows of {len(names)} numbers ({', '.join(names)}) are expected, found {rows.shape}")
+        raise UsageError(f"rows have the shape {rows.shape}, expected (N, {len(names)}): {', '.join(names)}")
     return rows
 
 
@@ -196,7 +196,7 @@ def column(given: Columns, *names: str) -> FloatArray:
     return numbers(values, f"column {name!r}")
 
 
-def stacked(columns: Sequence[FloatArray]) -> FloatArray:
+def stack_columns(columns: Sequence[FloatArray]) -> FloatArray:
     """Return columns (N,) as one array (K, N); raises UsageError if their lengths differ."""
     shapes = {values.shape for values in columns}
     if len(shapes) > 1 or any(values.ndim != 1 for values in columns):
@@ -262,7 +262,7 @@ def measured_conditions(model: "ModelCore", part: Recorded | Simulated) -> Initi
 
 
 def start_of(model: "ModelCore", x0: Given | None) -> FloatArray:
-    """Return a given initial state (D,), by default the measured one; raises UsageError."""
+    """Return the given initial state (D,), by default the measured initial state; raises UsageError."""
     given = initial_conditions(model).start if x0 is None else x0
     if x0 is None and not given:
         example = model.states[0]
@@ -289,7 +289,7 @@ def start_of(model: "ModelCore", x0: Given | None) -> FloatArray:
 
 
 def times_of(model: "ModelCore", t: npt.ArrayLike | float | None) -> FloatArray:
-    """Return given times (N,), by default the measured ones; raises UsageError."""
+    """Return the given times (N,), by default the measured times; raises UsageError."""
     first = initial_conditions(model).times
     if t is None:
         if not len(first):
@@ -387,10 +387,10 @@ def inputs_along(
             columns = f"one row per time, one column for each of {', '.join(model.inputs)}"
             raise UsageError(f"inputs have the shape {values.shape}, expected {shape}: {columns}")
         given = dict(zip(model.inputs, values.T, strict=True))
-    return InputFunctions([_input(model, name, given, times, recorded.get(name)) for name in model.inputs])
+    return InputFunctions([_input_function(model, name, given, times, recorded.get(name)) for name in model.inputs])
 
 
-def _input(
+def _input_function(
     model: "ModelCore", name: str, given: _InputsByName, times: FloatArray, recorded: InputCurve | None
 ) -> Callable[[float], float]:
     column = model.result.columns_by_symbol[name]
@@ -492,4 +492,6 @@ def times_until(model: "ModelCore", start: FileStart, end: float | None, step: f
     if step <= 0.0 or (last - first) / step > MOST_NUMBERS:
         limits = f"above 0 and give at most {MOST_NUMBERS} times"
         raise UsageError("%s must be %s, but %s was given", Field("step"), limits, f"{step:g}")
-    return np.asarray(first + step * np.arange(math.floor((last - first) / step + _SLACK) + 1), dtype=np.float64)
+    return np.asarray(
+        first + step * np.arange(math.floor((last - first) / step + _TIME_ROUNDING) + 1), dtype=np.float64
+    )

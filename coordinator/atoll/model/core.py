@@ -127,7 +127,7 @@ class ModelCore:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """The groups of trajectories that differ in constants; empty where there is one set of constants."""
+        """The groups of trajectories that differ in constants; empty if all share one set of constants."""
         return differing_groups(self._result)
 
     def of_group(self, group: object) -> Self:
@@ -140,7 +140,7 @@ class ModelCore:
         return type(self)(of_group(self._result, next(known for known in self._result.groups if known.group == name)))
 
     def require_one_group(self) -> None:
-        """Raise UsageError where constants differ between groups."""
+        """Raise UsageError if constants differ between groups."""
         if self.groups:
             listed = ", ".join(self.groups)
             raise UsageError(
@@ -151,7 +151,7 @@ class ModelCore:
 
     @property
     def remark(self) -> str:
-        """A remark on the displayed equations: constants are means over groups; "" without groups."""
+        """A remark that constants of the displayed equations are means over groups; "" without groups."""
         return remark_on_groups(self._result)
 
     def __eq__(self, other: object) -> bool:
@@ -192,7 +192,7 @@ _SEARCH_FIELDS = (
 
 def _with_candidate(result: Result, place: int, other: Candidate) -> Result:
     """Return the result with a candidate instead of equation `place`, without errors, verdicts and shared terms."""
-    # constants of candidates, and of equations without their groups, belong to all groups together
+    # constants of candidates are fitted to all groups together; so are the constants of the other equations here
     equations = [
         equation.model_copy(update={"groups": (), "is_of_all_groups": bool(equation.groups)})
         for equation in result.equations

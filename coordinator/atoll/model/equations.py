@@ -32,7 +32,7 @@ _COMPOUND: Final = re.compile(r"[\s*/^.·⋅×⁻¹²³]|\d")
 _EXACT_SHARE: Final = 1e-6
 """Standard errors below this share of their constants are rounding errors and not displayed."""
 
-_PRINTED: Final = 5e-4
+_PRINTED_ROUNDING: Final = 5e-4
 """Relative rounding error of the ends of a range that `outside_sentence` prints. A value copied from such a sentence
 does not count as outside."""
 
@@ -63,8 +63,8 @@ def displayed_equation(result: Result, equation: Equation) -> DisplayedEquation:
     if result.kind != "regression" and "/" in equation.lhs:
         both = (f"({name})" if _COMPOUND.search(name) else name for name in (above, below))
         unit = "/".join(both) + ("^2" if equation.lhs.startswith("d2") else "") if above and below else ""
-    shown = {"expression": rounded(exact, result.names), "exact": exact, "unit": unit, "nats": equation.nats or 0.0}
-    return DisplayedEquation.model_construct(**(dict(equation) | shown))
+    displayed = {"expression": rounded(exact, result.names), "exact": exact, "unit": unit, "nats": equation.nats or 0.0}
+    return DisplayedEquation.model_construct(**(dict(equation) | displayed))
 
 
 def program_of(equation: Equation, names: Sequence[str]) -> Program:
@@ -131,8 +131,8 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
     parameters: list[Parameter] = []
     count = 0
     for equation in result.equations:
-        by_group = [(f"[{label} {group.group}]", _numbers(group, result.names)) for group in equation.groups]
-        for place, (value, constant) in enumerate(_numbers(equation, result.names)):
+        by_group = [(f"[{label} {group.group}]", _numbers_in_text(group, result.names)) for group in equation.groups]
+        for place, (value, constant) in enumerate(_numbers_in_text(equation, result.names)):
             count += 1
             values = [("", value, constant)]
             if by_group and (constant is None or constant.shared is False):
@@ -151,7 +151,7 @@ def constant_names(result: Result) -> dict[str, list[str]]:
     names: dict[str, list[str]] = {}
     count = 0
     for equation in result.equations:
-        numbers = _numbers(equation, result.names)
+        numbers = _numbers_in_text(equation, result.names)
         places = {id(constant): f"c{count + place}" for place, (_, constant) in enumerate(numbers, start=1)}
         names[equation.variable] = [
             places.get(id(constant)) or f"{constant.value or 0.0:.6g}" for constant in equation.constants
@@ -160,7 +160,7 @@ def constant_names(result: Result) -> dict[str, list[str]]:
     return names
 
 
-def _numbers(equation: Equation | GroupEquation, names: Sequence[str]) -> list[tuple[float, Constant | None]]:
+def _numbers_in_text(equation: Equation | GroupEquation, names: Sequence[str]) -> list[tuple[float, Constant | None]]:
     """Return the numbers in the text of an equation, each with its fitted constant, if there is one."""
     if equation.expression is None:
         return []
@@ -235,14 +235,14 @@ def with_errors(constants: Sequence[Constant]) -> list[Constant]:
 
 def words_of(constant: Constant) -> ConstantWords:
     """Return a constant for display. If the equation has another value than the fit, the fitted value is a note."""
-    shown, fitted = number_text(constant.value, 6), fitted_text(constant)
+    displayed, fitted = number_text(constant.value, 6), fitted_text(constant)
     notes = [] if constant.identifiable else ["not determined"]
     if constant.at_bound:
         notes = ["at its bound", interval_text(constant.interval)]
     elif constant.std_error is not None:
-        begins_alike = fitted.startswith(f"{shown} ")
-        shown, notes = (fitted, notes) if begins_alike else (shown, [fitted, *notes])
-    return ConstantWords(shown, tuple(notes), constant.unit)
+        begins_alike = fitted.startswith(f"{displayed} ")
+        displayed, notes = (fitted, notes) if begins_alike else (displayed, [fitted, *notes])
+    return ConstantWords(displayed, tuple(notes), constant.unit)
 
 
 def fitted_text(constant: Constant) -> str:
@@ -379,7 +379,7 @@ def outside_sentence(values: Mapping[str, float], ranges: Mapping[str, tuple[flo
     outside = []
     for name, value in values.items():
         low, high = ranges.get(name, (value, value))
-        if not low - _PRINTED * abs(low) <= value <= high + _PRINTED * abs(high):
+        if not low - _PRINTED_ROUNDING * abs(low) <= value <= high + _PRINTED_ROUNDING * abs(high):
             outside.append(f"{name} = {value:.4g} (measured: {low:.4g} to {high:.4g})")
     if not outside:
         return ""

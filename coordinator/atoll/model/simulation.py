@@ -8,8 +8,8 @@ simulation that ends early is not an error: its status gives the reason. 95 % ba
 states to the constants, which are integrated together with the states.
 
 Doubtful: the sizes are a heuristic. If the second integration fails, the first one is kept, with a remark that later
-values may be wrong. The bands are of first order and hold only the errors of the constants. They are too narrow if the
-initial state or the form of the equation is uncertain, and they mean little for chaotic models.
+values may be wrong. The bands are first-order and contain only the errors of the constants. They are too narrow if the
+initial state or the form of the equation is uncertain. They are unreliable for chaotic models.
 
 Letters: D states, U inputs, K constants, N times.
 """
@@ -65,15 +65,15 @@ MOST_EVALUATIONS: Final = 200_000
 MOST_NUMBERS: Final = 10_000_000
 """Largest number of values, times by states: 80 MB."""
 _COARSE: Final = 1e-3
-"""Share of the size of a state. Below it the absolute tolerance of a state exceeds the relative one."""
-_DEEPEST: Final = 1e-250
-"""Smallest share of its size to which a state is resolved that cannot cross 0."""
+"""If a state is below this share of its size, its absolute tolerance exceeds its relative tolerance."""
+_SMALLEST_SHARE: Final = 1e-250
+"""A state that cannot cross 0 is resolved down to this share of its size."""
 _TESTED_ROWS: Final = 50
 """Number of rows at which two things are tested: which states can cross 0, and how much the errors of the constants
 change the rates."""
 _LARGEST: Final = 1e150
 """Largest absolute value of a state: the square of a much larger number overflows."""
-_ROUGH: Final = "; a state falls below the resolved size: if it grows again, later values may be wrong"
+_ROUGH_REMARK: Final = "; a state falls below the resolved size: if it grows again, later values may be wrong"
 
 
 class SimulationWarning(UserWarning):
@@ -185,7 +185,9 @@ def simulate(
     task = _RateTask(field, inputs, most)
     course = _integrate(task, x0, t)
     states, count = course.rows, len(course.rows)
-    status: Status = "finished" if course.is_whole else _ending(task, course, _sizes(task, x0, t), float(t[-1] - t[0]))
+    status: Status = (
+        "finished" if course.is_whole else _early_end(task, course, _sizes(task, x0, t), float(t[-1] - t[0]))
+    )
     where = f"time {course.reached:.6g}"
     sentence = {
         "finished": f"it reached {where}",
@@ -194,14 +196,14 @@ def simulate(
         "undefined": f"a rate is undefined near {where}",
     }[status]
     sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
-    sentence += _ROUGH if course.is_rough else ""
+    sentence += _ROUGH_REMARK if course.is_rough else ""
     if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], course, t)) is None:
         return Simulation(field.states, t[:count], states, status, sentence)
     half = bands[1] * spread
     return Simulation(field.states, t, states, status, sentence, spread, states - half, states + half)
 
 
-def followed_sizes(
+def state_sizes(
     field: VectorField, x0: FloatArray, t: FloatArray, inputs: Inputs | None = None, most: int = MOST_EVALUATIONS
 ) -> FloatArray:
     """Return the size (D,) of each state, above 0, for the absolute tolerances of a solver.
@@ -313,7 +315,7 @@ def _smaller_sizes(task: _RateTask, course: _Integration, t: FloatArray) -> Floa
         sizes = np.where(is_small.any() & (reached > 0.0), np.minimum(reached, sizes), sizes)
     is_deep = (course.lowest < _COARSE * course.sizes) & (course.rows[0] != 0.0)
     deep = [place for place in np.flatnonzero(is_deep).tolist() if not _can_cross(task, course, t, place)]
-    sizes[deep] = np.maximum(_DEEPEST * sizes[deep], np.finfo(np.float64).tiny)
+    sizes[deep] = np.maximum(_SMALLEST_SHARE * sizes[deep], np.finfo(np.float64).tiny)
     return sizes
 
 
@@ -376,7 +378,7 @@ def _sizes(task: _RateTask, x0: FloatArray, t: FloatArray) -> FloatArray:
     return _positive(sizes)
 
 
-def _ending(task: _RateTask, course: _Integration, sizes: FloatArray, span: float) -> Status:
+def _early_end(task: _RateTask, course: _Integration, sizes: FloatArray, span: float) -> Status:
     """Return why a simulation ended early, from its last state; `sizes` (D,) are the initial sizes of the states."""
     last = course.last
     rates = task.field.values(last, task.inputs_at(course.reached))
@@ -417,7 +419,7 @@ def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration,
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            small = np.where(_comes_back(states), np.minimum(course.lowest, sizes), sizes)
+            small = np.where(_has_deep_minimum(states), np.minimum(course.lowest, sizes), sizes)
             least = 1e-9 * np.concatenate([small, np.repeat(small, number)])
             solution = _solve(task, rates, start, t, least)
     except _SpentError:
@@ -450,18 +452,18 @@ def _solve(
     return found
 
 
-def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
+def _has_deep_minimum(states: FloatArray) -> npt.NDArray[np.bool_]:
     """Tell which of the D states (N, D) have a deep minimum between higher values: later values depend on its depth."""
     course = np.abs(states)
     lowest = course.argmin(axis=0)
     later = np.array([course[row:, place].max() for place, row in enumerate(lowest.tolist())])
     lows = course.min(axis=0)
     is_deep = lows < _COARSE * np.minimum(course[0], later)
-    return np.asarray(is_deep & (later > math.sqrt(_DEEPEST) * course[0]))
+    return np.asarray(is_deep & (later > math.sqrt(_SMALLEST_SHARE) * course[0]))
 
 
 def _positive(sizes: FloatArray) -> FloatArray:
-    """Return sizes with 1 instead of 0: for a state that is always 0, any size will do."""
+    """Return sizes with 1 instead of 0: the size of a state that is always 0 does not matter."""
     return np.where(sizes > 0.0, sizes, 1.0)
 
 

@@ -1,8 +1,8 @@
 """The right-hand sides of a model as functions of numbers, with their derivatives, and the joint errors of constants.
 
-Values agree with the values of the search up to rounding, because this module uses the functions of the C library.
-Sine and cosine are also defined for large arguments, for which the search has no values. Letters: D states, U inputs, P
-parameters of a field, K constants with known joint covariance, N points.
+Values can differ from the values of the search by rounding errors, because this module uses the functions of the C
+library. Sine and cosine are also defined for large arguments, for which the search has no values. Letters: D states, U
+inputs, P parameters of a field, K constants with known joint covariance, N points.
 """
 
 import itertools
@@ -116,23 +116,23 @@ class VectorField:
             u: inputs, (U,) for all points or (N, U); None for a field without inputs.
             p: parameters (P,); None for the parameters of the model.
         """
-        return self._evaluated(self._rates, x, u, p)
+        return self._evaluate(self._rates, x, u, p)
 
     def jacobian(self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None) -> FloatArray:
         """Return d(dx_i/dt)/dx_j as (D, D), or (N, D, D) at N points; the arguments are as in `values`."""
-        return self._evaluated(self._by_states, x, u, p)
+        return self._evaluate(self._by_states, x, u, p)
 
     def parameter_derivatives(
         self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None
     ) -> FloatArray:
         """Return d(dx_i/dt)/dp_k as (D, P), or (N, D, P) at N points; the arguments are as in `values`."""
-        return self._evaluated(self._by_parameters, x, u, p)
+        return self._evaluate(self._by_parameters, x, u, p)
 
     def input_derivatives(
         self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None
     ) -> FloatArray:
         """Return d(dx_i/dt)/du_k as (D, U), or (N, D, U) at N points; the arguments are as in `values`."""
-        return self._evaluated(self._by_inputs, x, u, p)
+        return self._evaluate(self._by_inputs, x, u, p)
 
     def term_of(self, index: int, p: FloatArray) -> str:
         """Return the term whose coefficient is parameter `index` (from 0), as infix text without sign: x*y for c1*x*y.
@@ -184,7 +184,7 @@ class VectorField:
     def _function(self, programs: Sequence[Program], shape: tuple[int, ...]) -> "CompiledPrograms":
         return CompiledPrograms(programs, shape, len(self.states) + len(self.inputs) + len(self.parameters))
 
-    def _evaluated(
+    def _evaluate(
         self, function: "CompiledPrograms", x: npt.ArrayLike, u: npt.ArrayLike | None, p: npt.ArrayLike | None
     ) -> FloatArray:
         points = np.asarray(x, dtype=np.float64)

@@ -139,7 +139,9 @@ def constants(findings: Findings) -> list[Element]:
     notes += [paragraph(_correlation(pair, names)) for pair in findings.result.correlations]
     profiles = [] if findings.identifiability is None else _profiles(findings.identifiability)
     if count_constants(findings.result) > MOST_PROFILES:
-        profiles.append(paragraph("Profiles of more constants: run coordinator analyse --identifiability."))
+        profiles.append(
+            paragraph("There are too many constants to draw profiles; run coordinator analyse --identifiability.")
+        )
     listed = table("Constants", [*heads, "determined"], rows, is_stacked=True)
     return [section("constants", "Constants", listed, *_groups(findings, names), *notes, *profiles)]
 
@@ -387,8 +389,8 @@ def origin(findings: Findings) -> Element:
     if by_clock:
         epochs = ",".join(f"{equation.variable}={equation.epoch}" for equation in by_clock)
         promise = (
-            "A search was stopped by its time limit, so another run may stop at another epoch. The same data, settings "
-            f"and seed with --max-epochs {epochs} instead of --max-time give the same digest on any number of workers "
-            "and machines."
+            "A search was cancelled or reached its time limit, so another run may end at another epoch. The same data, "
+            f"settings and seed with --max-epochs {epochs} instead of --max-time give the same digest on any number of "
+            "workers and machines."
         )
     return section("origin", "How to repeat this", paragraph(promise), facts(entries))

@@ -18,7 +18,7 @@ from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import DataError, UsageError
 
-Found = TypeVar("Found")
+ValueT = TypeVar("ValueT")
 MOST_PROFILES: Final = 12
 """Largest number of constants whose profiles are drawn: each point of a profile needs a fit."""
 
@@ -48,8 +48,8 @@ class Findings:
         if model.is_regression:
             return cls(result, model, None, "the model has no time")
         has_few = count_constants(result) <= MOST_PROFILES and not model.groups
-        identifiability = _found(lambda: identify(result, None, LEVEL)) if has_few else None
-        suggestions = _found(lambda: suggest(result, DesignRequest(bounds={})))
+        identifiability = _try(lambda: identify(result, None, LEVEL)) if has_few else None
+        suggestions = _try(lambda: suggest(result, DesignRequest(bounds={})))
         try:
             return cls(result, model, analyse_model(model), "", identifiability, suggestions)
         except UsageError as error:
@@ -74,7 +74,7 @@ def count_constants(result: Result) -> int:
     return sum(len(equation.constants) + len(equation.implied) for equation in result.equations)
 
 
-def _found(find: Callable[[], Found]) -> Found | None:
+def _try(find: Callable[[], ValueT]) -> ValueT | None:
     """Return the value of a computation; None if the result lacks the measurements for it."""
     try:
         return find()

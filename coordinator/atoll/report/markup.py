@@ -122,7 +122,7 @@ _TICKS: Final = 5
 _PLAIN: Final = (1e-4, 1e6)
 """Labels of ticks have exponents if steps are smaller than the first number, or numbers larger than the second."""
 _FEW_DECADES: Final = 2.0
-_BEYOND: Final = 0.04
+_MARGIN: Final = 0.04
 """Margin of an axis as a share of its range."""
 
 Number = float | None
@@ -174,7 +174,7 @@ class Chart:
         self._add("cells", style, x, y)
 
     def _add(self, kind: str, style: str, x: Numbers, y: Numbers) -> None:
-        places = (tuple(_on(axis, value) for value in values) for axis, values in ((self.x, x), (self.y, y)))
+        places = (tuple(_position(axis, value) for value in values) for axis, values in ((self.x, x), (self.y, y)))
         self._layers.append(_Layer(kind, style, *places))
 
     def svg(self) -> Element:
@@ -192,11 +192,11 @@ class Chart:
 
     def _bounds(self, axis: Axis, values: Iterable[Sequence[float]]) -> tuple[float, float]:
         if axis.bounds is not None:
-            low, high = (_on(axis, bound) for bound in axis.bounds)
+            low, high = (_position(axis, bound) for bound in axis.bounds)
             return low, high
         known = [value for value in chain.from_iterable(values) if math.isfinite(value)] or [0.0, 1.0]
         low, high = min(known), max(known)
-        beyond = _BEYOND * (high - low) or abs(high) or 1.0
+        beyond = _MARGIN * (high - low) or abs(high) or 1.0
         return low - beyond, high + beyond
 
     def _axes(self, across: "_Scale", up: "_Scale") -> list[Element]:
@@ -228,7 +228,7 @@ class _Scale:
         return self.first + (self.last - self.first) * (value - low) / (high - low)
 
 
-def _on(axis: Axis, value: Number) -> float:
+def _position(axis: Axis, value: Number) -> float:
     """Return the position of a number on an axis; NaN if it has no position."""
     if value is None or not math.isfinite(value):
         return math.nan

@@ -51,16 +51,16 @@ def attributes(of: object, *names: str) -> dict[str, object]:
     return {name: getattr(of, name) for name in names}
 
 
-def shortened(expression: str, digits: int = 6) -> str:
+def shorten(expression: str, digits: int = 6) -> str:
     """Return `expression` with its constants rounded to `digits` significant digits, without factors of 1."""
-    return _FACTOR_OF_ONE.sub("", _NUMBER.sub(lambda match: _rounded(match[0], digits), expression))
+    return _FACTOR_OF_ONE.sub("", _NUMBER.sub(lambda match: _round(match[0], digits), expression))
 
 
-def _rounded(number: str, digits: int) -> str:
+def _round(number: str, digits: int) -> str:
     return number if number.isdigit() else f"{float(number):.{digits}g}"
 
 
-def clipped(text: str, width: int) -> str:
+def clip(text: str, width: int) -> str:
     """Return `text` in at most `width` characters."""
     return text if len(text) <= width else text[: width - 1] + "…"
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Self
 
 from atoll.client.follower import Display
-from atoll.terminal.output import clipped, count, duration, error_text, note, shortened
+from atoll.terminal.output import clip, count, duration, error_text, note, shorten
 from atoll_core.compilation.cache import count_of
 from atoll_core.quoting import visible, visible_line
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, VariableView, Workforce
@@ -65,7 +65,7 @@ def waiting(view: JobView, workforce: Workforce, connect_hint: str) -> str:
 def row(variable: VariableView) -> tuple[str, ...]:
     """Return the cells of one equation, in the order of the table's heads."""
     size = "-" if variable.complexity is None else str(variable.complexity)
-    best = shortened(variable.expression) if variable.expression else "-"
+    best = shorten(variable.expression) if variable.expression else "-"
     return (variable.lhs, str(variable.epoch), error_text(variable.normalized_error), size, best, standing(variable))
 
 
@@ -90,7 +90,7 @@ def plain_lines(view: JobView, workforce: Workforce, connect_hint: str) -> list[
             continue
         lhs, epoch, error, size, best, stand = row(variable)
         ending = f"  ({stand})" if stand else ""
-        lines.append(f"  {lhs}  epoch {epoch}  error {error}  size {size}  {clipped(best, 90)}{ending}")
+        lines.append(f"  {lhs}  epoch {epoch}  error {error}  size {size}  {clip(best, 90)}{ending}")
     return lines
 
 

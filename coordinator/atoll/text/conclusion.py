@@ -8,7 +8,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core.quoting import enumerated
 
 _MEANINGS: Final = {
-    "exact": "No other equation is possible: {it} reproduce{s} all digits of the data",
+    "exact": "The data exclude all other equations: {it} reproduce{s} all digits of the data",
     "good": "Within the measured range, predictions of {it} can be trusted",
     "doubtful": "Do not rely on predictions of {it} yet: another equation may be right",
     "no model": "Do not use {it}: no equation was found that describes the data",

@@ -177,9 +177,9 @@ def candidates_table(
     """
     if len(candidates) < 2:
         return []
-    shown = [one for place, one in enumerate(candidates) if most is None or place <= most or one.origin == "guess"]
-    is_held_out = any(candidate.held_out_r2 is not None for candidate in shown)
-    unseen = "cross-validated" if any(candidate.cross_validated for candidate in shown) else "held out"
+    displayed = [one for place, one in enumerate(candidates) if most is None or place <= most or one.origin == "guess"]
+    is_held_out = any(candidate.held_out_r2 is not None for candidate in displayed)
+    unseen = "cross-validated" if any(candidate.cross_validated for candidate in displayed) else "held out"
     heads = (
         "candidate",
         "Δ description length",
@@ -199,9 +199,9 @@ def candidates_table(
             candidate.origin or "-",
             display(candidate.expression),
         )
-        for candidate in shown
+        for candidate in displayed
     ]
-    rest = len(candidates) - len(shown)
+    rest = len(candidates) - len(displayed)
     return [*columns(heads, rows, "    "), *([f"    {rest} more: coordinator result"] if rest else [])]
 
 
@@ -292,13 +292,13 @@ def simulation_table(result: Result) -> list[str]:
     trajectories = result.simulated
     if not trajectories:
         return []
-    shown = sorted(trajectories, key=_worst)[:MOST_LINES] if len(trajectories) > MOST_LINES else trajectories
+    displayed = sorted(trajectories, key=_worst)[:MOST_LINES] if len(trajectories) > MOST_LINES else trajectories
     states = [*trajectories[0].r2]
     rows = [
         (part.name, *(r2_text(part.r2[state]) for state in states), "held out" if part.held_out else "")
-        for part in shown
+        for part in displayed
     ]
-    rest = [f"    the {MOST_LINES} worst of {len(trajectories)}"] if len(shown) < len(trajectories) else []
+    rest = [f"    the {MOST_LINES} worst of {len(trajectories)}"] if len(displayed) < len(trajectories) else []
     head = "R2 of simulations from fitted initial values"
     return [head, *columns(("trajectory", *states, ""), rows, "    "), *rest]
 
@@ -312,14 +312,14 @@ def correlation_lines(result: Result) -> list[str]:
     constants = {equation.variable: equation.constants for equation in result.equations}
     names = constant_names(result) if result.correlations else {}
 
-    def named(place: Place) -> str:
+    def name_of(place: Place) -> str:
         variable, number = place.variable, place.constant or 0
         name, value = names[variable][number], number_text(constants[variable][number].value, 6)
         return f"{value} of {variable}" + (f" ({name})" if name != value else "")
 
     pairs = sorted(result.correlations, key=lambda pair: -abs(pair.value or 0.0))
     return [
-        f"strongly correlated: {named(pair.first)} and {named(pair.second)}, correlation {pair.value:.3f}"
+        f"strongly correlated: {name_of(pair.first)} and {name_of(pair.second)}, correlation {pair.value:.3f}"
         for pair in pairs[:MOST_LINES]
         if pair.value is not None
     ]

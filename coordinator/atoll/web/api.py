@@ -1,4 +1,14 @@
-"""The handlers of the API. `operations` explains their declarations, and ``openapi.json`` lists all operations."""
+"""The handlers of the API. `operations` explains their declarations, and ``openapi.json`` lists all operations.
+
+How it works: a handler finds the `Gateway` of the user who sent the request, asks the coordinator through it, and
+returns plain data; the coordinator checks the user's rights. A result is fetched once and shared by all requests of a
+user for at least `RESULT_S` seconds, and the charts of its progress are compressed once (`_Packed`). If fetching takes
+long, pages get an older result, so that fetching takes at most the share `SHARE` of the time. Uploaded files are read
+in another process (`reading`).
+
+Doubtful: a shared result may be some seconds old. When the state of a job changes, the feed drops the shared result, so
+pages get the final result. Without a listening page there is no feed, and a program may get the result of a second ago.
+"""
 
 import asyncio
 import contextlib

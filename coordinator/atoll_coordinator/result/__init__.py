@@ -1,7 +1,8 @@
-"""What a job has found, as ``result.json`` holds it: written by the coordinator, read by everybody.
+"""The result of a job as typed parts of ``result.json``: the coordinator writes it, all programs read it.
 
-``result`` has the whole, `Result`; ``equations``, ``listed_trajectories`` and ``findings`` its parts, each a frozen
-pydantic model with the keys of the file as fields; ``base`` what they share; ``reading`` takes a file apart and says in
-one sentence what is wrong with it; ``upgrade`` brings files of earlier versions up to date, step by step.
-docs/result-keys.md says what the keys mean, and ``result.schema.json`` beside this file says it to other programs.
+``result`` has the whole result, `Result`. ``equations``, ``listed_trajectories`` and ``findings`` have its parts:
+frozen pydantic models with the keys of the file as fields; ``base`` has their common base class. ``reading`` reads a
+file and reports its first error in one sentence. ``upgrade`` converts files of earlier versions, step by step.
+docs/result-keys.md explains the keys, and ``result.schema.json``, next to this file, is the JSON schema for other
+programs.
 """

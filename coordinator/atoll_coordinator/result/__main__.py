@@ -1,6 +1,6 @@
 """``python -m atoll_coordinator.result`` writes ``result.schema.json`` and the reference docs/result-keys.md.
 
-Both follow from the parts: run it in a checkout after a change of the parts.
+Both are generated from the parts: run it in a checkout after a change of the parts.
 """
 
 from collections.abc import Iterator

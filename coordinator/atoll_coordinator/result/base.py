@@ -1,4 +1,4 @@
-"""What the parts of a result share: kinds of values, and that nothing changes after it was read."""
+"""The base of all parts of a result: types of values, and a frozen model that keeps unknown keys."""
 
 import math
 from collections.abc import Iterator
@@ -25,39 +25,41 @@ Positive = Annotated[Real, BeforeValidator(_positive), Field(gt=0.0)]
 
 
 def finite(value: Any) -> Any:
-    """Return a value as a result holds it: None where it is a number that is not finite."""
+    """Return None for a number that is not finite; other values are returned unchanged."""
     return (float(value) if math.isfinite(value) else None) if isinstance(value, float) else value
 
 
 Number = Annotated[Real | None, BeforeValidator(finite)]
-"""A number, null where it is not known or not finite."""
+"""A number; null if it is unknown or not finite."""
 Pair = tuple[Number, Number]
 """Lower and upper end of a range, null on an open side."""
 Curve = tuple[Real | None, ...]
 Curves = dict[Text, Curve]
 """Curves by name, each with one number for each of the times in the same part."""
 Numbers = dict[Text, Number]
-"""By name."""
+"""Numbers by name."""
 
 
 class Part(BaseModel):
-    """A part of a result; a key that this version does not know is kept, and written again."""
+    """A part of a result; keys that this version does not know are kept, and written again."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="allow", populate_by_name=True, defer_build=True)
 
     def replaced(self, **changes: object) -> Self:
-        """Return a part with other values of some fields, checked like the values of a new one."""
+        """Return a part with the fields `changes` replaced; the new values are checked as in a new part."""
         return type(self)(**{**dict(self), **changes})
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        """Yield what ``repr`` shows: what there is, each on a short line, since curves have thousands of numbers."""
+        """Yield the fields for ``repr`` that are not empty; values are shortened, since curves have thousands of
+        numbers.
+        """
         for name, value in super().__repr_args__():
             if value is not None and value != () and value != {}:
                 yield name, _Short(shown(value))
 
 
 class _Short(str):
-    """A text that stands for a value."""
+    """A text that ``repr`` shows without quotes, in place of a value."""
 
     __slots__ = ()
 
@@ -65,6 +67,6 @@ class _Short(str):
         return str(self)
 
 
-def misfit(sentence: str) -> PydanticCustomError:
-    """Return the error of values that are of their kinds and do not fit together."""
-    return PydanticCustomError("misfit", "{sentence}", {"sentence": sentence})
+def inconsistent(sentence: str) -> PydanticCustomError:
+    """Return the error for values that have valid types but contradict each other."""
+    return PydanticCustomError("inconsistent", "{sentence}", {"sentence": sentence})

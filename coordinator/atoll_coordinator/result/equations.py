@@ -21,12 +21,12 @@ class Estimate(Part):
     fitted: Number = Field(default=None, description="the unrounded estimate")
     interval: Pair | None = Field(default=None, description="95 % interval of `fitted`")
     identifiable: Flag = Field(
-        default=True, description="whether the data determine it: the interval does not contain 0"
+        default=True, description="whether the data determine the number: the interval does not contain 0"
     )
     simple: SimpleNumber | None = Field(default=None, description="the most probable simple number near it")
     bounds: Pair | None = Field(default=None, description="range allowed by `--bound`, null on an open side")
     at_bound: Flag | None = Field(
-        default=False, description="whether it lies on a bound; its interval is then one-sided"
+        default=False, description="whether the number lies on a bound; its interval is then one-sided"
     )
 
     @property
@@ -46,10 +46,11 @@ class Constant(Estimate):
     """A constant of an equation."""
 
     shared: Flag | None = Field(
-        default=None, description="whether it has the same value in all groups of trajectories, null without groups"
+        default=None,
+        description="whether the constant has the same value in all groups of trajectories, null without groups",
     )
     unit: Text | None = Field(
-        default=None, description="its unit, `1` for a pure number, null if the units do not determine it"
+        default=None, description="unit of the constant, `1` for a pure number, null if the units do not determine it"
     )
 
 
@@ -108,9 +109,11 @@ class Prediction(Part):
     """How well states can be predicted from other initial states within the measured range."""
 
     starts: Count | None = Field(default=None, description="number of other initial states")
-    followed: Count | None = Field(default=None, description="number of them from which the simulation reached its end")
+    followed: Count | None = Field(
+        default=None, description="number of other initial states from which the simulation reached its end"
+    )
     unfinished: Count | None = Field(
-        default=None, description="number of them from which it needed too many integration steps"
+        default=None, description="number of other initial states from which it needed too many integration steps"
     )
     probability: Number = Field(
         default=None, description="probability of the candidates and constants whose predictions agree"

@@ -1,4 +1,4 @@
-"""The parts of a result on the whole model: columns, data, noise, errors of constants, processes, regressions."""
+"""The parts of a result about the whole model: columns, data, noise, errors of constants, processes, regressions."""
 
 from typing import Literal, Self
 
@@ -15,7 +15,7 @@ from atoll_coordinator.result.base import (
     Part,
     Positive,
     Text,
-    misfit,
+    inconsistent,
 )
 from atoll_coordinator.result.listed_trajectories import Recorded
 from atoll_coordinator.stochastic import Discretisation
@@ -38,7 +38,7 @@ class Correlation(Part):
     """Two constants that the data hardly distinguish."""
 
     first: Place = Field(description="a constant")
-    second: Place = Field(description="another one")
+    second: Place = Field(description="another constant")
     value: Number = Field(default=None, description="their correlation")
 
 
@@ -52,8 +52,8 @@ class Covariance(Part):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if any(len(row) != len(self.constants) for row in (self.matrix, *self.matrix)):
-            raise misfit(
-                "the covariance in this result does not match its constants; give the result.json as Atoll wrote it"
+            raise inconsistent(
+                "the covariance in this result does not match its constants; give the unchanged result.json"
             )
         return self
 
@@ -70,7 +70,7 @@ class SharedTerm(Part):
     """A term that occurs in several equations."""
 
     term: Text = Field(description="the term without its factor")
-    has_function: Flag | None = Field(default=False, description="whether it contains a function or a number")
+    has_function: Flag | None = Field(default=False, description="whether the term contains a function or a number")
     factors: Numbers = Field(default_factory=dict, description="its factor by variable")
     multiples: Numbers | None = Field(
         default=None,
@@ -200,7 +200,9 @@ class Process(Part):
     )
     discretisation_nats: Number = Field(default=None, description="Δ description length of the other discretisation")
     log_likelihood: Number = Field(default=None, description="mean log-likelihood of a step in nats")
-    held_out_log_likelihood: Number = Field(default=None, description="the same for held-out trajectories")
+    held_out_log_likelihood: Number = Field(
+        default=None, description="mean log-likelihood of a step of held-out trajectories in nats"
+    )
     measurement_noise: dict[Text, MeasurementNoise] = Field(default_factory=dict, description="by state")
     ensemble: PathEnsemble | None = Field(default=None, description="simulated paths")
     stationary: dict[Text, Density] | None = Field(

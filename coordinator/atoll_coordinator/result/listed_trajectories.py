@@ -4,7 +4,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from atoll_coordinator.result.base import Count, Curve, Curves, Flag, Numbers, Part, Text, misfit
+from atoll_coordinator.result.base import Count, Curve, Curves, Flag, Numbers, Part, Text, inconsistent
 
 
 class _Listed(Part):
@@ -15,8 +15,8 @@ class _Listed(Part):
         fields = vars(self).values()
         by_name = [values for field in fields if isinstance(field, dict) for values in field.values()]
         if len({len(curve) for curve in (*fields, *by_name) if isinstance(curve, tuple)}) > 1:
-            raise misfit(
-                "this result has a curve that is not as long as its 'times'; give the result.json as Atoll wrote it"
+            raise inconsistent(
+                "this result has a curve that is not as long as its 'times'; give the unchanged result.json"
             )
         return self
 

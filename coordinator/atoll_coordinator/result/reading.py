@@ -1,4 +1,4 @@
-"""Files of results, which people may have cut or edited: what is wrong with one is said in one sentence."""
+"""Reads files of results. Users may have truncated or edited them, so the first error is reported in one sentence."""
 
 import json
 import math
@@ -18,7 +18,7 @@ SCHEMA: Final[Literal[1]] = 1
 RESULT: Final = "result.json"
 
 _UNWRITABLE: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
-"""What a terminal obeys, and what neither XML nor UTF-8 can hold."""
+"""Control characters, and characters that XML or UTF-8 cannot represent."""
 
 _KINDS: Final = {
     "string_type": "text",
@@ -34,13 +34,13 @@ _KINDS: Final = {
     "model_type": "an object",
     "model_attributes_type": "an object",
 }
-"""What is expected, by pydantic's name of the fault."""
+"""The expected value, by pydantic's name of the error."""
 
 _Whole = TypeVar("_Whole", bound=BaseModel)
 
 
 def read_file(path: str | Path) -> tuple[Path, object]:
-    """Return the file of a result, by its name or its folder, and the JSON that it holds; raises UsageError."""
+    """Return the path of a result (given by its file or folder) and its JSON content; raises UsageError."""
     file_or_folder = path_of(path)
     file = file_or_folder / RESULT if file_or_folder.is_dir() else file_or_folder
     try:
@@ -51,13 +51,13 @@ def read_file(path: str | Path) -> tuple[Path, object]:
             f"{file} cannot be read ({error.strerror}); give the path of a saved result.json{hint}"
         ) from error
     except (ValueError, RecursionError) as error:
-        raise UsageError(f"{file} holds no JSON; give the path of a saved result.json") from error
+        raise UsageError(f"{file} is not valid JSON; give the path of a saved result.json") from error
 
 
 def as_parts(whole: type[_Whole], content: object) -> _Whole:
-    """Return the content of a result.json as the model `whole` has it; raises UsageError when it is none.
+    """Return the content of a result.json as the model `whole`; raises UsageError if it is not a result.
 
-    Texts get escapes, as ``\\x01``, for characters that no page or terminal takes.
+    Characters that pages or terminals cannot show are escaped in texts, as ``\\x01``.
     """
     written = _writable(content)
     if not isinstance(written, Mapping) or not _is_result(written):
@@ -81,7 +81,7 @@ def _is_result(content: Mapping[str, object]) -> bool:
 
 
 def _writable(value: object) -> object:
-    """Return a value in which every text, names included, can be written; what holds no text is returned as it is."""
+    """Return a value with such characters escaped in all texts and names; values without texts are unchanged."""
     if isinstance(value, str):
         return _UNWRITABLE.sub(lambda match: match[0].encode("unicode_escape").decode(), value)
     if isinstance(value, Mapping):
@@ -92,17 +92,17 @@ def _writable(value: object) -> object:
 
 
 def _sentence(fault: ErrorDetails) -> str:
-    """Return in one sentence where content is not what a result holds."""
+    """Return the first error of the content as a sentence."""
     kind, key = fault["type"], next((name for name in reversed(fault["loc"]) if isinstance(name, str)), "the result")
-    if kind == "misfit":
+    if kind == "inconsistent":
         return fault["msg"]
     if kind == "missing":
-        return f"this result lacks {key!r}; give a result.json as it was written"
+        return f"this result lacks {key!r}; give the unchanged result.json"
     expected = _KINDS.get(kind)
     if kind == "literal_error":
         expected = " or ".join(sorted(fault.get("ctx", {})["expected"].replace("'", "").split(" or ")))
     return f"this result has {shown(fault['input'])} as {key!r}, where {expected or 'another value'} is expected; " + (
-        "give it as written"
+        "give the unchanged file"
     )
 
 

@@ -1,7 +1,8 @@
-"""Results of earlier versions, brought up to date step by step.
+"""Converts results of earlier versions to the current version, step by step.
 
-All have schema 1: keys were added and none has changed, so that a step is known by the key that a file lacks. A key
-that needs no step is one whose absence means that nothing is known: null, or an empty list, as its field has it.
+All versions have schema 1: keys were only added, and no key has changed its meaning. So a step is needed if a file
+lacks the keys that the step adds. Other missing keys need no step, because the default of their field (null or an empty
+list) means "unknown".
 """
 
 import math
@@ -13,15 +14,15 @@ Step = Callable[[Content], Content]
 
 
 def upgraded(content: Mapping[str, object]) -> Content:
-    """Return the content of a result of any version as this version writes it; what is of no kind is left alone."""
+    """Return the content of a result of any version in the form of this version; invalid values are left unchanged."""
     current = dict(content)
     for step in STEPS:
         current = step(current)
     return current
 
 
-def say_columns(content: Content) -> Content:
-    """Say what the columns are, where nothing does: what has a rate is a state, what has no equation an input."""
+def add_columns(content: Content) -> Content:
+    """Add `system` if it is missing: columns with a rate become states, columns without an equation become inputs."""
     if content.get("system") is not None:
         return content
     sides = {equation.get("variable"): str(equation.get("lhs")) for equation in _objects(content.get("equations"))}
@@ -34,25 +35,25 @@ def say_columns(content: Content) -> Content:
     return {**content, "system": {"states": states, "inputs": inputs, "target": target}}
 
 
-def say_more_of_columns(content: Content) -> Content:
-    """Say what `system` lacks: kind and order, which left-hand sides tell, and the ranges of the rows in the file."""
+def add_properties_of_columns(content: Content) -> Content:
+    """Add missing keys of `system`: kind and order follow from left-hand sides, ranges from the rows in the file."""
     system = content.get("system")
     if not isinstance(system, Mapping):
         return content
-    lacking = {key: tell(content) for key, tell in _TOLD.items() if key not in system}
-    return {**content, "system": {**system, **lacking}}
+    missing = {key: compute(content) for key, compute in _LATER_KEYS.items() if key not in system}
+    return {**content, "system": {**system, **missing}}
 
 
-def say_discretisation(content: Content) -> Content:
-    """Say how the steps of a process are described: there was one way before there were two."""
+def add_discretisation(content: Content) -> Content:
+    """Add the discretisation of a process: earlier versions had only the local linearisation."""
     process = content.get("process")
     if not isinstance(process, Mapping):
         return content
     return {**content, "process": {"discretisation": "local linearisation", **process}}
 
 
-STEPS: Final[tuple[Step, ...]] = (say_columns, say_more_of_columns, say_discretisation)
-"""From the oldest version on."""
+STEPS: Final[tuple[Step, ...]] = (add_columns, add_properties_of_columns, add_discretisation)
+"""All steps, from the oldest version."""
 
 
 def _kind(content: Content) -> str:
@@ -67,7 +68,7 @@ def _order(content: Content) -> int:
 
 
 def _ranges(content: Content) -> dict[str, list[float]]:
-    """Return the lowest and highest value by column of the listed rows that took part in the search."""
+    """Return the smallest and largest value by column over the listed rows that were not held out."""
     listed = (_trajectories(content.get(part)) for part in ("data", "simulation"))
     curves: dict[str, list[float]] = {}
     for trajectory in next(filter(None, listed), []):
@@ -76,8 +77,8 @@ def _ranges(content: Content) -> dict[str, list[float]]:
     return {name: [min(values), max(values)] for name, values in curves.items() if values}
 
 
-_TOLD: Final[Mapping[str, Callable[[Content], object]]] = {"kind": _kind, "order": _order, "ranges": _ranges}
-"""What tells the keys of `system` that came one after another."""
+_LATER_KEYS: Final[Mapping[str, Callable[[Content], object]]] = {"kind": _kind, "order": _order, "ranges": _ranges}
+"""Functions that compute the keys of `system` that later versions have added."""
 
 
 def _sides(content: Content) -> list[str]:
@@ -91,7 +92,7 @@ def _objects(value: object) -> Iterator[Mapping[str, object]]:
 
 
 def _trajectories(part: object) -> list[Mapping[str, object]]:
-    """Return the trajectories of a part of a result that took part in the search."""
+    """Return the trajectories of a part of a result that were not held out."""
     listed = _objects(part.get("trajectories")) if isinstance(part, Mapping) else ()
     return [trajectory for trajectory in listed if not trajectory.get("held_out")]
 

@@ -19,7 +19,7 @@ from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.client.client import Client, connected
 from atoll.client.follower import Display, Follower, Subscription
 from atoll.client.over_http import Whereabouts
-from atoll.terminal.output import as_json, clipped, count, duration, say, table
+from atoll.terminal.output import as_json, clip, count, duration, say, table
 from atoll.terminal.progress import JsonDisplay, LiveDisplay, PlainDisplay, is_screen, plain_lines
 from atoll_core.data.notes import with_kind
 from atoll_core.errors import UsageError
@@ -89,9 +89,9 @@ def _job_row(view: JobView) -> tuple[str, ...]:
     epochs = ",".join(str(variable.epoch) for variable in view.variables) or "-"
     converged = sum(variable.converged for variable in view.variables)
     return (
-        view.job, clipped(view.name, 24), view.state, str(view.priority), duration(view.elapsed), str(view.workers),
+        view.job, clip(view.name, 24), view.state, str(view.priority), duration(view.elapsed), str(view.workers),
         epochs, count(view.point_evaluations), f"{converged} of {len(view.variables)}",
-        clipped(view.reason or (view.stalls[0] if view.stalls else ""), 70),
+        clip(view.reason or (view.stalls[0] if view.stalls else ""), 70),
     )  # fmt: skip
 
 
@@ -187,7 +187,7 @@ def share(options: argparse.Namespace) -> int:
     """Make a job visible to all users, or only to its submitter and admins."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         view = client.share(client.resolve(options.job), shared=not options.private)
-    return _print_views(options, view, f"job {view.job} is {'shared with everybody' if view.shared else 'private'}")
+    return _print_views(options, view, f"job {view.job} is {'visible to all users' if view.shared else 'private'}")
 
 
 def retry(options: argparse.Namespace) -> int:

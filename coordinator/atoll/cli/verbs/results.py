@@ -214,7 +214,7 @@ def _alternative(text: str) -> dict[str, str]:
             raise UsageError(f"--rival wants dx=EXPR, several separated by ';', but got {text!r}")
         equations[side] = right
     if not equations:
-        raise UsageError("--rival wants dx=EXPR, but got nothing")
+        raise UsageError("--rival wants dx=EXPR, but an empty text was given")
     return equations
 
 
@@ -230,7 +230,7 @@ def report(options: argparse.Namespace) -> int:
         return DONE
     for option, place in (("--output", options.output), ("--pictures", options.pictures)):
         if place is not None:
-            raise UsageError(f"{option} names one place, but {len(paths)} results were given; leave it out")
+            raise UsageError(f"{option} names one file or folder, but {len(paths)} results were given; leave it out")
     pages = [_page(path, options) for path in paths]
     twice = next((page for page in pages if pages.count(page) > 1), None)
     if twice is not None:

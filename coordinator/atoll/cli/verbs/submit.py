@@ -121,8 +121,8 @@ def _again_with_larger_budget(result: Result, words: Sequence[str]) -> _Proposal
 
 def _again_with_operators(result: Result, words: Sequence[str]) -> _Proposal | None:
     """Propose more operators if an equation has no model and the operators were the default ones."""
-    is_nothing = any(equation.verdict == "no model" for equation in result.equations)
-    if not is_nothing or result.settings("space"):
+    has_no_model = any(equation.verdict == "no model" for equation in result.equations)
+    if not has_no_model or result.settings("space"):
         return None
     return [
         *_without_id_and_folder(words),

@@ -37,15 +37,18 @@ def test_a_file_that_holds_such_characters_is_read(tmp_path: Path) -> None:
 
 
 FAULTS = {
-    "job": (3, "this result has 3 as 'job', where text is expected; give it as written"),
-    "seed": ("x", "this result has 'x' as 'seed', where a whole number is expected; give it as written"),
-    "seconds": (True, "this result has True as 'seconds', where a number is expected; give it as written"),
-    "warnings": ([None], "this result has None as 'warnings', where text is expected; give it as written"),
+    "job": (3, "this result has 3 as 'job', where text is expected; give the unchanged file"),
+    "seed": ("x", "this result has 'x' as 'seed', where a whole number is expected; give the unchanged file"),
+    "seconds": (True, "this result has True as 'seconds', where a number is expected; give the unchanged file"),
+    "warnings": ([None], "this result has None as 'warnings', where text is expected; give the unchanged file"),
     "symbols": ([], "this is no result of this version; give the content of a saved result.json"),
-    "covariance": ({"matrix": []}, "this result lacks 'constants'; give a result.json as it was written"),
-    "process": ({"step": 0}, "this result has 0 as 'step', where a number above 0 is expected; give it as written"),
-    "groups": (None, "this result has None as 'groups', where a list is expected; give it as written"),
-    "simulation": ([1], "this result has [1] as 'simulation', where an object is expected; give it as written"),
+    "covariance": ({"matrix": []}, "this result lacks 'constants'; give the unchanged result.json"),
+    "process": (
+        {"step": 0},
+        "this result has 0 as 'step', where a number above 0 is expected; give the unchanged file",
+    ),
+    "groups": (None, "this result has None as 'groups', where a list is expected; give the unchanged file"),
+    "simulation": ([1], "this result has [1] as 'simulation', where an object is expected; give the unchanged file"),
 }
 
 
@@ -78,7 +81,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="cannot be read"):
         Result.load(path)
     path.write_text("{", "utf-8")
-    with pytest.raises(UsageError, match="holds no JSON"):
+    with pytest.raises(UsageError, match="is not valid JSON"):
         Result.load(tmp_path)
     path.write_text("{}", "utf-8")
     with pytest.raises(UsageError, match=r"result\.json: this is no result of this version"):

@@ -15,8 +15,8 @@ from atoll.experiments.designs import (
     certainties,
     discrepancy,
     expected_gain,
-    needed,
     precision,
+    useful_evidence,
 )
 from atoll.experiments.fits import equations_of, measured_of
 from atoll.experiments.suggestion import suggest
@@ -226,7 +226,7 @@ def test_the_discrepancy_is_that_of_a_difference_its_errors_cannot_explain() -> 
 
 def test_information_is_none_of_the_same_and_all_of_what_is_far_apart() -> None:
     apart = np.array([[0.0, 50.0], [50.0, 0.0]])
-    useful = needed([0.0, 13.0])
+    useful = useful_evidence([0.0, 13.0])
     np.testing.assert_allclose(useful, [[3.0 + 6.0**0.5 * 2.0] * 2, [16.0 + 32.0**0.5 * 2.0, 3.0 + 6.0**0.5 * 2.0]])
     assert expected_gain(np.zeros((2, 2)), [0.5, 0.5], useful).information == pytest.approx(0.0)
     assert expected_gain(apart, [0.5, 0.5], useful).information == pytest.approx(math.log(2.0))

@@ -34,7 +34,10 @@ HELD = {"u": 0.0}
         (lambda: MODEL.conf_int("a"), "a level must be a number"),
         (lambda: MODEL.analyse("abc"), "the box must be given by name"),
         (lambda: MODEL.analyse({"x": 3}), "the bounds of 'x' must be two numbers"),
-        (lambda: MODEL.analyse({"x": (1.0, 0.0)}), "the bounds of 'x' must have a lower bound, then an upper one"),
+        (
+            lambda: MODEL.analyse({"x": (1.0, 0.0)}),
+            "the bounds of 'x' must be a finite lower bound and a larger upper bound",
+        ),
         (lambda: MODEL.analyse(BOX, inputs={"u": "a"}), "the input 'u' must be a number"),
         (lambda: MODEL.analyse(BOX, vary="c1"), "vary must be a name and a range"),
         (lambda: Model.load(3), "a path must be text"),

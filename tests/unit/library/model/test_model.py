@@ -49,7 +49,7 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "sentence"),
-    [("{", "holds no JSON"), ("[]", "no result of this version"), (json.dumps(result({})), "no model")],
+    [("{", "is not valid JSON"), ("[]", "no result of this version"), (json.dumps(result({})), "no model")],
 )
 def test_what_is_no_model_is_refused_in_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:
     (tmp_path / "m.json").write_text(text)

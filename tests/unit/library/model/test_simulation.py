@@ -6,7 +6,7 @@ import io
 import numpy as np
 import pytest
 
-from atoll.model.simulation import followed_sizes, simulate
+from atoll.model.simulation import simulate, state_sizes
 from atoll.model.vector_field import JointErrors, VectorField
 from atoll_core.errors import UsageError
 
@@ -117,8 +117,8 @@ def test_a_state_that_may_cross_zero_or_never_comes_back_is_followed_as_before()
 
 
 def test_sizes_that_are_followed_have_the_unit_of_each_state() -> None:
-    sizes = followed_sizes(VectorField.of({"x": "-0.0001*x", "y": "1.3*y"}), np.array([300.0, 1e-12]), TIMES)
+    sizes = state_sizes(VectorField.of({"x": "-0.0001*x", "y": "1.3*y"}), np.array([300.0, 1e-12]), TIMES)
     assert sizes.tolist() == [300.0, 1e-12]
-    troughs = followed_sizes(PREY, np.array([30.0, 30.0]), np.linspace(0.0, 100.0, 3))
+    troughs = state_sizes(PREY, np.array([30.0, 30.0]), np.linspace(0.0, 100.0, 3))
     assert (troughs < 1e-20).all()
     assert (troughs > 1e-25).all()

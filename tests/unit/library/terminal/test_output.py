@@ -8,7 +8,7 @@ from atoll.terminal.output import (
     as_json,
     note,
     say,
-    shortened,
+    shorten,
     table,
 )
 
@@ -26,7 +26,7 @@ from atoll.terminal.output import (
     ],
 )
 def test_constants_are_rounded_and_names_are_not(expression: str, short: str) -> None:
-    assert shortened(expression) == short
+    assert shorten(expression) == short
 
 
 def test_a_table_is_aligned_and_has_no_trailing_blanks() -> None:

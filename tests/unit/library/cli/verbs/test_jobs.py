@@ -262,7 +262,7 @@ def test_an_address_is_needed_and_checked(
         (["pause", "al"], ("pause", "alpha", True), "job alpha is paused; continue it with: coordinator resume"),
         (["resume", "al"], ("pause", "alpha", False), "job alpha continues: it waits for its turn"),
         (["priority", "al", "-3"], ("priority", "alpha", -3), "job alpha has priority -3"),
-        (["share", "al"], ("share", "alpha", True), "job alpha is shared with everybody"),
+        (["share", "al"], ("share", "alpha", True), "job alpha is visible to all users"),
         (["share", "al", "--private"], ("share", "alpha", False), "job alpha is private"),
         (["retry", "al", "--id", "beta"], ("retry", "alpha", "beta"), "beta"),
         (["cordon", "den"], ("worker", "den-0", "cordoned"), "worker den-0 keeps its islands"),

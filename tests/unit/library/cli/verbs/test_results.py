@@ -265,7 +265,7 @@ def test_several_results_have_a_page_each_and_one_that_is_none_keeps_no_other_fr
     assert printed[1] == f"report in {regressed / 'c' / 'report.html'}"
     assert main(["report", runs[0], runs[2]]) == 0
     assert main(["report", runs[0], runs[2], "-o", "page.html"]) == 2
-    assert "--output names one place, but 2 results were given" in capsys.readouterr().err
+    assert "--output names one file or folder, but 2 results were given" in capsys.readouterr().err
     assert main(["report", runs[0], f"{runs[0]}/result.json"]) == 2
     assert "two of these results would be written to" in capsys.readouterr().err
 
@@ -432,7 +432,7 @@ def noisy(tmp_path: Path) -> Path:
         ("found", "suggest", "--samples 2.5", "--samples must be a whole number"),
         ("found", "suggest", "--duration soon", "--duration must be a finite number"),
         ("found", "suggest", "--rival x", "--rival wants dx=EXPR"),
-        ("found", "suggest", "--rival ;", "--rival wants dx=EXPR, but got nothing"),
+        ("found", "suggest", "--rival ;", "--rival wants dx=EXPR, but an empty text was given"),
         ("found", "suggest", "--rival dx=z", "z"),
         ("exportable", "export", "--format petab", "petab is a folder of several files; name it with -o FOLDER"),
         (
