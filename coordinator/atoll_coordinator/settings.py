@@ -10,6 +10,7 @@ and measure the effect.
 
 import ast
 import logging
+import math
 import os
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -30,8 +31,6 @@ class CommonSettings:
     """Fewest rows of a differentiated trajectory, of a span, and of any search: four for a cubic, one to judge it."""
     few_values: int = 8
     """Fewest distinct values: with fewer, a pattern in them, such as a common step, is often chance."""
-    most_rows: int = 20_000
-    """Most rows in sums over a table; larger tables are subsampled."""
     significant: float = 3.0
     """Number of standard errors beyond which a finding, or a correlation, is significant (p = 0.003)."""
     improbable: float = 1e-6
@@ -47,8 +46,6 @@ class SmoothingSettings:
     bias: the measured derivative error was up to 2.8 times the standard error with parabolas and up to 1.9 without."""
     bins: int = 40
     """Fewest bins of a span if rows are thinned: means over a fortieth of a span lose no information."""
-    reach: float = 6.0
-    """Residuals larger than this many times the median residual have no weight (Cleveland 1979, section 2)."""
     rows_per_outlier: int = 150
     """Tails are heavy if at least one row in this many is an outlier. Tables without outliers and with noise of 0.2 to
     10 % had at most 2 in 400."""
@@ -66,8 +63,6 @@ class SmoothingSettings:
 class ColumnSettings:
     """Findings about columns before the search."""
 
-    sample: int = 400
-    """Most rows, values or windows that are compared with each other: time grows with the square of their number."""
     least_rows: int = 30
     """Fewest rows for which correlations and neighbours are examined."""
     alike: float = 0.05
@@ -93,6 +88,16 @@ class RowSettings:
     most_uneven: float = 2.0
     """Largest ratio of the root mean square of the uncertainty to its mean, over the selected rows."""
 
+    @property
+    def in_sums(self) -> int:
+        """Most rows in sums over a table; larger tables are subsampled."""
+        return 10 * self.most
+
+    @property
+    def compared(self) -> int:
+        """Most rows, values or windows that are compared with each other: time grows with their number squared."""
+        return self.most // 5
+
 
 @dataclass(frozen=True)
 class EffortSettings:
@@ -103,15 +108,19 @@ class EffortSettings:
     seconds of one core. Fits that have begun may need the same amount again."""
     steps: int = 40
     """Most steps of a fit; nearly all fits converge within ten."""
-    brief_steps: int = 6
-    """Steps of a short fit, which decides whether a candidate gets a full fit."""
-    settled: float = 1e-7
-    """A fit ends when a step lowers the cost by less than this share."""
     beam: int = 12
     """Number of alternatives, decisions, neighbours or members that are kept, and of constants that may become
     simple."""
-    kept: int = 48
-    """Number of programs kept for the next stage if there are hundreds."""
+
+    @property
+    def brief_steps(self) -> int:
+        """Steps of a short fit, which decides whether a candidate gets a full fit."""
+        return self.steps // 6
+
+    @property
+    def kept(self) -> int:
+        """Number of programs kept for the next stage if there are hundreds."""
+        return 4 * self.beam
 
     @property
     def evaluations(self) -> int:
@@ -126,7 +135,7 @@ class EffortSettings:
 
     @property
     def longest_sum(self) -> int:
-        """Longest sum, in terms, that is fitted again without each term: the work grows with the square of terms."""
+        """Longest sum, in terms, that is fitted again without each term: the work grows with the square of its length."""
         return 2 * self.beam
 
     @property
@@ -140,16 +149,25 @@ class CriterionSettings:
     """Prices of programs in nats: about minus the logarithm of the frequency of parts in equations of motion (compare
     the counts of Guimera et al. 2020 in a corpus of named equations)."""
 
-    node: float = 2.0794415416798357
-    """Price of any node if there are no trajectories: ln 8, one of eight choices."""
     common: float = 1.4
     """A leaf, a sum, a product or a square, and each further use of a part: one of four choices."""
-    quotient: float = 2.1
-    """A quotient: one of eight choices."""
-    function: float = 3.5
-    """A sine, an exponential, a power with a constant exponent: one of thirty-two choices."""
     nested: float = 5.0
     """A function inside a function, in addition to the prices of both."""
+
+    @property
+    def node(self) -> float:
+        """Price of any node if there are no trajectories: ln 8, one of eight choices."""
+        return math.log(8.0)
+
+    @property
+    def quotient(self) -> float:
+        """A quotient: one of eight choices."""
+        return 1.5 * self.common
+
+    @property
+    def function(self) -> float:
+        """A sine, an exponential, a power with a constant exponent: one of thirty-two choices."""
+        return 2.5 * self.common
 
 
 @dataclass(frozen=True)
@@ -188,17 +206,12 @@ class SparseSettings:
 class ShootingSettings:
     """Fits of systems to trajectories by multiple shooting."""
 
-    blow_up_widths: float = 3.0
-    """A simulated state counts as blown up if it leaves the measured range by more than this many times the width of
-    the range."""
     exact: float = 1e-8
     """Errors below this share of a state's standard deviation are integration errors, not errors of the model."""
     lengths: tuple[int, ...] = (10, 30, 100)
     """Rows of the first segments of a fit (short segments converge from any guess). Also the rows of the pieces in
     which trajectories are simulated, if errors of an initial state or of the solver grow too much along whole
     trajectories."""
-    steps_per_row: int = 40
-    """Most integration steps for each row, on average: systems that need more are stiff or blow up."""
     segment_growth: int = 5
     """Largest factor by which segments grow from one stage of a fit to the next, and from the longest segments to whole
     pieces."""
@@ -218,7 +231,8 @@ class SelectionSettings:
 
     least_noise: float = 1e-4
     """Independent errors below this share of a state's standard deviation cannot hide a term of a law. Residuals below
-    it are systematic errors, for instance of a solver, and their rows are not independent."""
+    it are systematic errors, for instance of a solver, and their rows are not independent. A process with less noise
+    than this share of its median step counts as deterministic."""
     usual_length: float = 30.0
     """Description length in nats of an equation's structure and constants, above which an equation is suspect: of the
     174 laws that `benchmarks.corpus --in-turn --seeds 1600-1628` draws, four in five are shorter (median 22, 2.5 nats
@@ -229,12 +243,10 @@ class SelectionSettings:
     small because these errors follow from the tolerance and the state. A misfit smaller by a decade gains 1.15 nats for
     each number. Necessary terms of a law gain several decades; a term that fits a solver's errors gains less than a
     third of a decade."""
-    least_folds: int = 3
-    """Fewest trajectories for leaving one out: with fewer, too few rows remain to fit constants to."""
     compared_rows: int = 1_200
     """Approximate maximum of rows on which structures are compared; constants are then fitted on all rows."""
-    tolerated_noise: float = 0.01
-    """Largest error of an integration step as a share of the noise, within `tolerances`."""
+    fewest_steps: int = 100
+    """Fewest steps from row to row for the search of a stochastic process: they determine a variance within 14 %."""
     least_gain: float = 0.1
     """Smallest difference of description lengths that counts, in nats."""
 
@@ -249,9 +261,6 @@ class SelectionSettings:
 class InferenceSettings:
     """Inference on the model: errors of constants, residuals, verdicts."""
 
-    lags: int = 3
-    """Rows up to this far apart are compared; the residuals of a model that lacks a term have the same sign for several
-    rows."""
     exact: float = 1e-6
     """Residuals below this share of the standard deviation are integration errors."""
     excess: float = 1.25
@@ -260,31 +269,26 @@ class InferenceSettings:
     """Share of a variance, or of a measured range, that is relevant: a pattern in residuals, unexplained variance, or a
     simulation outside of the range. An equation that explains less is not a model."""
     improbable: float = 0.01
-    """Probability below which residuals do not count as noise."""
+    """Probability below which residuals do not count as noise. Also the share of good equations that may be chance;
+    half of this share of exact verdicts may be wrong."""
     largest_uncertainty: float = 0.01
     """Largest uncertainty of a target: a more uncertain target does not distinguish a law from wrong equations of the
     same error."""
-    chance_nats: float = 4.6
-    """Δ log-likelihood, relative to no equation, from which on an equation does not count as chance (odds of 100: one
-    in a hundred good equations may be wrong)."""
-    exact_nats: float = 5.3
-    """Alternatives within this Δ description length may be the law instead of an exact equation (odds of 200: one in
-    two hundred exact verdicts may be wrong)."""
     distinct_nats: float = 3.0
     """Alternatives within this Δ description length may be right (odds of 20: one in twenty good verdicts may be
     wrong)."""
     denominators: tuple[int, ...] = (1, 2, 3, 4, 6)
     """Denominators of simple fractions."""
 
+    @property
+    def chance_nats(self) -> float:
+        """Δ log-likelihood, relative to no equation, from which on an equation does not count as chance (odds of 100)."""
+        return round(-math.log(self.improbable), 1)
 
-@dataclass(frozen=True)
-class ProcessSettings:
-    """Stochastic processes; their noise is part of the law."""
-
-    fewest_steps: int = 100
-    """Fewest steps from row to row for the search of a process: they determine a variance within 14 %."""
-    least_noise: float = 1e-4
-    """Least noise as a share of the median increment: with less noise, the process counts as deterministic."""
+    @property
+    def exact_nats(self) -> float:
+        """Alternatives within this Δ description length may be the law instead of an exact equation (odds of 200)."""
+        return round(-math.log(0.5 * self.improbable), 1)
 
 
 @dataclass(frozen=True)
@@ -301,12 +305,11 @@ class Settings:
     shooting: ShootingSettings = ShootingSettings()
     selection: SelectionSettings = SelectionSettings()
     inference: InferenceSettings = InferenceSettings()
-    process: ProcessSettings = ProcessSettings()
 
 
 VARIABLE: Final = "ATOLL_TRY_SETTINGS"
 """Environment variable with other values, such as ``selection.least_gain=0.2 effort.steps=80``, to measure the effect
-of a setting (``benchmarks.pools settings``). With it, results may differ from the defaults."""
+of a setting (``benchmarks.pools settings``). With it, results differ from the results of this engine."""
 
 
 def with_changes(settings: Settings, text: str) -> Settings:

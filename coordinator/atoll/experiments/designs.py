@@ -33,9 +33,10 @@ import numpy as np
 
 from atoll.analysis.flow import Box
 from atoll.experiments.fits import FitData, FittedEquations
+from atoll_coordinator.model.shooting.integration import STEPS_PER_ROW
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, integrate_segments
-from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.measurements import BLOW_UP_WIDTHS, Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
@@ -114,7 +115,7 @@ class DesignPredictor:
             STIFF if fit.is_stiff else PRECISE, fit.system.tape, fit.system.owners, (design.times, inputs, slopes),
             np.array([[0, rows]], dtype=np.int64), np.ascontiguousarray(design.initial[None]),
             fit.estimator.tolerance * measurements.scales, self.limits,
-            200 + SETTINGS.shooting.steps_per_row * rows, True, simulated, gradients, np.zeros(1, dtype=np.int64),
+            200 + STEPS_PER_ROW * rows, True, simulated, gradients, np.zeros(1, dtype=np.int64),
         )  # fmt: skip
         reached = int(np.isfinite(simulated).all(axis=0).sum())
         by_all = gradients[:, measurements.observed] / self.sigmas[:, None]
@@ -374,7 +375,7 @@ class DesignSpace:
         """Return the range (D, 2) outside of which a state has diverged, from measured states (D, N) and the bounds."""
         low = np.minimum(self.box.lower[: len(self.states)], measured.min(axis=1))
         high = np.maximum(self.box.upper[: len(self.states)], measured.max(axis=1))
-        reach = SETTINGS.shooting.blow_up_widths * np.maximum(high - low, 1e-300)
+        reach = BLOW_UP_WIDTHS * np.maximum(high - low, 1e-300)
         return np.ascontiguousarray(np.stack([low - reach, high + reach], axis=1))
 
     @property

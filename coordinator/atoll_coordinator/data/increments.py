@@ -31,7 +31,7 @@ from atoll_core.errors import DataError
 
 Pair = tuple[int, int]
 Rows = npt.NDArray[np.intp]
-LIMITS = SETTINGS.process
+LIMITS = SETTINGS.selection
 _DEPENDENT: Final = 1e-9
 """Guard: a pivot that is smaller than this share of its diagonal element is a rounding error."""
 

@@ -19,6 +19,8 @@ from atoll_coordinator.model.cholesky import solve_damped
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
+SETTLED: Final = 1e-7
+"""A fit ends when a step lowers the cost by less than this share."""
 FIRST_DAMPING: Final = 1e-3
 """The damping of the first step."""
 LEAST_DAMPING: Final = 1e-12

@@ -143,7 +143,7 @@ def roughness(parts: Parts) -> float:
 
     It is 1 for white noise, and small for smooth motion: 1 - cos(2 pi / n) for a wave of n rows.
     """
-    begin = [part[: SETTINGS.common.most_rows] for part in parts]
+    begin = [part[: SETTINGS.rows.in_sums] for part in parts]
     steps = np.concatenate([np.diff(part) for part in begin])
     values = np.concatenate(begin)
     steps, values = steps[np.isfinite(steps)], values[np.isfinite(values)]

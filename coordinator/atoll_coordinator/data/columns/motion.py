@@ -91,7 +91,7 @@ def _determines_next(columns: ExaminedColumns, name: str) -> bool:
     now = [np.concatenate([along[:-1] for along in values[other]]) for other in (*roles.states, *roles.inputs)]
     after = np.concatenate([along[1:] for along in values[name]])
     is_known = np.logical_and.reduce([np.isfinite(array) for array in (*now, after)])
-    rows = np.flatnonzero(is_known)[: LIMITS.sample]
+    rows = np.flatnonzero(is_known)[: SETTINGS.rows.compared]
     if len(rows) < LIMITS.least_rows:
         return False
     pairs = neighbours([array[rows] for array in now], part[rows], 1)
@@ -230,7 +230,7 @@ def _slopes_over(times: Parts, values: Mapping[str, Parts], states: Sequence[str
     bends: dict[str, list[FloatArray]] = {name: [] for name in states}
     numbers: list[IntArray] = []
     rows = sum(len(part) - width + 1 for part in times)
-    every = max(1, rows // LIMITS.sample)
+    every = max(1, rows // SETTINGS.rows.compared)
     for number, part in enumerate(times):
         firsts = np.arange(0, len(part) - width + 1, every)
         steps = (part[firsts + width - 1] - part[firsts]) / (width - 1)
@@ -263,6 +263,6 @@ def _weighted(values: FloatArray, firsts: IntArray, weights: FloatArray) -> Floa
 
 def _noise(parts: Parts) -> float:
     """Return the size of the noise of a state from its fourth differences; infinite if there are none."""
-    differences = np.concatenate([np.diff(part[: SETTINGS.common.most_rows], 4) for part in parts])
+    differences = np.concatenate([np.diff(part[: SETTINGS.rows.in_sums], 4) for part in parts])
     differences = differences[np.isfinite(differences)]
     return math.sqrt(dot(differences, differences) / len(differences)) / _ROOT_70 if len(differences) else math.inf

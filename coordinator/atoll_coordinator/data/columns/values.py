@@ -348,7 +348,7 @@ def linear_relations(columns: ExaminedColumns) -> list[Relation]:
     if len(names) > _MOST_COLUMNS or (columns.roles.order == 2 and len(names) < 2):
         return []
     rows = np.flatnonzero(np.logical_and.reduce([np.isfinite(columns.whole[name]) for name in names] or [np.zeros(0)]))
-    some = rows[:: -(-len(rows) // SETTINGS.common.most_rows) or 1]
+    some = rows[:: -(-len(rows) // SETTINGS.rows.in_sums) or 1]
     sampled = {name: columns.whole[name][some] for name in names}
     whole = {name: columns.whole[name][rows] for name in names}
     basis = _Basis()
@@ -465,7 +465,7 @@ def _weighted_sum(coefficients: Mapping[str, float], values: Values) -> FloatArr
 
 def _step(values: FloatArray) -> float:
     """Return the step in which the largest values of a column were written down."""
-    some = values[:: max(1, len(values) // LIMITS.sample)]
+    some = values[:: max(1, len(values) // SETTINGS.rows.compared)]
     largest = float(np.max(np.abs(values)))
     numbers = [Decimal(repr(value)).normalize() for value in some.tolist() if value != 0.0]
     digits = max((len(number.as_tuple().digits) for number in numbers), default=1)

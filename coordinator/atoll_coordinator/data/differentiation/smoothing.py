@@ -31,6 +31,8 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.smoothing
+REACH: Final = 6.0
+"""Residuals larger than this many times the median residual have no weight (Cleveland 1979, section 2)."""
 ROUNDS: Final = 6
 """Maximum number of rounds that reweight rows by the residuals of the previous round; nearly all fits converge
 earlier."""
@@ -288,7 +290,7 @@ def weigh_by(fit: RobustFit, signal: Signal) -> Signal:
 def has_heavy_tails(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> bool:
     """Tell whether some rows are isolated and too far from the curve for the noise of the other rows."""
     residuals = _residuals(signals, smoothed)
-    limit = LIMITS.reach * NORMAL_DEVIATION * _median(residuals, signals)
+    limit = REACH * NORMAL_DEVIATION * _median(residuals, signals)
     count = 0
     for part in residuals:
         sizes = [0.0, *np.abs(part).tolist(), 0.0]
@@ -314,6 +316,6 @@ def _median(residuals: Sequence[FloatArray], signals: Sequence[Signal]) -> float
 
 def _weigh(signal: Signal, residuals: FloatArray, median: float) -> Signal:
     """Return `signal` with bisquare weights (Cleveland 1979, section 2)."""
-    shares = residuals / (LIMITS.reach * median)
+    shares = residuals / (REACH * median)
     rest = np.maximum(1.0 - shares * shares, 0.0)
     return replace(signal, robustness_weights=rest * rest)

@@ -80,7 +80,7 @@ def _walks(measured: Sequence[FloatArray], residuals: Sequence[FloatArray], roun
     if residuals and float(np.nanvar(np.concatenate(residuals))) <= SETTINGS.inference.excess**2 * rounding:
         return False
     values, rows = np.concatenate(measured), max(map(len, residuals), default=0)
-    if rows <= SETTINGS.process.fewest_steps:
+    if rows <= SETTINGS.selection.fewest_steps:
         return False
     squares = [_mean_square(residuals, lag) for lag in _LAGS]
     variance = float(np.nanvar(values))
@@ -224,7 +224,7 @@ def _left(values: FloatArray, column: FloatArray) -> float:
 
 def _is_open(rest: RateResiduals) -> bool:
     """Say whether rows of other passes with nearly the same states have other residuals."""
-    every = max(1, len(rest.residuals) // SETTINGS.columns.sample)
+    every = max(1, len(rest.residuals) // SETTINGS.rows.compared)
     coordinates = [np.ascontiguousarray(row[::every]) for row in rest.variables]
     pairs = neighbours(coordinates, rest.run[::every], rest.span // every + 1)
     found = None if pairs is None else disagreement(pairs, rest.residuals[::every])

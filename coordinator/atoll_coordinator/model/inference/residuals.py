@@ -9,12 +9,18 @@ parameters.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.data.differentiation.smoothing import REACH
 from atoll_coordinator.model.inference.quadratic_forms import positive_tail, variance_ratio_tail
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
+
+_LAGS: Final = 3
+"""Rows up to this far apart are compared; the residuals of a model that lacks a term have the same sign for several
+rows."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +109,7 @@ def _patterned(errors: Sequence[FloatArray], correlations: Sequence[float], vari
 
 def _reach(rows: float, parameters: float) -> int:
     """Return how many rows apart are compared: what p fitted curves leave turns within n/p rows."""
-    return max(1, min(SETTINGS.inference.lags, int(rows / (2.0 * max(parameters, 1.0)))))
+    return max(1, min(_LAGS, int(rows / (2.0 * max(parameters, 1.0)))))
 
 
 def _exact_pattern(
@@ -203,5 +209,5 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
 
 def clip_outliers(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     """Return the residuals, outliers (by the median of their size) clipped."""
-    limit = SETTINGS.smoothing.reach * float(np.median(np.abs(np.concatenate(list(residuals)))))
+    limit = REACH * float(np.median(np.abs(np.concatenate(list(residuals)))))
     return [np.clip(series, -limit, limit) for series in residuals]

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.least_squares import Fitter, Solver, minimize, solver
+from atoll_coordinator.model.least_squares import SETTLED, Fitter, Solver, minimize, solver
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem, Target
 from atoll_core.expression.evaluation import values_and_gradient, values_of
@@ -134,7 +134,7 @@ class _TargetFit(Fitter[Fitted, FloatArray, Fitted]):
         return moved, self._rows.half * (point.mse - moved.mse)
 
     def settled(self, point: Fitted) -> float:
-        return SETTINGS.effort.settled * self._rows.half * point.mse
+        return SETTLED * self._rows.half * point.mse
 
     def done(self, point: Fitted, promise: float, taken: int) -> bool:
         """Tell whether further steps with the gain of the next one would not reach the error that is enough."""

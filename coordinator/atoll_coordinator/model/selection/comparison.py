@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction, Spread
+from atoll_coordinator.model.least_squares import SETTLED
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.score import FittedModel, Score, SummarizedFit
 from atoll_coordinator.model.shooting.error_model import ErrorModel
@@ -32,7 +33,7 @@ from atoll_core.wire.values import encode_value
 Programs = tuple[Program, ...]
 STAGES: Final[tuple[int | None, ...]] = (*SETTINGS.shooting.lengths[:2], None)
 """Rows of the segments that a system is fitted to, one after another; None: whole trajectories."""
-_REPEATED: Final = 10.0 * SETTINGS.effort.settled
+_REPEATED: Final = 10.0 * SETTLED
 """Misfits that differ by less, relative to their size, are of the same function in other words: fits settle so far."""
 
 

@@ -22,6 +22,9 @@ from atoll_core.expression.program import Program
 R2 = tuple[float | None, ...]
 """R2 of each measured state along trajectories left out: minus infinity where they could not be simulated."""
 
+_LEAST_FOLDS: Final = 3
+"""Fewest trajectories for leaving one out: with fewer, too few rows remain to fit constants to."""
+
 
 @dataclass(frozen=True, eq=False)
 class Fold:
@@ -42,7 +45,7 @@ class Validation:
         owners = sorted(set(measurements.owners.tolist()))
         count = min(len(owners), SETTINGS.effort.beam)
         self._folds = [frozenset(owners[fold::count]) for fold in range(count)]
-        self.is_possible: Final = count >= SETTINGS.selection.least_folds and comparison.groups is None
+        self.is_possible: Final = count >= _LEAST_FOLDS and comparison.groups is None
         """Whether there are enough trajectories, and all have the same constants."""
 
     def of(self, model: FittedModel) -> R2 | None:

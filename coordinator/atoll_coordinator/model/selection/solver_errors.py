@@ -17,6 +17,7 @@ import numpy as np
 from atoll_coordinator.data.recording import Recording, Smoothing
 from atoll_coordinator.model.constants.rounding import Estimates
 from atoll_coordinator.model.selection.task import ModellingTask
+from atoll_coordinator.model.shooting.integration import STEPS_PER_ROW
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -189,7 +190,7 @@ def _solved(
             if not np.isfinite([run.measured[:, 0], rates(run.times[0], run.measured[:, 0])]).all():
                 return None  # a step from there would never end
             steps = method(rates, run.times[0], run.measured[:, 0], run.times[-1], rtol=solver.rtol, atol=solver.atol)
-            for _ in range(SETTINGS.shooting.steps_per_row * len(times)):
+            for _ in range(STEPS_PER_ROW * len(times)):
                 if done == len(times) or steps.step() is not None:
                     break
                 reached = int(np.searchsorted(times, steps.t, side="right"))

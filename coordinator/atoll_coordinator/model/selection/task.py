@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Final
 
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.batches import Spread
@@ -24,6 +25,9 @@ from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
 from atoll_core.expression.writing.shortest import shortest
+
+_TOLERATED_NOISE: Final = 0.01
+"""Largest error of an integration step as a share of the noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,11 +173,11 @@ class ModellingTask:
         noise = float(measurements.relative_noise.min()) if has_noise else 0.0
         if is_precise and not any(self.dataset.problem(name).target.is_noisy for name in self.candidates):
             noise = 0.0
-        error = SETTINGS.selection.tolerated_noise * max(noise, SETTINGS.shooting.exact)
+        error = _TOLERATED_NOISE * max(noise, SETTINGS.shooting.exact)
         if is_precise:
             longest = int((measurements.bounds[:, 1] - measurements.bounds[:, 0]).max())
             error /= longest * max(1.0, measured_rows / measurements.rows) * math.sqrt(measurements.rows)
-        tolerance = max(error, SETTINGS.selection.tolerated_noise * SETTINGS.shooting.exact)
+        tolerance = max(error, _TOLERATED_NOISE * SETTINGS.shooting.exact)
         fixed = [index for index, name in enumerate(variables) if name in self.known]
         restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
         restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}

@@ -20,6 +20,8 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
+STEPS_PER_ROW: Final = 40
+"""Most integration steps for each row, on average: systems that need more are stiff or blow up."""
 OVERHEAD_NUMBERS: Final = 10
 """Numbers that could be carried along in the time that everything else about a row takes."""
 STEEPEST: Final = 1e60
@@ -77,7 +79,7 @@ class Integrator:
         self.measured_rows: Final = measured_rows
         self._rows_in_row: Final = max(1.0, measured_rows / measurements.rows)
         quick, precise, implicit = _FREE_STEPS
-        most, scales = SETTINGS.shooting.steps_per_row, measurements.scales
+        most, scales = STEPS_PER_ROW, measurements.scales
         is_quick = tolerance >= SETTINGS.common.clean
         explicit = (QUICK, _QUICK_STEPS, quick) if is_quick else (PRECISE, most, precise)
         self.methods: Final = (

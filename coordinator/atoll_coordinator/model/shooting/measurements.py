@@ -21,6 +21,8 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
+BLOW_UP_WIDTHS: Final = 3.0
+"""A simulated state may leave the measured range by this many times its width before it counts as blown up."""
 _LARGEST_SHARE: Final = 0.1
 """Variance of normal errors over the squared reach of robustness weights, at most: beyond, errors outside of the reach
 would count. Weights that reach to six median errors have 0.061."""
@@ -100,7 +102,7 @@ class Measurements:
         """Range (D, 2) outside of which a simulated state has blown up."""
         low, high = self.smoothed.min(axis=1), self.smoothed.max(axis=1)
         width = np.maximum(high - low, 1e-12 * np.maximum(np.abs(high), np.abs(low)))
-        beyond = SETTINGS.shooting.blow_up_widths * width
+        beyond = BLOW_UP_WIDTHS * width
         return np.ascontiguousarray(np.stack([low - beyond, high + beyond], axis=1))
 
     @cached_property

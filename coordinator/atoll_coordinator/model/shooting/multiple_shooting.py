@@ -40,7 +40,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.least_squares import LEAST_DAMPING, Fitter, Solver, minimize, without
+from atoll_coordinator.model.least_squares import LEAST_DAMPING, SETTLED, Fitter, Solver, minimize, without
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.integration import OVERHEAD_NUMBERS, STEEPEST, Integrator, Method, Unsimulated
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
@@ -394,7 +394,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
 
         The residuals of a solution in closed form are rounding errors, and its fit would follow these for long.
         """
-        return max(SETTINGS.effort.settled * point.cost, float((self._rounding / point.errors.sigmas**2).sum()))
+        return max(SETTLED * point.cost, float((self._rounding / point.errors.sigmas**2).sum()))
 
     @cached_property
     def _rounding(self) -> FloatArray:

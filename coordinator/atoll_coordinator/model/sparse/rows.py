@@ -276,8 +276,8 @@ def _mean_inputs(part: Trajectory) -> FloatArray:
 
 def _stretches(lengths: Sequence[int]) -> list[tuple[int, int]]:
     """Return first row and end of the stretches that stand for trajectories with these `lengths`: whole ones if few."""
-    parts = -(-sum(lengths) // SETTINGS.common.most_rows)
-    stretch = SETTINGS.common.most_rows // _STRETCHES if parts > 1 else max(lengths)
+    parts = -(-sum(lengths) // SETTINGS.rows.in_sums)
+    stretch = SETTINGS.rows.in_sums // _STRETCHES if parts > 1 else max(lengths)
     ends = np.cumsum(lengths).tolist()
     return [
         (first, min(first + stretch, end))

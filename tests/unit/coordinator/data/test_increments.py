@@ -47,7 +47,7 @@ def circling(rows: int, seed: int, correlation: float) -> FloatArray:
     return np.array(states).T
 
 
-LIMIT = SETTINGS.process.least_noise
+LIMIT = SETTINGS.selection.least_noise
 
 
 def times_of(kind: str) -> FloatArray:

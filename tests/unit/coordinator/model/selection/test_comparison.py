@@ -23,6 +23,7 @@ from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance, covariance
+from atoll_coordinator.settings import SETTINGS, EffortSettings
 from atoll_core.config import DataConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.expression.program import Program, structure
@@ -30,7 +31,6 @@ from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.wire.values import encode_value
 from tests.batches import ScatteredBatches
-from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import (
     DECAY,
     LOTKA,
@@ -53,6 +53,14 @@ RIVALS = tuple(
         ("1.1*x - 0.9*x*x", "2.9*x - 2.1*x*y - 0.9*x*x", "1.5 - 0.3*y - 0.5*x", "2.0 - 0.7*x", "exp(9.0*x)"),
     )
 )
+
+
+class FewKept(EffortSettings):
+    """Two programs are kept at a time."""
+
+    @property
+    def kept(self) -> int:
+        return 2
 
 
 def lotka(noise=NOISE, deadline=None, **options) -> ModelComparison:
@@ -113,7 +121,7 @@ def test_halving_keeps_the_best_and_notes_them():
 
 
 def test_beyond_the_work_that_is_allowed_no_more_programs_are_taken_in(monkeypatch):
-    monkeypatch.setattr(comparison, "SETTINGS", settings("effort", kept=2))
+    monkeypatch.setattr(comparison, "SETTINGS", replace(SETTINGS, effort=FewKept()))
     lotka_comparison = lotka()
     near = lotka_comparison.fit_model([RIVALS[2], OTHER])
     programs = [RIVALS[0], RIVALS[3], TRUTH]
@@ -213,7 +221,7 @@ def test_the_number_of_threads_changes_no_bit(threads):
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 7])
 def test_neither_workers_nor_their_order_change_a_bit_or_the_work_that_is_counted(workers, monkeypatch):
-    monkeypatch.setattr(comparison, "SETTINGS", settings("effort", kept=2))
+    monkeypatch.setattr(comparison, "SETTINGS", replace(SETTINGS, effort=FewKept()))
     batches = ScatteredBatches(workers)
     for until in (math.inf, 1.0):
         assert narrowed(lotka(spread=Spread(batches)), until) == narrowed(lotka(), until)

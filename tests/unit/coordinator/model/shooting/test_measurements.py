@@ -7,8 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.model.shooting.measurements import measurements_of
-from atoll_coordinator.settings import SETTINGS
+from atoll_coordinator.model.shooting.measurements import BLOW_UP_WIDTHS, measurements_of
 from tests.unit.coordinator.model.shooting.made import DRIVEN, LOTKA, SWING, recording
 
 TIMES = 0.1 * np.arange(30.0)
@@ -209,8 +208,8 @@ def test_few_rows_are_not_thinned():
 def test_limits_leave_room_on_both_sides():
     rows = measurements_of(recording(LOTKA, [[1.0, 3.0]], TIMES), [0, 1])
     low, high = rows.smoothed.min(axis=1), rows.smoothed.max(axis=1)
-    assert rows.limits[:, 0] == pytest.approx(low - SETTINGS.shooting.blow_up_widths * (high - low))
-    assert rows.limits[:, 1] == pytest.approx(high + SETTINGS.shooting.blow_up_widths * (high - low))
+    assert rows.limits[:, 0] == pytest.approx(low - BLOW_UP_WIDTHS * (high - low))
+    assert rows.limits[:, 1] == pytest.approx(high + BLOW_UP_WIDTHS * (high - low))
 
 
 def test_rows_count_by_their_weights_and_by_their_robustness_weights():

@@ -61,7 +61,7 @@ def test_the_variance_is_that_of_what_the_law_leaves():
 def test_stretches_spread_over_all_trajectories_stand_for_very_many_rows(lengths):
     stretches = _stretches(lengths)
     rows, ends = sum(end - first for first, end in stretches), np.cumsum(lengths)
-    assert SETTINGS.common.most_rows / 2 < rows <= SETTINGS.common.most_rows
+    assert SETTINGS.rows.in_sums / 2 < rows <= SETTINGS.rows.in_sums
     assert all(
         np.searchsorted(ends, first, "right") == np.searchsorted(ends, end - 1, "right") for first, end in stretches
     )
