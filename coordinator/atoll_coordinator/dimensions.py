@@ -110,7 +110,7 @@ class _Inference:
         shown = self._unit(first) if unit is None else _unit_phrase(unit)
         for term in self._top_terms:
             if not self._equate(self._of_nodes[term], wanted):
-                self._blame(f"the term {self._text(term)} has {self._unit(term)} instead of {shown}")
+                self._report_fault(f"the term {self._text(term)} has {self._unit(term)} instead of {shown}")
 
     def constants(self) -> tuple[Unit | None, ...]:
         """Return the unit of each constant, None if it is not determined."""
@@ -157,7 +157,7 @@ class _Inference:
     def _sum(self, index: int, left: int, right: int) -> Vector:
         if index not in self._top_sums and not self._equate(self._of_nodes[left], self._of_nodes[right]):
             texts = f"{self._text(left)} has {self._unit(left)} and {self._text(right)} {self._unit(right)}"
-            self._blame(f"{texts}, but they are added")
+            self._report_fault(f"{texts}, but they are added")
         return dict(self._of_nodes[left])
 
     def _power(self, index: int, left: int, right: int) -> Vector:
@@ -170,9 +170,9 @@ class _Inference:
 
     def _require_number(self, index: int, what: str) -> None:
         if not self._equate(self._of_nodes[index], {}):
-            self._blame(f"{what} has {self._unit(index)} instead of none")
+            self._report_fault(f"{what} has {self._unit(index)} instead of none")
 
-    def _blame(self, clause: str) -> None:
+    def _report_fault(self, clause: str) -> None:
         if clause not in self.faults:
             self.faults.append(clause)
 

@@ -135,7 +135,7 @@ class EffortSettings:
 
     @property
     def longest_sum(self) -> int:
-        """Longest sum, in terms, that is fitted again without each term: the work grows with the square of its length."""
+        """Longest sum, in terms, that is fitted again without each term: the work grows with its length squared."""
         return 2 * self.beam
 
     @property
@@ -282,7 +282,7 @@ class InferenceSettings:
 
     @property
     def chance_nats(self) -> float:
-        """Δ log-likelihood, relative to no equation, from which on an equation does not count as chance (odds of 100)."""
+        """Δ log-likelihood, relative to no equation, above which an equation is not chance (odds of 100)."""
         return round(-math.log(self.improbable), 1)
 
     @property

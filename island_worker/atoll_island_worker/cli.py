@@ -116,7 +116,7 @@ def _dispatch(options: argparse.Namespace) -> int:
 
     credentials = credentials_of(vars(options), os.environ, "connect")
     connect = _destination(options, credentials)
-    name = _name_for(credentials.name if credentials is not None else None, options.name)
+    name = _worker_name(credentials.name if credentials is not None else None, options.name)
     raise_interrupts()
     number = options.processes
     if number is None:
@@ -155,7 +155,7 @@ def _destination(options: argparse.Namespace, credentials: "Credentials | None")
     return destination(connect, credentials)
 
 
-def _name_for(principal: str | None, wanted: str | None) -> str:
+def _worker_name(principal: str | None, wanted: str | None) -> str:
     """Return the worker's name; with a certificate it must be the name in it, or this name with a hyphen and a suffix.
 
     Raises:
@@ -263,11 +263,11 @@ def _fork(
     """Start a fork of this process that works until `end`; `tasks` forks the processes for its tasks."""
     parent = os.getpid()
 
-    def act() -> int:
+    def run_until_end() -> int:
         options.lifetime = _seconds_until(end)
         return exit_code_of(partial(work, connect, name, options, parent, tasks), exit_reasons.report)
 
-    return processes.Forked(act)
+    return processes.Forked(run_until_end)
 
 
 def _seconds_until(end: float | None) -> float | None:

@@ -159,7 +159,7 @@ _MOST_BYTES: Final = 4000
 """Longest reason in bytes; a pipe writes up to 4096 bytes in one piece."""
 
 
-def complain(sentence: str) -> None:
+def print_reason(sentence: str) -> None:
     """Print why a process ends."""
     sys.stderr.write(f"island-worker: {sentence}\n")
 
@@ -197,7 +197,7 @@ class ExitReasons:
         for sentence in (line.decode("utf-8", "replace") for line in lines):
             if now - self._printed_at.get(sentence, -REPEAT_S) >= REPEAT_S:
                 self._printed_at[sentence] = now
-                complain(sentence)
+                print_reason(sentence)
 
 
 def report_to(writing_end: int, sentence: str) -> None:
@@ -206,7 +206,7 @@ def report_to(writing_end: int, sentence: str) -> None:
     try:
         os.write(writing_end, line)
     except OSError:
-        complain(sentence)
+        print_reason(sentence)
 
 
 # -------------------------------------------------------------------------------------------- restarts
@@ -373,7 +373,7 @@ class Supervisor:
         except AtollError as error:
             if process.policy.number == 1:
                 raise
-            complain(str(error))
+            print_reason(str(error))
             self._handle_end(process, error.exit_code, now)
 
     def _handle_end(self, process: _Process, code: int, now: float) -> None:
@@ -382,11 +382,11 @@ class Supervisor:
         pause_s = process.policy.end(code, now)
         ending = f"was ended by signal {-code}" if code < 0 else f"has ended with exit code {code}"
         if pause_s is not None:
-            complain(f"{subject} {ending}; it is started again in {pause_s:g} s")
+            print_reason(f"{subject} {ending}; it is started again in {pause_s:g} s")
         elif process.policy.is_given_up:
             others = sum(process.policy.state != "ended" for process in self._processes)
             left = f"{others} {'other process runs' if others == 1 else 'other processes run'} on" if others else ""
-            complain(
+            print_reason(
                 f"{subject} {ending}, {len(process.policy.deaths)} deaths within a minute, and is not started again "
                 f"({left or 'no other process is left'}); read its last messages, and check that this machine has "
                 "enough memory"

@@ -62,12 +62,12 @@ class Simulator:
         """
         rows, states = [starts], starts
         for step, length in enumerate(lengths.tolist()):
-            states = self._moved(states, inputs[:, step], length)
+            states = self._take_step(states, inputs[:, step], length)
             if is_kept is None or is_kept[step]:
                 rows.append(states)
         return np.array(rows)
 
-    def _moved(self, states: FloatArray, inputs: FloatArray, length: float) -> FloatArray:
+    def _take_step(self, states: FloatArray, inputs: FloatArray, length: float) -> FloatArray:
         count = states.shape[1]
         points = np.concatenate([states, np.repeat(inputs[:, None], count, axis=1)])
         moments = self.moments(points, np.full(count, length))
@@ -121,7 +121,7 @@ class Ensemble:
     @cached_property
     def mean(self) -> FloatArray:
         """The mean (N, S); NaN where no path is finite."""
-        return self._over(lambda paths: np.mean(paths, axis=0))
+        return self._statistics_of_paths(lambda paths: np.mean(paths, axis=0))
 
     @property
     def lower(self) -> FloatArray:
@@ -140,9 +140,9 @@ class Ensemble:
 
     @cached_property
     def _quantiles(self) -> FloatArray:
-        return self._over(lambda paths: np.quantile(paths, SHARES, axis=0), len(SHARES))
+        return self._statistics_of_paths(lambda paths: np.quantile(paths, SHARES, axis=0), len(SHARES))
 
-    def _over(self, function: Callable[[FloatArray], FloatArray], *shape: int) -> FloatArray:
+    def _statistics_of_paths(self, function: Callable[[FloatArray], FloatArray], *shape: int) -> FloatArray:
         values = function(self.finite) if len(self.finite) else np.full((*shape, *self.x.shape[1:]), np.nan)
         return np.asarray(values)
 

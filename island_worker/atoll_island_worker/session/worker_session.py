@@ -88,7 +88,7 @@ class Session:
             RemoteProtocolError: A peer's message is invalid; the state is unchanged.
             LocalProtocolError: This side broke its own rules.
         """
-        actions = self._on(event)
+        actions = self._handle_event(event)
         # All islands that can begin an epoch do so; the compute thread decides about turns.
         runnable = [
             (shard, local.index)
@@ -100,7 +100,7 @@ class Session:
         early = [pull for shard, island in runnable for pull in shard.early_pulls(shard.islands[island].epoch)]
         return [*begun, *actions, *early]
 
-    def _on(self, event: io.SessionEvent) -> list[io.Action]:  # noqa: C901  # a table of events
+    def _handle_event(self, event: io.SessionEvent) -> list[io.Action]:  # noqa: C901  # a table of events
         match event:
             case workers.Placement():
                 return self._placed(event)

@@ -125,7 +125,7 @@ def _divides(divisor: Monomial, monomial: Monomial) -> bool:
     )
 
 
-def _over_one_line(terms: Sum, best: Best) -> Iterator[Sum]:
+def _joined_quotients(terms: Sum, best: Best) -> Iterator[Sum]:
     """A term over a sum, a sine or a cosine, joined with one other term or with all other terms into one quotient."""
     divisors: dict[Atom, int] = {}
     for monomial, _ in terms:
@@ -138,7 +138,7 @@ def _over_one_line(terms: Sum, best: Best) -> Iterator[Sum]:
         for group in _whole_and_parts(others):
             raising = _expanded_power(atom, -exponent)
             parts = [(1.0, distribute((term,), raising)) for term in group]
-            parts += [(1.0, _lifted(term, atom, exponent, raising)) for term in over]
+            parts += [(1.0, _times_divisor(term, atom, exponent, raising)) for term in over]
             above = add(*parts)
             if len(above) <= _MOST_TERMS:
                 whole = multiply(best(above), atom_sum(atom, exponent=exponent)) if above else ZERO
@@ -158,7 +158,7 @@ def _expanded_power(atom: Atom, exponent: int) -> Sum:
     return total
 
 
-def _lifted(term: Term, atom: Atom, exponent: int, raising: Sum) -> Sum:
+def _times_divisor(term: Term, atom: Atom, exponent: int, raising: Sum) -> Sum:
     """Return a term with a power of `atom` in its divisor, multiplied by the highest power of `atom`."""
     own = dict(term[0])[atom]
     rest = _times(term, (atom, -own))
@@ -246,11 +246,11 @@ def _double_angles(terms: Sum, best: Best) -> Iterator[Sum]:
                 half = add((0.5, atom[1]))
                 if any(wave[1] == half for wave in waves):
                     rest = _times(term, (atom, -1))
-                    for expanded in _by_half(atom[0], half):
+                    for expanded in _half_angle_forms(atom[0], half):
                         yield _replaced(terms, (term,), distribute(rest, expanded))
 
 
-def _by_half(code: int, half: Sum) -> list[Sum]:
+def _half_angle_forms(code: int, half: Sum) -> list[Sum]:
     sine, cosine = (op.SIN, half), (op.COS, half)
     if code == op.SIN:
         return [((merged([(sine, 1), (cosine, 1)]), 2.0),)]
@@ -301,10 +301,10 @@ def _expanded_angles(terms: Sum, best: Best) -> Iterator[Sum]:
                     other = add((1.0, atom[1]), (-sign, part))
                     if 0 < len(other) < len(atom[1]):
                         rest = _times(term, (atom, -1))
-                        yield _replaced(terms, (term,), distribute(rest, _of_two(atom[0], part, sign, other)))
+                        yield _replaced(terms, (term,), distribute(rest, _wave_of_sum(atom[0], part, sign, other)))
 
 
-def _of_two(code: int, part: Sum, sign: float, other: Sum) -> Sum:
+def _wave_of_sum(code: int, part: Sum, sign: float, other: Sum) -> Sum:
     """Return the sine or cosine of ``sign * part + other``."""
     sine, cosine = function(op.SIN, part), function(op.COS, part)
     other_sine, other_cosine = function(op.SIN, other), function(op.COS, other)
@@ -356,7 +356,7 @@ _IDENTITIES: Final = (
     _inner,
     _expanded,
     _factored,
-    _over_one_line,
+    _joined_quotients,
     _divisors_multiplied,
     _divided_out,
     _without_inner_quotients,

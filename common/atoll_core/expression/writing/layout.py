@@ -122,12 +122,12 @@ def _term(monomial: Monomial, coefficient: float) -> Term:
         return coefficient < 0.0, NODE, (op.VARIABLE, monomial[0][0][1])
     brackets = {atom: exponent for atom, exponent in monomial if atom[0] == op.ADD}
     scales = {atom: _own_scale(atom[1]) for atom in brackets}
-    best = _laid_out(monomial, coefficient, scales)
+    best = _write_scaled(monomial, coefficient, scales)
     for atom, exponent in brackets.items():
         if abs(exponent) == 1:
             others = math.prod(raised_number(scales[other], -brackets[other]) for other in brackets if other != atom)
             own = cleaned(raised_number(times(coefficient, others), exponent))
-            best = min(best, _laid_out(monomial, coefficient, {**scales, atom: own}), key=itemgetter(1))
+            best = min(best, _write_scaled(monomial, coefficient, {**scales, atom: own}), key=itemgetter(1))
     return best
 
 
@@ -154,7 +154,7 @@ def _own_scale(terms: Sum) -> float:
     return min(costs, key=lambda size: costs[size])
 
 
-def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float]) -> Term:
+def _write_scaled(monomial: Monomial, coefficient: float, scales: dict[Atom, float]) -> Term:
     """Return a term with its brackets multiplied by `scales`, and its coefficient divided accordingly."""
     above: list[Written] = []
     below: list[Written] = []
@@ -203,8 +203,8 @@ def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]
         base, exponent = written(atom[1]), written(atom[2])
         return False, (base[0] + exponent[0] + NODE + _FUNCTION, (op.POW, base[1], exponent[1]))
     argument = scaled(atom[1], scale) if kind == op.ADD else atom[1]
-    flips = kind in (op.ADD, op.SIN, op.TANH, op.DIVIDE) and _flips(argument, wants_flip=wants_flip)
-    if flips or (kind == op.COS and _flips(argument, wants_flip=False)):
+    flips = kind in (op.ADD, op.SIN, op.TANH, op.DIVIDE) and _should_flip(argument, wants_flip=wants_flip)
+    if flips or (kind == op.COS and _should_flip(argument, wants_flip=False)):
         argument = scaled(argument, -1.0)
     cost, expression = written(argument)
     if kind == op.ADD:
@@ -215,7 +215,7 @@ def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]
     return flips, (cost + NODE + _FUNCTION, (kind, expression))
 
 
-def _flips(terms: Sum, *, wants_flip: bool) -> bool:
+def _should_flip(terms: Sum, *, wants_flip: bool) -> bool:
     """Tell whether to write the negative of a sum: all terms are negative, or a flip is wanted and possible."""
     signs = {coefficient > 0.0 for _, coefficient in terms}
     return signs == {False} or (wants_flip and len(signs) == 2)

@@ -268,7 +268,7 @@ def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], lines: 
                 f"{column} holds '{texts[row]}' in {place(lines, row)}, which is not a date or time"
             ) from None
     if is_clock:
-        return Dates(_past_midnight(values, starts), "clock times", has_date=False)
+        return Dates(_add_days_after_midnight(values, starts), "clock times", has_date=False)
     has_clock = any(match["hour"] is not None for match in present)
     return Dates(tuple(values), f"dates {form}", has_date=True, has_clock=has_clock, is_utc=zones == {True})
 
@@ -338,7 +338,7 @@ def _steps(values: Sequence[int | None], starts: Sequence[int]) -> Iterator[int]
             yield other - one
 
 
-def _past_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple[int | None, ...]:
+def _add_days_after_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple[int | None, ...]:
     """Add a day from where a clock time falls by more than half a day within a trajectory."""
     day, added, last = NANOSECONDS["d"], 0, None
     counted: list[int | None] = []

@@ -136,8 +136,8 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> FileColumns:
     groups may hold names, which are then numbered. `read_date_columns` decides which columns hold dates. A column
     without a name (such as row numbers) is also left out; messages call it by its position.
     """
-    raw = reshaped(file, _with_index(raw), config)
-    stated, cells = _headed(file, raw)
+    raw = reshaped(file, _with_named_index(raw), config)
+    stated, cells = _units_and_cells(file, raw)
     split = {name: split_origin(unit) for name, unit in stated.items()}
     units = {name: unit for name, (unit, _) in split.items()}
     since = tuple(f"{name}: in {unit} since {origin}" for name, (unit, origin) in split.items() if origin)
@@ -168,7 +168,7 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> FileColumns:
     kept = {*runs, *dates.values, *plain}
     new_names = {name: dates.renamed.get(name, name) for name in names if name in kept}
     if texts and not assigned([*new_names.values()], config, trajectory).equations:
-        raise _nothing_left(file, {name: cells[name] for name in texts if name not in dates.values}, raw.lines)
+        raise _no_numbers_error(file, {name: cells[name] for name in texts if name not in dates.values}, raw.lines)
     read_columns, remarks = read_numbers(file, plain, raw.lines, raw.separator)
     read = cast(dict[str, FloatArray | Dates], {**runs, **read_dates, **read_columns})
     columns = enumerate(zip(raw.headers, raw.columns, strict=True), start=1)
@@ -189,7 +189,7 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> FileColumns:
     )
 
 
-def _with_index(raw: RawTable) -> RawTable:
+def _with_named_index(raw: RawTable) -> RawTable:
     """Give a name to an unnamed first column of dates, such as an index of pandas, so that it can be the time."""
     if raw.headers[:1] != ("",) or TIME in raw.headers or not raw.lines:
         return raw
@@ -197,7 +197,7 @@ def _with_index(raw: RawTable) -> RawTable:
     return replace(raw, headers=(TIME, *raw.headers[1:])) if is_date(first) else raw
 
 
-def _headed(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[str]]]:
+def _units_and_cells(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[str]]]:
     units: dict[str, str] = {}
     named: dict[str, list[str]] = {}
     counts = Counter(split_unit(on_one_line(header))[0] for header in raw.headers if header)
@@ -213,7 +213,7 @@ def _headed(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[st
     return units, named
 
 
-def _nothing_left(file: str, texts: Mapping[str, Sequence[str]], lines: Sequence[int]) -> DataError:
+def _no_numbers_error(file: str, texts: Mapping[str, Sequence[str]], lines: Sequence[int]) -> DataError:
     examples = []
     for name, cells in [*texts.items()][:MANY]:
         row = next(row for row, cell in enumerate(cells) if not is_missing(cell))

@@ -55,7 +55,7 @@ def reshaped(file: str, raw: RawTable, config: DataConfig) -> RawTable:
     Raises DataError if two rows of a table with times as columns have the same name, or if an observable of a long
     table has two values at one time.
     """
-    return _widened(file, _with_joined_times(_turned(file, raw, config), config), config)
+    return _widened(file, _with_joined_times(_with_times_as_rows(file, raw, config), config), config)
 
 
 def _names(headers: Sequence[str]) -> list[str]:
@@ -75,7 +75,7 @@ def has_times(header: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
     return first is not None and _fits(first, [*zip_longest(*rows, fillvalue="")])
 
 
-def _turned(file: str, raw: RawTable, config: DataConfig) -> RawTable:
+def _with_times_as_rows(file: str, raw: RawTable, config: DataConfig) -> RawTable:
     names = _names(raw.headers)
     months = {MONTHS[key]: place for place, name in enumerate(names) if (key := name.strip(".").lower()) in MONTHS}
     if len(months) == 12 and not named_columns(config) & {names[place] for place in months.values()}:
@@ -84,11 +84,11 @@ def _turned(file: str, raw: RawTable, config: DataConfig) -> RawTable:
                    for place, cells in others.items()}  # fmt: skip
         years = next((place for place, holds in is_year.items() if holds), None)
         if years is not None:
-            return _of_months(raw, years, [months[month] for month in sorted(months)])
+            return _rows_of_months(raw, years, [months[month] for month in sorted(months)])
     first = _first_time(raw.headers)
     if first is None or not _fits(first, raw.columns) or named_columns(config) & set(raw.headers[first:]):
         return raw
-    return _of_times(file, raw, first, config)
+    return _rows_of_times(file, raw, first, config)
 
 
 def _first_time(header: Sequence[str]) -> int | None:
@@ -121,7 +121,7 @@ def _are_names(cells: Sequence[str]) -> bool:
     return any(not is_missing(cell) for cell in cells) and not any(map(is_datum, cells))
 
 
-def _of_times(file: str, raw: RawTable, first: int, config: DataConfig) -> RawTable:
+def _rows_of_times(file: str, raw: RawTable, first: int, config: DataConfig) -> RawTable:
     """Return the table with a row for each time, trajectory after trajectory if options name a column for them."""
     headers = _names(raw.headers)
     config = strip_units(config, headers)
@@ -172,7 +172,7 @@ def _names_of_rows(raw: RawTable, runs: Sequence[str], ids: Sequence[int]) -> tu
     return tuple(ids), names
 
 
-def _of_months(raw: RawTable, years: int, months: Sequence[int]) -> RawTable:
+def _rows_of_months(raw: RawTable, years: int, months: Sequence[int]) -> RawTable:
     """Return the table with a row for each month, times in years, without empty months at both ends."""
     rows = [(row, month) for row in range(len(raw.lines)) for month in range(len(months))]
     known = [number for number, (row, month) in enumerate(rows) if not is_missing(raw.columns[months[month]][row])]

@@ -235,7 +235,7 @@ def read_text(name: str, data: bytes) -> RawTable:
     try:
         raw = _split(name, text, beginning, _COMMENT.match)
     except DataError as error:
-        raise (_refused_preamble(name, text, number) or error) from None
+        raise (_preamble_error(name, text, number) or error) from None
     if not raw.lines and any(place > number and _COMMENT.match(line) for place, line in _lines(text)):
         # the name of the first column begins with the comment mark
         raw = _split(name, text, beginning, lambda _: None)
@@ -407,7 +407,7 @@ def _names_in_comment(comment: str, separator: str, count: int, is_strict: bool)
     return cells if not is_strict and len(cells) == count and not any(map(is_numeral, cells)) else None
 
 
-def _refused_preamble(name: str, text: str, first: int) -> DataError | None:
+def _preamble_error(name: str, text: str, first: int) -> DataError | None:
     """Return the error if most lines have as many cells as a header below line `first`, and lines above it have not."""
     lines = [(number, line) for number, line in _lines(text) if number >= first and line.strip()]
     for separator in "\t;,":

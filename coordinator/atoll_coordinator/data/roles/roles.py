@@ -184,7 +184,7 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         counts = f"{len(roles.derivatives)} derivatives were named for the states {states}"
         raise UsageError(f"{counts}; name as many states with --states, in the same order")
     if roles.time is None and not roles.is_given:
-        raise _missing_time(table, roles.states, config)
+        raise _missing_time_error(table, roles.states, config)
 
 
 def _check_named_roles(roles: Roles, config: DataConfig) -> None:
@@ -209,9 +209,9 @@ def _check_named_roles(roles: Roles, config: DataConfig) -> None:
             raise UsageError(f"--hold names '{name}', the time, which is not constant between rows; remove it")
 
 
-def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> DataError:
+def _missing_time_error(table: Table, states: Sequence[str], config: DataConfig) -> DataError:
     """Return the error for a table without a time; its message names a state that may be the time."""
-    breaks = {name: number for name in states if (number := _breaks(table, name)) is not None}
+    breaks = {name: number for name in states if (number := _restarts(table, name)) is not None}
     ascending = next((name for name, number in breaks.items() if number == 0), None)
     restarting = next((name for name, number in breaks.items() if number > 0), None)
     advice = []
@@ -226,7 +226,7 @@ def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> Da
     return DataError(f"no time column was found (looked for {names}); {', or '.join(advice)}")
 
 
-def _breaks(table: Table, name: str) -> int | None:
+def _restarts(table: Table, name: str) -> int | None:
     """Return how often the numbers of a column do not increase within a trajectory, as times do not at a restart.
 
     None if they cannot be times: the rows between two such places are too few for a trajectory.

@@ -208,7 +208,7 @@ def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) ->
     kept = np.flatnonzero(has_weight & ~is_lost).tolist()
     if not drop:
         few = [name for name, counts in zip(roles.used, (~bad[:, kept]).sum(axis=1), strict=True) if counts < MIN_ROWS]
-        raise DataError(_not_finite(table, used, bad, _cure(table, roles, bad, few)))
+        raise DataError(_missing_numbers_message(table, used, bad, _advice_on_missing(table, roles, bad, few)))
     if not kept:
         raise DataError(f"every row of {table.files[0]} holds NaN or infinity; no row is left to search")
     sentences = []
@@ -221,7 +221,7 @@ def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) ->
     return kept, sentences
 
 
-def _cure(table: Table, roles: Roles, bad: BoolArray, few: Sequence[str]) -> str:
+def _advice_on_missing(table: Table, roles: Roles, bad: BoolArray, few: Sequence[str]) -> str:
     """Return advice on missing numbers; the columns `few` would have too few values in the remaining rows."""
     if not few:
         return "correct them, or add --missing drop to leave them out"
@@ -236,7 +236,7 @@ def _cure(table: Table, roles: Roles, bad: BoolArray, few: Sequence[str]) -> str
     return needed if is_needed else f"{needed}, or leave it out of the file"
 
 
-def _not_finite(table: Table, used: Sequence[int], bad: BoolArray, advice: str) -> str:
+def _missing_numbers_message(table: Table, used: Sequence[int], bad: BoolArray, advice: str) -> str:
     """Return the message: the first bad column and its rows, the number of all bad rows, and the advice."""
     names = [table.names[index] for index in used]
     first = int(np.argmax(bad.any(axis=1)))
