@@ -21,7 +21,7 @@ from atoll_core.machine import batch_job
 from atoll_core.main_program import exit_code_of
 from atoll_core.signals import draining, exiting, raise_interrupts
 from atoll_island_worker import processes
-from atoll_island_worker.processes import Child, ExitReasons, complain, report_to
+from atoll_island_worker.processes import Child, ExitReasons, print_reason, report_to
 
 if TYPE_CHECKING:
     from atoll_core.wire.addresses import Destination
@@ -48,7 +48,7 @@ examples:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line (None: the command line of this process) and return its exit code."""
     words = sys.argv[1:] if argv is None else argv
-    return exit_code_of(lambda: _dispatch(_parse(words)), complain)
+    return exit_code_of(lambda: _dispatch(_parse(words)), print_reason)
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -123,7 +123,7 @@ def _dispatch(options: argparse.Namespace) -> int:
         number, reason = usable_cores(os.environ)
         sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
     if number == 1 and not options.supervise:
-        report = partial(report_to, options.exit_reasons) if options.exit_reasons is not None else complain
+        report = partial(report_to, options.exit_reasons) if options.exit_reasons is not None else print_reason
         return exit_code_of(partial(work, connect, name, options, options.parent), report)
     names = [f"{name[:58]}-{index}" for index in range(number)]
     return work_together(connect, names, options)
