@@ -8,8 +8,13 @@
 
 Differences of high order remove smooth motion almost completely and keep the noise. A divided difference over k steps
 is a weighted sum of the k increments. The data of the search are computed only with + - * /, square roots and correctly
-rounded sums, so that every machine gets the same bits. Letters: S states, N steps, V variables, W windows of
-neighbouring steps, M bins.
+rounded sums, so that every machine gets the same bits.
+
+The targets are doubtful for long steps: moments are divided by the length h of a step, and terms of order h are
+neglected. Models are later fitted and judged by the likelihood of single steps, which includes these terms
+(`atoll_coordinator.stochastic.moments`).
+
+Letters: S states, N steps, V variables, W windows of neighbouring steps, M bins.
 """
 
 import math
@@ -126,7 +131,7 @@ def separate_windows(steps: Steps, count: int) -> StepWindows:
 # --------------------------------------------------------------------------------------------- is a state rough at all?
 
 _ROUGHNESS_STEPS: Final = 7
-"""Steps of one difference, which is of the seventh order in the rows at their ends."""
+"""Number of steps of one divided difference, which combines eight rows and has order seven."""
 _OWN: Final = 2.0
 """If the noise rate grows by more than this factor when the lag is doubled, the state has no noise of its own: the
 factor is 1 with noise of its own, and 4 for a state that follows a noisy one."""
@@ -158,10 +163,8 @@ def is_driven(steps: Steps, state: int) -> bool:
 def noise_rate(steps: Steps, state: int, lag: int = 1) -> float:
     """Return the approximate variance that noise adds to a state per unit of time, from rows `lag` apart.
 
-    Infinite if there are no windows.
-
-    For a state with noise of its own the result is about 0.45 of this variance: 0.45 is the median of the square of a
-    standard normal number.
+    The result is infinite if there are no windows. For a state with noise of its own the result is about 0.45 of this
+    variance: 0.45 is the median of the square of a standard normal number.
     """
     differences = all_windows(steps, _ROUGHNESS_STEPS, lag).differences(state)
     return float(np.median(differences * differences)) if len(differences) else math.inf
@@ -181,14 +184,13 @@ _DOUBLED: Final = 1.28
 def correlated_pairs(steps: Steps, bins: Sequence[Rows]) -> list[Pair]:
     """Return the pairs of states whose noises are correlated: overall, or with different signs in different bins.
 
-    Only states with noise of their own are tested.
-
-    Two effects look like correlated noise: during a step, the drift carries the noise of one state into the other, and
-    both states share the part of the drift that bins do not resolve. Differences of high order remove both. They weight
-    the increments by weights w whose sum is zero, so that the carried noise, J B h^2 (sum w)^2 / 2, vanishes and smooth
-    motion almost vanishes. Let p be the product of two states' differences, in windows without a common step. If the
-    noises are not correlated, both signs of p are equally probable. Then sum(p) / sqrt(sum(p^2)) has mean 0 and
-    variance 1 for any sizes of p (Efron 1969), and is normal for many windows.
+    Only states with noise of their own are tested. Two effects look like correlated noise: during a step, the drift
+    carries the noise of one state into the other, and both states share the part of the drift that bins do not resolve.
+    Differences of high order remove both. They weight the increments by weights w whose sum is zero, so that the
+    carried noise, J B h^2 (sum w)^2 / 2, vanishes and smooth motion almost vanishes. Let p be the product of two
+    states' differences, in windows without a common step. If the noises are not correlated, both signs of p are equally
+    probable. Then sum(p) / sqrt(sum(p^2)) has mean 0 and variance 1 for any sizes of p (Efron 1969), and is normal for
+    many windows.
 
     All tests together have the false positive rate of one test at `significant` (Bonferroni).
     """
@@ -205,10 +207,8 @@ def correlated_pairs(steps: Steps, bins: Sequence[Rows]) -> list[Pair]:
 def correlation_scores(products: FloatArray, bins: Sequence[Rows]) -> tuple[float, float]:
     """Return the scores of both tests for products (W,) in bins.
 
-    They are about standard normal if signs are independent.
-
-    The second score comes from a sum over bins that is about chi-square; its cube root is about normal (Wilson &
-    Hilferty 1931).
+    They are about standard normal if signs are independent. The second score comes from a sum over bins that is about
+    chi-square; its cube root is about normal (Wilson & Hilferty 1931).
     """
     sums = [total(products[rows]) for rows in bins]
     squares = [total(products[rows] * products[rows]) for rows in bins]
@@ -357,11 +357,9 @@ def lagged(steps: Steps) -> Steps:
 def measurement_noise(residuals: FloatArray, steps: Steps) -> FloatArray:
     """Return the variance of measurement errors of each state (S,).
 
-    0 if products of neighbouring residuals are not significant.
-
-    Process noise makes the residuals r of increments about the drift independent from step to step. Measurement errors
-    e do not: if a row is too high, one increment is too large and the next too small. So E r_k r_k+1 = - var e (Roll
-    1984).
+    It is 0 if products of neighbouring residuals are not significant. Process noise makes the residuals r of increments
+    about the drift independent from step to step. Measurement errors e do not: if a row is too high, one increment is
+    too large and the next too small. So E r_k r_k+1 = - var e (Roll 1984).
     """
     variances = np.zeros(len(residuals))
     rows = np.flatnonzero(steps.follows)

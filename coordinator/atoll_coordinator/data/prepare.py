@@ -102,7 +102,7 @@ def assemble_differentiated(
     """Return the problems and the recording of smoothed and differentiated states.
 
     The `measurements` have trajectories, `weights` (R,) are the weights of all rows, and `estimates` has one estimate
-    for each state. Raises DataError where too few rows are selected, or a derivative cannot be a target.
+    for each state. Raises DataError if too few rows are selected, or if a derivative cannot be a target.
     """
     roles = measurements.roles
     warnings = [*measurements.warnings, *selected.warnings, *_remarks(measurements, estimates, selected)]
@@ -276,7 +276,7 @@ def _trajectories(
 def prepare(table: Table, config: JobConfig) -> Preparation:
     """Return the regression problems of `table` under `config`, and the recording from which they were made.
 
-    Raises UsageError where options contradict each other, DataError where the measurements cannot be used.
+    Raises UsageError if options contradict each other, DataError if the measurements cannot be used.
     """
     examination = examine(table, config)
     roles, options = examination.roles, examination.options

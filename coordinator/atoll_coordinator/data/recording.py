@@ -209,10 +209,10 @@ class Source:
 class Preparation:
     """The result of preparing a table.
 
-    `dataset` is for the search. `recording` has the trajectories of differentiated states; it is None where the
-    left-hand sides were given, and for a stochastic process, whose trajectories are in `process` (else None).
-    `held_out` has the same targets over rows of held-out trajectories, with uncertainty, standard deviation and noise
-    of `dataset`; None if no trajectory is held out.
+    `dataset` is for the search. `recording` has the trajectories of differentiated states; it is None if the left-hand
+    sides were given, and for a stochastic process, whose trajectories are in `process` (else None). `held_out` has the
+    same targets over rows of held-out trajectories, with uncertainty, standard deviation and noise of `dataset`; None
+    if no trajectory is held out.
 
     If the left-hand sides were given, `counted` has the rows that fits use, with the `weights`. It includes rows whose
     weight is too small for the search, which gives all its rows equal weight. `counted` None: the rows of `dataset`;

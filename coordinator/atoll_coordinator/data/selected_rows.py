@@ -246,12 +246,12 @@ class Blocks:
 
     @property
     def sizes(self) -> IntArray:
-        """How many rows each block has (B,)."""
+        """Number of rows of each block (B,)."""
         return np.asarray(self.ranges[:, 1] - self.ranges[:, 0])
 
     @property
     def divided_rows(self) -> int:
-        """How many rows are in divided blocks."""
+        """Number of rows in divided blocks."""
         return int(self.sizes[~self.is_whole].sum())
 
     def means(self, values: FloatArray) -> FloatArray:
@@ -474,7 +474,7 @@ def _state_means(
 ) -> FloatArray:
     """Return the means (B,) of a state along trajectory `place`.
 
-    NaN in divided blocks and where most rows are missing.
+    They are NaN in divided blocks and where most rows are missing.
     """
     if estimate.is_interpolated:
         return np.asarray(values[blocks.centres])

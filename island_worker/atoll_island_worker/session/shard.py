@@ -200,8 +200,8 @@ class Shard:
     def rejected(self, island: int) -> bool:
         """Record that an island rejected its immigrants.
 
-        Blocks of other workers are forgotten, so that they are pulled again. Returns False if all
-        blocks are from this worker: pulling again would not help.
+        Blocks of other workers are forgotten, so that they are pulled again. Returns False if all blocks are from this
+        worker: pulling again would not help.
         """
         local = self.islands[island]
         if local.epoch == self.placement.epoch or local.needs <= self.islands.keys():

@@ -71,7 +71,7 @@ class Session:
         return tuple(self._loaded)
 
     def wants(self, job: str) -> bool:
-        """Tell whether the job's dataset is still wanted."""
+        """Tell whether the job's dataset is still needed."""
         return any(name == job for name, _ in self._shards)
 
     def validate(self) -> None:
@@ -86,7 +86,7 @@ class Session:
 
         Raises:
             RemoteProtocolError: A peer's message is invalid; the state is unchanged.
-            LocalProtocolError: This side broke its own rules.
+            LocalProtocolError: This worker broke the rules of the protocol.
         """
         actions = self._handle_event(event)
         # All islands that can begin an epoch do so; the compute thread decides about turns.

@@ -70,7 +70,7 @@ IsWritten = Callable[[Shape, float], bool]
 
 
 def terms_of(program: Program) -> Sum:
-    """Return the terms of a program with their coefficients; raises UndefinedError when it cannot be expanded."""
+    """Return the terms of a program with their coefficients; raises UndefinedError if it cannot be expanded."""
     return expand_sum(sum_of(program))
 
 

@@ -45,10 +45,9 @@ def table_of_arrays(
 ) -> RawTable:
     """Return the columns of arrays of one length N.
 
-    These are vectors (N,), and columns of matrices (N, K), numbered from `first`.
-
-    If there is a time, N is its length, and arrays of another length are left out. Single numbers are always left out.
-    Raises DataError if the arrays do not fit together, or if an array that options name would be left out.
+    These are vectors (N,), and columns of matrices (N, K), numbered from `first`. If there is a time, N is its length,
+    and arrays of another length are left out. Single numbers are always left out. Raises DataError if the arrays do not
+    fit together, or if an array that options name would be left out.
     """
     given = {name: np.asarray(array) for name, array in arrays.items()}
     squeezed = {name: array if array.ndim == 1 else np.squeeze(array) for name, array in given.items()}
@@ -306,9 +305,8 @@ def _read_by_child(path: Path, beginning: bytes) -> Sequence[dict[str, AnyArray]
 def _read_version_7_3(path: Path) -> dict[str, AnyArray]:
     """Return the arrays of a file of version 7.3, matrices transposed.
 
-    An array without numbers becomes a single empty text.
-
-    In these files cells and structure arrays are references; they are not followed.
+    An array without numbers becomes a single empty text. In these files cells and structure arrays are references; they
+    are not followed.
     """
     arrays: dict[str, AnyArray] = {}
     with _opened(path) as (file, h5py):

@@ -59,7 +59,7 @@ def is_missing(cell: str) -> bool:
 
 
 def number(cell: str) -> float | None:
-    """Return the number in `cell` as Python or Fortran prints it (NaN when missing), or None for anything else."""
+    """Return the number in `cell` as Python or Fortran prints it (NaN if missing), None for any other cell."""
     if is_missing(cell):
         return math.nan
     if "_" in cell:  # the underscore groups digits in programs, not in measurements

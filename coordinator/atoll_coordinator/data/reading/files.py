@@ -66,10 +66,8 @@ _REFUSED: Final = {
 class FileColumns:
     """The columns of one file by name, each with its unit.
 
-    `skipped` are the text columns, `remarks` say how it was read.
-
-    `labels` are the texts of a column of trajectories or groups, which are numbered from 1 in it. `left_out` names
-    other parts of the file that were not read.
+    `skipped` are the text columns, `remarks` say how it was read. `labels` are the texts of a column of trajectories or
+    groups, which are numbered from 1 in it. `left_out` names other parts of the file that were not read.
     """
 
     file: str

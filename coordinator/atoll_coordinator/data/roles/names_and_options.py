@@ -117,7 +117,7 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
 
 
 def check_options(config: DataConfig) -> None:
-    """Raise UsageError when options contradict each other, regardless of the data."""
+    """Raise UsageError if options contradict each other, regardless of the data."""
 
     def is_set(name: str) -> bool:
         return config.order == 2 if name == "order" else getattr(config, name) not in (None, False, ())
