@@ -2,7 +2,7 @@
 
 - `sums_of_products`: a normal form with fixed order, no nested sums, joined like terms, fixed signs and phases
 - `identities`: sums that equal a given sum, by one identity
-- `layout`: a sum written as an expression, and the cost of the writing
-- `shortest`: the search for the shortest writing, checked over the range of the data
+- `layout`: a sum written as an expression, and the cost of the expression
+- `shortest`: the search for the shortest expression, checked over the range of the data
 - `expansion`: an equation as a sum of terms in which each constant has a separate meaning
 """
