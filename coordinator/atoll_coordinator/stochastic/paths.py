@@ -150,9 +150,7 @@ class Ensemble:
     def message(self) -> str:
         """A sentence with the number of paths, and the number of paths that end early."""
         lost = len(self.x) - len(self.finite)
-        return f"{len(self.x)} paths" + (
-            f", {lost} of which {'is' if lost == 1 else 'are'} not finite to the end" if lost else ""
-        )
+        return f"{len(self.x)} paths" + (f", {lost} not finite to the end" if lost else "")
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the time, and mean, median and quantiles of each state, (N,) each, by column name."""

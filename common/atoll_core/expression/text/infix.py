@@ -6,8 +6,8 @@ operands of + and *, moving signs, a*a as a**2, a + a as 2.0*a, sin(a)/cos(a) as
 influence on the form.
 
 Text comes in two variants. *Exact* (the default): parsing it (`atoll_core.expression.text.parsing`) gives the same bits
-on every row; sympy reads it, too. *Display* (with ``digits``): the shortest expression (`atoll_core.expression.writing`)
-with rounded constants.
+on every row; sympy reads it, too. *Display* (with ``digits``): the shortest expression
+(`atoll_core.expression.writing`) with rounded constants.
 """
 
 from abc import ABC, abstractmethod
@@ -335,7 +335,7 @@ def to_code(program: Program, names: Sequence[str], notation: Notation, constant
 def _check_size(program: Program) -> None:
     size = tree_size(program)
     if size > PRINTABLE_SIZE:
-        raise ValueError(f"an expression of {size} operations is too long to print; the limit is {PRINTABLE_SIZE}")
+        raise ValueError(f"an expression of {size} operations is too long to print; at most {PRINTABLE_SIZE} can be")
 
 
 class _Text(Renderer[str]):
