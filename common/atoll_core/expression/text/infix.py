@@ -6,7 +6,7 @@ operands of + and *, moving signs, a*a as a**2, a + a as 2.0*a, sin(a)/cos(a) as
 influence on the form.
 
 Text comes in two variants. *Exact* (the default): parsing it (`atoll_core.expression.text.parsing`) gives the same bits
-on every row; sympy reads it, too. *Display* (with ``digits``): the shortest expression
+on every row; sympy reads it, too. *Display* (with ``digits``): the shortest writing
 (`atoll_core.expression.writing`) with rounded constants.
 """
 

@@ -1,8 +1,8 @@
-"""The shortest expression of a program: a search among equal sums, checked over the range of the data.
+"""The shortest writing of a program: a search among equal sums, checked over the range of the data.
 
 The search is best-first: it applies all identities to the cheapest sum found so far, until a number of sums have been
 written (`_MOST_TRIED`). Arguments of functions and brackets are searched before the sum that contains them. The result
-is deterministic, but it may not be the shortest expression: the search stops at a limit, which was chosen for the time
+is deterministic, but it may not be the shortest writing: the search stops at a limit, which was chosen for the time
 that printing may take.
 """
 
@@ -64,7 +64,7 @@ def _rewritten(program: Program, depth: int) -> Program:
 
 
 def shortest(program: Program) -> Program:
-    """Return the shortest expression of the function of `program`."""
+    """Return the shortest writing of the function of `program`."""
     return _shortest_of(program, len(_MOST_TRIED) - 1)
 
 
@@ -111,7 +111,7 @@ def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
 
 @lru_cache(maxsize=50_000)
 def best_of(terms: Sum, depth: int) -> Sum:
-    """Return the equal sum with the shortest expression found; its brackets are searched with depth - 1."""
+    """Return the equal sum with the shortest writing found; its brackets are searched with depth - 1."""
     best = (written(terms)[0], terms)
     if depth == 0 or best[0] < _SMALLEST:
         return terms
@@ -133,7 +133,7 @@ def best_of(terms: Sum, depth: int) -> Sum:
 
 
 def shortest_over(program: Program, inputs: FloatArray) -> Program:
-    """Return the shortest expression of `program`, or `program` if values differ over the box of `inputs` (V, R)."""
+    """Return the shortest writing of `program`, or `program` if values differ over the box of `inputs` (V, R)."""
     return shortest_at(program, lambda: points_of(inputs))
 
 
