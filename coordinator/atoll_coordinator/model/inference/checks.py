@@ -50,7 +50,8 @@ UNSIMULATED: Final = Finding("not made", "it was not simulated along the traject
 class EquationChecks:
     """The checks that apply to an equation in every kind of job.
 
-    A check returns None if the equation was not simulated or has no value on some rows: the outcome is `unmade` then.
+    A check returns None if the equation was not simulated or has no value on some rows: the outcome is
+    `default_finding` then.
 
     The quantities of the residuals are in the unit of the state or target. `residuals` has (R,) numbers for each piece
     of a trajectory: measured minus simulated values of this state, or target minus equation; the rows stand in the one
@@ -63,7 +64,7 @@ class EquationChecks:
     """
 
     kind: ClassVar[JobKind]
-    unmade: ClassVar[Finding]
+    default_finding: ClassVar[Finding]
     null_models: ClassVar[str]
     residuals: Sequence[FloatArray] = ()
     parameters: float = 0.0
@@ -125,7 +126,7 @@ class EquationChecks:
         statistics = residual_statistics(
             residuals, self.noise, self.parameters, self.reference, innovations, self.covariance
         )
-        return replace(statistics, patterned=min(self.orders * statistics.patterned, 1.0))
+        return replace(statistics, pattern_probability=min(self.orders * statistics.pattern_probability, 1.0))
 
     @property
     def rows(self) -> int:
@@ -133,7 +134,7 @@ class EquationChecks:
         return sum(map(len, self.residuals))
 
     @property
-    def left(self) -> float:
+    def relative_residuals(self) -> float:
         """The standard deviation of the residuals over that of the measured values."""
         return self.statistics.standard_deviation / self.standard_deviation
 
@@ -150,7 +151,7 @@ class EquationChecks:
     @property
     def are_integration_errors(self) -> bool:
         """Whether the residuals are as small as integration errors may be, which always have a pattern."""
-        return self.left <= (SETTINGS.inference.exact if self.is_noisy else SETTINGS.common.negligible)
+        return self.relative_residuals <= (SETTINGS.inference.exact if self.is_noisy else SETTINGS.common.negligible)
 
     @property
     def largest_departure(self) -> float:
@@ -160,7 +161,7 @@ class EquationChecks:
         free = self.rows - self.parameters
         if free < 1.0:
             return math.inf
-        sum_of_squares = free * self.left**2
+        sum_of_squares = free * self.relative_residuals**2
         return float(sum_of_squares / special.chdtri(free, 1.0 - math.exp(-SETTINGS.inference.distinct_nats)))
 
     def departure(self, share: float) -> float:
@@ -179,8 +180,8 @@ class EquationChecks:
         if self.target_r2 is None:
             return Finding("not made", "the target does not vary")
         what = "it is not" if self.is_known else "no equation was found that is"
-        what += f" much better than a constant (R2 {r2_text(self.target_r2)} on the target)"
-        return by_r2(self.target_r2, SETTINGS.inference.part, f"R2 {r2_text(self.target_r2)}", what)
+        what += f" much better than a constant (R2 {format_r2(self.target_r2)} on the target)"
+        return judge_r2(self.target_r2, SETTINGS.inference.part, f"R2 {format_r2(self.target_r2)}", what)
 
     def check_time(self) -> Finding:
         """Check that no stage was stopped."""
@@ -232,13 +233,14 @@ class EquationChecks:
         if not statistics.standard_deviation > 0.0:
             return Finding("not applicable", "there are no residuals")
         if self.are_integration_errors:
-            reason = f"a term of {percent(self.left)} of the standard deviation would look like integration errors"
+            size = format_percent(self.relative_residuals)
+            reason = f"a term of {size} of the standard deviation would look like integration errors"
             return Finding("passed", reason, statistics.correlation, limit, self.largest_departure)
-        seen = statistics.seen_correlation
+        seen = statistics.detectable_correlation
         power = self.departure(seen / (1.0 - seen) if seen < 1.0 else math.inf)
-        if statistics.correlation > limit and statistics.patterned < SETTINGS.inference.improbable:
-            share = percent(min(statistics.correlation, 1.0))
-            reason = f"{share} of the residual variance follows a pattern (p = {statistics.patterned:.1g})"
+        if statistics.correlation > limit and statistics.pattern_probability < SETTINGS.inference.improbable:
+            share = format_percent(min(statistics.correlation, 1.0))
+            reason = f"{share} of the residual variance follows a pattern (p = {statistics.pattern_probability:.1g})"
             return Finding("failed", reason, statistics.correlation, limit, power)
         reason = "the residuals show no pattern"
         if self.innovations is not None:
@@ -314,28 +316,28 @@ class EquationChecks:
             return Finding("not applicable", "no constant has a standard error")
         share, value = max(shares)
         if share <= limit:
-            return Finding("passed", f"all constants are known to {percent(share)} or better", share, limit)
-        certainty = f"is known to {percent(share)} only" if share < _UNKNOWN else "is not distinguishable from 0"
+            return Finding("passed", f"all constants are known to {format_percent(share)} or better", share, limit)
+        certainty = f"is known to {format_percent(share)} only" if share < _UNKNOWN else "is not distinguishable from 0"
         return Finding(
             "failed", f"the constant {value:.3g} {certainty}: its term may describe errors of the data", share, limit
         )
 
 
-def by_r2(r2: float, least: float, merit: str, fault: str) -> Finding:
+def judge_r2(r2: float, least: float, merit: str, fault: str) -> Finding:
     """Return the outcome of a check by an R2; NaN explains nothing."""
     return Finding("passed", merit, r2, least) if r2 >= least else Finding("failed", fault, r2, least)
 
 
-def where(known: Prediction) -> str:
+def describe_initial_state(known: Prediction) -> str:
     """Return the initial state from which a measurement is most informative, in words."""
     return ", ".join(f"{name} = {value:.3g}" for name, value in (known.measure_from or {}).items())
 
 
-def percent(share: float) -> str:
+def format_percent(share: float) -> str:
     """Return a share in percent, two digits of it."""
     return f"{100.0 * share:.2g} %" if share < 0.995 else f"{100.0 * share:.0f} %"
 
 
-def r2_text(value: float) -> str:
+def format_r2(value: float) -> str:
     """Return R2 in up to four decimals, never rounded up to 1."""
     return f"{math.floor(value * 1e4) / 1e4:.4g}" if math.isfinite(value) else str(value)

@@ -24,24 +24,24 @@ Writer = Callable[[int, Program], Program]
 """Returns the shortest writing of the program of an equation."""
 
 
-def model_of_groups(whole: SelectedModel, write: Writer) -> FittedModel:
+def choose_shared_constants(whole: SelectedModel, write: Writer) -> FittedModel:
     """Return the model with those constants shared, and in those writings, that make its description shortest."""
     comparison = whole.comparison
-    best = _with_shared(comparison, whole.model)
+    best = _share_similar_constants(comparison, whole.model)
     for equation in range(len(best.programs)):
         if equation in comparison.fixed:
             continue
-        for program in _writings(whole, equation, best.programs[equation], write):
+        for program in _generate_writings(whole, equation, best.programs[equation], write):
             programs = [*best.programs]
             programs[equation] = program
-            kept = [place for place in _shared(comparison, best) if place[0] != equation]
-            fitted = comparison.fit_beside(best, programs, shared=_numbers(kept))
+            kept = [place for place in _find_shared_constants(comparison, best) if place[0] != equation]
+            fitted = comparison.fit_beside(best, programs, shared=_shared_numbers(kept))
             if fitted is not None:
-                best = min(best, _with_shared(comparison, fitted), key=lambda candidate: candidate.nats)
+                best = min(best, _share_similar_constants(comparison, fitted), key=lambda candidate: candidate.nats)
     return best
 
 
-def _shared(comparison: ModelComparison, model: FittedModel) -> list[system.Place]:
+def _find_shared_constants(comparison: ModelComparison, model: FittedModel) -> list[system.Place]:
     """Return the constants that have one number in all groups."""
     columns = model.fit.system.columns
     are_shared = (columns == columns[0]).all(axis=0).tolist()
@@ -49,17 +49,17 @@ def _shared(comparison: ModelComparison, model: FittedModel) -> list[system.Plac
     return [place for place, is_shared in places if is_shared]
 
 
-def _numbers(shared: Collection[system.Place]) -> frozenset[system.SharedNumber]:
+def _shared_numbers(shared: Collection[system.Place]) -> frozenset[system.SharedNumber]:
     return frozenset(((place, 1.0),) for place in shared)
 
 
-def _with_shared(comparison: ModelComparison, begun: FittedModel) -> FittedModel:
+def _share_similar_constants(comparison: ModelComparison, begun: FittedModel) -> FittedModel:
     """Return `begun` with constants shared, those first that differ least, as long as the description gets shorter."""
     while True:
         following = None
-        shared = _shared(comparison, begun)
-        for place in _alike_first(comparison, begun)[:2]:
-            fitted = comparison.fit_beside(begun, begun.programs, shared=_numbers([*shared, place]))
+        shared = _find_shared_constants(comparison, begun)
+        for place in _rank_by_difference(comparison, begun)[:2]:
+            fitted = comparison.fit_beside(begun, begun.programs, shared=_shared_numbers([*shared, place]))
             if fitted is not None and fitted.nats < begun.nats:
                 following = fitted
                 break
@@ -68,7 +68,7 @@ def _with_shared(comparison: ModelComparison, begun: FittedModel) -> FittedModel
         begun = following
 
 
-def _alike_first(comparison: ModelComparison, begun: FittedModel) -> list[system.Place]:
+def _rank_by_difference(comparison: ModelComparison, begun: FittedModel) -> list[system.Place]:
     """Return the constants that differ between groups, those first whose differences are the smallest for their errors.
 
     The statistic is the sum of squared deviations from the weighted mean over the variances (Cochran's Q).
@@ -79,12 +79,12 @@ def _alike_first(comparison: ModelComparison, begun: FittedModel) -> list[system
     with np.errstate(all="ignore"):
         means = (weights * values).sum(axis=0) / weights.sum(axis=0)
         statistics = np.nan_to_num((weights * (values - means) ** 2).sum(axis=0))
-    places, shared = comparison.places(fit.system), _shared(comparison, begun)
+    places, shared = comparison.places(fit.system), _find_shared_constants(comparison, begun)
     order = sorted(range(len(places)), key=lambda number: float(statistics[number]))
     return [places[number] for number in order if places[number] not in shared]
 
 
-def _writings(whole: SelectedModel, equation: int, program: Program, write: Writer) -> Iterator[Program]:
+def _generate_writings(whole: SelectedModel, equation: int, program: Program, write: Writer) -> Iterator[Program]:
     """Yield other writings of an equation: the shortest, and each coefficient as a factor of all."""
     tried = {structure(program)}
     is_free = whole.comparison.restrictions(equation).bounds is None

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.inference.final_model import FinalModel
-from atoll_coordinator.model.inference.trajectory_simulation import r2_of
+from atoll_coordinator.model.inference.trajectory_simulation import compute_r2
 from atoll_coordinator.model.selection.shortcut import predictable_rows
 from atoll_coordinator.model.shooting.integration import Unsimulated
 from atoll_coordinator.model.shooting.measurements import Measurements
@@ -46,7 +46,7 @@ class LongRun:
     predictable_rows: int | None = None
 
 
-def long_run_of(final: FinalModel) -> LongRun:
+def assess_long_run(final: FinalModel) -> LongRun:
     """Return how a model describes whole trajectories.
 
     It is chaotic where initial states are of no use for these, errors growing faster than the trajectories do: growth
@@ -58,22 +58,22 @@ def long_run_of(final: FinalModel) -> LongRun:
     fit = final.free.fit
     rate = growth_rate(fit)
     growths = (rate, rate - speed_growth(fit))
-    may_be = may_be_chaotic(final.seen.estimator.measurements)
-    fits = None if may_be and all(_is_exponential(final, growth) for growth in growths) else _fits_in_whole(final)
+    may_be = may_be_chaotic(final.shown_comparison.estimator.measurements)
+    fits = None if may_be and all(_grows_exponentially(final, growth) for growth in growths) else _fits_in_whole(final)
     if fits:
         return LongRun(fits, None)
     may_be = may_be and not final.by_group
     predictable = max(predictable_rows(fit, final.comparison, growth) for growth in growths)
     if may_be and predictable < final.task.longest:
-        if len(final.seen.estimator.measurements.inputs) and predictable < final.task.piece:
+        if len(final.shown_comparison.estimator.measurements.inputs) and predictable < final.task.piece:
             return LongRun(fits, None, None, round(predictable))
-        chaos = look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
-        return LongRun(None, chaos, None if chaos is not None else _whole_r2(final))
+        chaos = compare_averages(final.shown_fit, rate, final.shown_comparison.estimator.tolerance)
+        return LongRun(None, chaos, None if chaos is not None else _whole_trajectory_r2(final))
     fits = None if final.task.is_nearly_clean else fits  # errors of a solver add up
-    return LongRun(fits, None, _whole_r2(final) if fits is None else None)
+    return LongRun(fits, None, _whole_trajectory_r2(final) if fits is None else None)
 
 
-def _whole_r2(final: FinalModel) -> list[float | None] | None:
+def _whole_trajectory_r2(final: FinalModel) -> list[float | None] | None:
     """Return R2 (O,) of the equations as they are shown along whole trajectories; None where time is over.
 
     Without inputs, of very many rows every so-manyth is simulated.
@@ -85,13 +85,13 @@ def _whole_r2(final: FinalModel) -> list[float | None] | None:
     if not len(measurements.inputs):
         measurements = measurements.strided(-(-measurements.rows // SETTINGS.rows.most))
     comparison = task.compare(measurements, task.variables, is_precise=True, measured_rows=measurements.rows)
-    fit = final.simulated_by(comparison)
+    fit = final.simulate_along(comparison)
     if fit is None:
         return None if task.is_over else [-math.inf for _ in measurements.observed]
-    return r2_of(measurements, fit, slice(None))
+    return compute_r2(measurements, fit, slice(None))
 
 
-def _is_exponential(final: FinalModel, rate: float) -> bool:
+def _grows_exponentially(final: FinalModel, rate: float) -> bool:
     """Tell whether errors that grow at this rate grow more along a trajectory than a power of time does.
 
     Without exponential growth, errors of D linear equations grow at most like t^(D - 1): over N rows less than N^D
@@ -140,7 +140,7 @@ def may_be_chaotic(measurements: Measurements) -> bool:
     return len(measurements.inputs) > 0 or len(measurements.smoothed) > 2
 
 
-def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
+def compare_averages(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
     """Return the findings on chaos of a model whose errors grow at this `rate`; None if it has inputs.
 
     Args:
@@ -157,7 +157,7 @@ def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos |
     block = int(lengths.max()) // (_BLOCKS if are_few else 2)
     rows = max(_BLOCKS * block, min(measurements.rows, _MOST_ROWS))
     stride = -(-rows // _MOST_ROWS)
-    simulated = _simulated(fit, rows, stride, step, tolerance)
+    simulated = _simulate_long_run(fit, rows, stride, step, tolerance)
     if isinstance(simulated, str):
         return Chaos(lyapunov_time=1.0 / rate, is_kept=False, is_unfinished=simulated == "out of steps")
     measured = [measurements.smoothed[:, measurements.owners_of_rows == owner] for owner in range(len(lengths))]
@@ -169,19 +169,21 @@ def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos |
         measured_means = np.concatenate(
             [_block_means((trajectory - centre) ** power, block) for trajectory in measured], axis=1
         )
-        probability = min(probability, *_welch(simulated_means, measured_means))
+        probability = min(probability, *_welch_probabilities(simulated_means, measured_means))
     is_kept = probability >= SETTINGS.inference.improbable / (2.0 * len(centre))
     return Chaos(lyapunov_time=1.0 / rate, is_kept=is_kept, is_unfinished=False, probability=probability)
 
 
-def _simulated(fit: TrajectoryFit, rows: int, stride: int, step: float, tolerance: float) -> FloatArray | Unsimulated:
+def _simulate_long_run(
+    fit: TrajectoryFit, rows: int, stride: int, step: float, tolerance: float
+) -> FloatArray | Unsimulated:
     """Return every `stride`-th of this many rows simulated from the end of the last trajectory on, or why not."""
     times = step * np.arange(0.0, rows, stride)
-    estimator = along(fit.estimator.measurements, times, tolerance, rows)
+    estimator = make_simulator(fit.estimator.measurements, times, tolerance, rows)
     return estimator.simulate(fit.system, fit.simulated[:, -1])
 
 
-def along(
+def make_simulator(
     measurements: Measurements, times: FloatArray, tolerance: float, measured_rows: int, owner: int = 0
 ) -> MultipleShooting:  # fmt: skip
     """Return an estimator that simulates systems without inputs along these `times`, where nothing was measured.
@@ -215,7 +217,7 @@ def _block_means(values: FloatArray, block: int) -> FloatArray:
     return np.array([part.mean(axis=1) for part in np.array_split(values[:, : count * block], count, axis=1)]).T
 
 
-def _welch(simulated_means: FloatArray, measured_means: FloatArray) -> list[float]:
+def _welch_probabilities(simulated_means: FloatArray, measured_means: FloatArray) -> list[float]:
     """Return for each state the probability of means as different as these (B. L. Welch 1947)."""
     from scipy import special
 

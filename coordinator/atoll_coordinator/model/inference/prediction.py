@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.model.inference.long_run import along
+from atoll_coordinator.model.inference.long_run import make_simulator
 from atoll_coordinator.model.shooting.integration import Unsimulated
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
@@ -51,7 +51,7 @@ class AlternativeSystem:
     odds_of_data: float
 
 
-def predict(
+def compare_predictions(
     measurements: Measurements, model: System, alternatives: Sequence[AlternativeSystem], tolerance: float,
     drawn: Iterable[System] = (), *, is_near: bool = False,
 ) -> list[Prediction]:  # fmt: skip
@@ -65,8 +65,8 @@ def predict(
         drawn: the model with constants drawn from their distribution, of which as many are taken as decide.
         is_near: whether initial states are near measured ones: an attractor's box has parts that lead elsewhere.
     """
-    elsewhere = _Elsewhere(measurements, tolerance, is_near=is_near)
-    own = elsewhere.own_courses(model)
+    other_states = _OtherInitialStates(measurements, tolerance, is_near=is_near)
+    own = other_states.simulate_model(model)
     followed = [place for place, course in enumerate(own) if not isinstance(course, str)]
     unfinished = sum(isinstance(course, str) and course == "out of steps" for course in own)
     states = range(len(measurements.observed))
@@ -75,12 +75,12 @@ def predict(
             starts=len(own), followed=0, unfinished=unfinished, probability=0.0, novelty=math.inf, is_disputed=False
         )
         return [nothing for _ in states]
-    horizon = elsewhere.horizon(model, own)
+    horizon = other_states.horizon(model, own)
     courses = [course[:, :horizon] for course in own if not isinstance(course, str)]
-    misses, misses_of_data = _Misses(len(states)), _Misses(len(states))
+    misses, misses_of_data = _Disagreement(len(states)), _Disagreement(len(states))
 
     def add(alternative: AlternativeSystem) -> None:
-        rival_courses = elsewhere.courses(alternative.system, followed)
+        rival_courses = other_states.simulate(alternative.system, followed)
         compared = [course if isinstance(course, str) else course[:, :horizon] for course in rival_courses]
         differences = _differences(compared, courses, len(states))
         if differences is not None:
@@ -93,15 +93,15 @@ def predict(
         add(AlternativeSystem(system, _DRAWN, 1.0, 1.0))
         if count >= SETTINGS.effort.beam and all(misses.is_decided(state) for state in states):
             break
-    distances = elsewhere.distances(courses)
-    farthest = int(np.argmax([course_distances.max() for course_distances in distances]))
-    novelty = float(np.median(np.concatenate(distances)))
+    distances_from_measured = other_states.distances_from_measured(courses)
+    farthest = int(np.argmax([course_distances.max() for course_distances in distances_from_measured]))
+    novelty = float(np.median(np.concatenate(distances_from_measured)))
 
     def predicted(state: int) -> Prediction:
-        reached = elsewhere.reached(courses, state)
-        probability, disputed = misses.agreement(state), misses.unlike(state)
+        reached = other_states.farthest_value(courses, state)
+        probability, disputed = misses.agreement(state), misses.most_disputed_place(state)
         if reached is not None and misses_of_data.agreement(state) < probability:
-            probability, disputed = misses_of_data.agreement(state), misses_of_data.unlike(state)
+            probability, disputed = misses_of_data.agreement(state), misses_of_data.most_disputed_place(state)
         return Prediction(
             starts=len(own),
             followed=len(followed),
@@ -110,7 +110,7 @@ def predict(
             novelty=novelty,
             reached=reached,
             is_disputed=disputed is not None,
-            measure_from=elsewhere.named(followed[farthest if disputed is None else disputed]),
+            measure_from=other_states.named_state(followed[farthest if disputed is None else disputed]),
         )
 
     return [predicted(state) for state in states]
@@ -129,7 +129,7 @@ Course = FloatArray | Unsimulated
 """The measured states (O, N) from an initial state, or why there are none."""
 
 
-class _Elsewhere:
+class _OtherInitialStates:
     """Simulates systems from initial states among measured ones, for as long as the longest trajectory.
 
     If measured trajectories end on their way out of the measured range, as in growth, other trajectories may leave it,
@@ -184,25 +184,25 @@ class _Elsewhere:
         shift = SETTINGS.common.negligible * measurements.scales
         return np.asarray(without_kept(shift[None], measurements.smoothed, noise)[0])
 
-    def own_courses(self, model: System) -> list[Course]:
+    def simulate_model(self, model: System) -> list[Course]:
         """Return the model's courses from all initial states; from now on all are followed for as long as these."""
         courses = []
         for place, start in enumerate(self.starts):
             simulated, why = self._estimator(place).simulate_as_far(model, start)
             if why == "ran away" and self._leaves_as_measured(simulated[:, np.isfinite(simulated).all(axis=0)]):
                 self._rows[place] = self._rows_measured_from(start, place)
-            courses.append(self._followed(simulated, why, self._rows.get(place)))
+            courses.append(self._select_rows(simulated, why, self._rows.get(place)))
         return courses
 
-    def courses(self, system: System, places: Sequence[int]) -> list[Course]:
+    def simulate(self, system: System, places: Sequence[int]) -> list[Course]:
         """Return the courses from these of the initial states."""
-        return [self._course(system, place, self.starts[place], self._rows.get(place)) for place in places]
+        return [self._simulate(system, place, self.starts[place], self._rows.get(place)) for place in places]
 
     def horizon(self, model: System, own: Sequence[Course]) -> int:
         """Return for how many rows slightly different initial states lead to about the same course: chaos ends it."""
         moved = self.starts + self._shift
         whole = [place for place, course in enumerate(own) if not isinstance(course, str) and place not in self._rows]
-        others = ((own[place], self._course(model, place, moved[place])) for place in whole)
+        others = ((own[place], self._simulate(model, place, moved[place])) for place in whole)
         pairs = [
             (own_course, moved_course)
             for own_course, moved_course in others
@@ -216,21 +216,22 @@ class _Elsewhere:
             rows //= 2
         return rows
 
-    def distances(self, courses: Sequence[FloatArray]) -> list[FloatArray]:
+    def distances_from_measured(self, courses: Sequence[FloatArray]) -> list[FloatArray]:
         """Return how far rows of each course are from the nearest measured one, over the widths of the box."""
         observed = self._measurements.observed
         width = self._width[observed]
         known = self._measurements.smoothed[observed].T[thinned_places(self._measurements.rows, MOST_POINTS)] / width
 
-        def looked_at(course: FloatArray) -> FloatArray:
+        def thinned_rows(course: FloatArray) -> FloatArray:
             count = course.shape[1]
             return np.asarray(course[:, thinned_places(count, max(1, count // _STRIDE))].T / width)
 
         return [
-            np.array([float(np.abs(known - row).max(axis=1).min()) for row in looked_at(course)]) for course in courses
+            np.array([float(np.abs(known - row).max(axis=1).min()) for row in thinned_rows(course)])
+            for course in courses
         ]
 
-    def reached(self, courses: Sequence[FloatArray], state: int) -> float | None:
+    def farthest_value(self, courses: Sequence[FloatArray], state: int) -> float | None:
         """Return the value farthest beyond the measured range that a state takes, None where it stays about within."""
         index = self._measurements.observed[state]
         low, width = self._low[index], self._width[index]
@@ -241,7 +242,7 @@ class _Elsewhere:
             return None
         return highest if above >= below else lowest
 
-    def named(self, place: int) -> dict[str, float]:
+    def named_state(self, place: int) -> dict[str, float]:
         """Return one of the initial states by name."""
         names = self._measurements.variables[: len(self._low)]
         return dict(zip(names, self.starts[place].tolist(), strict=True))
@@ -250,10 +251,10 @@ class _Elsewhere:
         """Return the function that simulates systems from one of the initial states."""
         return self._estimators[place % len(self._estimators)]
 
-    def _course(self, system: System, place: int, start: FloatArray, rows: int | None = None) -> Course:
-        return self._followed(*self._estimator(place).simulate_as_far(system, start), rows)
+    def _simulate(self, system: System, place: int, start: FloatArray, rows: int | None = None) -> Course:
+        return self._select_rows(*self._estimator(place).simulate_as_far(system, start), rows)
 
-    def _followed(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
+    def _select_rows(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
         """Return the measured states of this many rows, all by default, or why the simulation ended earlier."""
         course = simulated[self._measurements.observed, :rows]
         return course if why is None or (rows is not None and np.isfinite(course).all()) else why
@@ -298,24 +299,24 @@ def _estimators(measurements: Measurements, tolerance: float) -> list[MultipleSh
         owners = owners[:1]
     if has_inputs:
         return [
-            MultipleShooting(_in_one_piece(measurements.part([owner]), owner), tolerance) for owner in owners.tolist()
+            MultipleShooting(_join_pieces(measurements.part([owner]), owner), tolerance) for owner in owners.tolist()
         ]
     length, rows = max(
         (float(np.ptp(measurements.times[measurements.owners_of_rows == owner])), int(lengths[owner]))
         for owner in np.flatnonzero(lengths).tolist()
     )
     times = np.linspace(0.0, length, SETTINGS.shooting.lengths[-1])
-    return [along(measurements, times, tolerance, rows, owner) for owner in owners.tolist()]
+    return [make_simulator(measurements, times, tolerance, rows, owner) for owner in owners.tolist()]
 
 
-def _in_one_piece(measurements: Measurements, owner: int) -> Measurements:
+def _join_pieces(measurements: Measurements, owner: int) -> Measurements:
     """Return the beginning of one trajectory, simulated without a break."""
     rows = min(measurements.rows, SETTINGS.rows.most)
     beginning = measurements.pieces([(0, rows, owner)])
     return replace(beginning, resting=None, offset=np.zeros(0, dtype=np.int64))
 
 
-class _Misses:
+class _Disagreement:
     """The odds of alternatives that predict something different, by group and state."""
 
     def __init__(self, states: int) -> None:
@@ -353,7 +354,7 @@ class _Misses:
         below = float(special.betainc(count - against + 0.5, against + 0.5, 1.0 - wrong))
         return min(below, 1.0 - below) <= wrong
 
-    def unlike(self, state: int) -> int | None:
+    def most_disputed_place(self, state: int) -> int | None:
         """Return the place of the initial state from which predictions differ most, None: nowhere."""
         place = self._unlike[state][1]
         return place if place >= 0 else None
@@ -389,7 +390,7 @@ def _r2(predicted: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArr
     return np.asarray(1.0 - errors / np.maximum(spread, 1e-300))
 
 
-def draws(system: System, covariance: FloatArray) -> Iterator[System]:
+def draw_systems(system: System, covariance: FloatArray) -> Iterator[System]:
     """Yield `system` with all its constants drawn together from their distribution, without end; nothing without any.
 
     Args:

@@ -41,10 +41,10 @@ def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float,
     trace = float(values @ counts)
     free = max(float(counts.sum()) - parameters, 1.0)
     left = np.clip(np.cumsum(counts) - parameters, 0.0, counts)
-    return positive_tail(1.0 / free - ratio * values / trace, left) if trace > 0.0 else 0.0
+    return probability_of_positive_sum(1.0 / free - ratio * values / trace, left) if trace > 0.0 else 0.0
 
 
-def positive_tail(weights: FloatArray, counts: FloatArray) -> float:
+def probability_of_positive_sum(weights: FloatArray, counts: FloatArray) -> float:
     """Return the probability that the sum of w z^2, with z normal and each weight w repeated as given, is positive.
 
     By the saddlepoint approximation of Lugannani & Rice (1980), as Kuonen (1999) uses it: the relative error is a few

@@ -28,7 +28,7 @@ from atoll_core.expression.program import Program
 _LAGS: Final = (1, 2, 4, 8)
 
 
-def stochastic_remarks(
+def warn_of_random_walk(
     recording: Recording, states: Sequence[str] = (), simulated: Sequence[FloatArray] = ()
 ) -> list[str]:
     """Return a sentence that proposes ``--stochastic``, if the residuals of states look like it.
@@ -40,7 +40,7 @@ def stochastic_remarks(
     for index, state in enumerate(recording.states):
         measured = [part.measured[index] for part in recording.trajectories if not part.held_out]
         residuals = _residuals(measured, state, states, simulated) if simulated else measured
-        if _walks(measured, residuals, _rounding(recording, index)):
+        if _grows_like_walk(measured, residuals, _rounding(recording, index)):
             walking.append(state)
     if not walking:
         return []
@@ -72,7 +72,7 @@ def _rounding(recording: Recording, index: int) -> float:
     return 0.0 if quantisation is None else quantisation.error**2
 
 
-def _walks(measured: Sequence[FloatArray], residuals: Sequence[FloatArray], rounding: float) -> bool:
+def _grows_like_walk(measured: Sequence[FloatArray], residuals: Sequence[FloatArray], rounding: float) -> bool:
     """Tell whether residuals grow like a walk with at least a tenth of the state's variance in a trajectory.
 
     Not where they are no larger than errors of rounding, whose variance is given.
@@ -126,7 +126,7 @@ class RateResiduals:
         return max(1.0, 2.0 * len(self.residuals) / max(2, self.span))
 
 
-def unexplained_remarks(recording: Recording, equations: Mapping[str, Refined], time: str = "t") -> Iterator[str]:
+def warn_of_residual_pattern(recording: Recording, equations: Mapping[str, Refined], time: str = "t") -> Iterator[str]:
     """Yield a sentence about the pattern in most of the residuals, for equations that are not good."""
     found: dict[str, list[str]] = {}
     period = 0.0
@@ -134,8 +134,8 @@ def unexplained_remarks(recording: Recording, equations: Mapping[str, Refined], 
         equation = equations.get(state)
         if equation is None or equation.grade in ("exact", "good") or recording.groups:
             continue
-        rest = rate_residuals(recording, place, equation.program)
-        kind, wave = (None, None) if rest is None else _explanation(rest)
+        rest = compute_rate_residuals(recording, place, equation.program)
+        kind, wave = (None, None) if rest is None else _explain_residuals(rest)
         if kind is not None:
             found.setdefault(kind, []).append(f"'{state}'")
         period = period or wave or 0.0
@@ -158,7 +158,7 @@ def unexplained_remarks(recording: Recording, equations: Mapping[str, Refined], 
         )
 
 
-def rate_residuals(recording: Recording, place: int, program: Program) -> RateResiduals | None:
+def compute_rate_residuals(recording: Recording, place: int, program: Program) -> RateResiduals | None:
     """Return the residuals of the rate of one state, None where they are not far larger than their errors."""
     parts = [part for part in recording.trajectories if not part.held_out and part.rates is not None]
     if not parts or len(recording.smoothing) <= place:
@@ -186,13 +186,13 @@ def _variables(part: Trajectory, order: int) -> FloatArray:
     return np.concatenate(rows, axis=0)
 
 
-def _explanation(rest: RateResiduals) -> tuple[str | None, float | None]:
+def _explain_residuals(rest: RateResiduals) -> tuple[str | None, float | None]:
     """Return the pattern that explains most of the residuals, and the period of a forcing."""
     if _differ_by_run(rest):
         return "runs", None
-    if not _is_open(rest):
+    if not _depends_on_hidden_state(rest):
         return None, None
-    period = None if len(rest.variables) == 1 else _period(rest)  # one state alone does not swing in any case
+    period = None if len(rest.variables) == 1 else _find_period(rest)  # one state alone does not swing in any case
     return ("hidden" if period is None else "forcing"), period
 
 
@@ -204,8 +204,8 @@ def _differ_by_run(rest: RateResiduals) -> bool:
     if runs < _FEWEST_RUNS:
         return False
     for column in (np.ones(len(rest.rates)), rest.rates):
-        whole = _left(rest.residuals, column)
-        left = sum(_left(rest.residuals[rest.run == run], column[rest.run == run]) for run in range(runs))
+        whole = _residual_squares(rest.residuals, column)
+        left = sum(_residual_squares(rest.residuals[rest.run == run], column[rest.run == run]) for run in range(runs))
         free = rest.rows - runs
         if free < 1.0 or not 0.0 <= left < (1.0 - _HALF) * whole:
             continue
@@ -215,14 +215,14 @@ def _differ_by_run(rest: RateResiduals) -> bool:
     return False
 
 
-def _left(values: FloatArray, column: FloatArray) -> float:
+def _residual_squares(values: FloatArray, column: FloatArray) -> float:
     """Return the sum of squared residuals after fitting a multiple of the column."""
     square = float(np.sum(column * column))
     factor = float(np.sum(column * values)) / square if square > 0.0 else 0.0
     return float(np.sum((values - factor * column) ** 2))
 
 
-def _is_open(rest: RateResiduals) -> bool:
+def _depends_on_hidden_state(rest: RateResiduals) -> bool:
     """Say whether rows of other passes with nearly the same states have other residuals."""
     every = max(1, len(rest.residuals) // SETTINGS.rows.compared)
     coordinates = [np.ascontiguousarray(row[::every]) for row in rest.variables]
@@ -231,7 +231,7 @@ def _is_open(rest: RateResiduals) -> bool:
     return found is not None and found.is_open
 
 
-def _period(rest: RateResiduals) -> float | None:
+def _find_period(rest: RateResiduals) -> float | None:
     """Return the period of a wave in time that explains most of the residuals, None where there is none.
 
     Least squares by frequency (Lomb 1976), up to four rows a period; two periods were measured at least.

@@ -28,14 +28,14 @@ def residual_covariances(measurements: Measurements, fit: TrajectoryFit) -> list
     These are blocks of I - H with the projection H on the derivatives by constants and initial states. None where there
     are too many rows.
     """
-    columns = whitened_columns(measurements, fit)
+    columns = scaled_derivatives(measurements, fit)
     if columns is None:
         return None
     ends = np.cumsum((measurements.weights > 0.0).sum(axis=1))
-    return [np.eye(len(rows)) - rows @ rows.T for rows in np.split(orthonormal(columns), ends[:-1])]
+    return [np.eye(len(rows)) - rows @ rows.T for rows in np.split(orthonormal_basis(columns), ends[:-1])]
 
 
-def whitened_columns(measurements: Measurements, fit: TrajectoryFit) -> FloatArray | None:
+def scaled_derivatives(measurements: Measurements, fit: TrajectoryFit) -> FloatArray | None:
     """Return by how much each measured number, one state after another, in units of its error, grows with each fitted
     number: (n, P + L G), constants first. None where there are too many numbers."""
     states, rows = measurements.weights.shape
@@ -53,7 +53,7 @@ def whitened_columns(measurements: Measurements, fit: TrajectoryFit) -> FloatArr
     return np.asarray(columns[measurements.weights > 0.0])
 
 
-def orthonormal(columns: FloatArray) -> FloatArray:
+def orthonormal_basis(columns: FloatArray) -> FloatArray:
     """Return orthonormal columns that span the same space as the columns (M, K), as many as are independent."""
     sizes = np.sqrt((columns**2).sum(axis=0))
     basis, singular, _ = np.linalg.svd(columns[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
@@ -66,13 +66,15 @@ intervals of 8 to 20 rows then hold the truth in 99 % of the tables with indepen
 correlation of 0.6 (`benchmarks.noise.intervals`). No prior reaches 95 % for both, and none at all was 74 %."""
 
 
-def widening(measurements: Measurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]) -> float:
+def estimate_variance_inflation(
+    measurements: Measurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]
+) -> float:
     """Return the variances of constants over the variances for independent errors, the correlation integrated out.
 
     1 where there are so many rows that a correlation would have been found. The residuals of states that are not noisy
     (O,) are correlated, and do not show errors of measurement.
     """
-    columns = whitened_columns(measurements, fit)
+    columns = scaled_derivatives(measurements, fit)
     if columns is None or not fit.system.count:
         return 1.0
     counts = measurements.weights > 0.0
@@ -81,12 +83,12 @@ def widening(measurements: Measurements, fit: TrajectoryFit, is_noisy: npt.NDArr
     residuals = (np.sqrt(measurements.weights) * fit.residuals / sigmas)[counts]
     states, rows = np.nonzero(counts)
     owners = measurements.owners_of_rows[rows] + states * len(measurements.names)
-    return expected_widening(
+    return expected_variance_inflation(
         columns[noisy], residuals[noisy], owners[noisy], measurements.times[rows][noisy], fit.system.count
     )
 
 
-def expected_widening(
+def expected_variance_inflation(
     columns: FloatArray, residuals: FloatArray, owners: Ints, times: FloatArray, constants: int
 ) -> float:
     """Return by how much the variances of the first `constants` fitted numbers grow in the mean over correlations.

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.differentiation.smoothing import REACH
-from atoll_coordinator.model.inference.quadratic_forms import positive_tail, variance_ratio_tail
+from atoll_coordinator.model.inference.quadratic_forms import probability_of_positive_sum, variance_ratio_tail
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
@@ -37,21 +37,22 @@ class ResidualStatistics:
     """Tests of the residuals of one state.
 
     `standard_deviation` is corrected for the fitted parameters. `ratio` is the standard deviation over the noise and
-    `too_large` the probability of at least that ratio if the residuals were noise. `correlation` is the correlation of
-    neighbours, as far as it exceeds what fitting causes: about the share of the residual variance that follows a
-    pattern; `patterned` is the probability of at least that much, over a few lags, if the residuals were noise.
+    `size_probability` the probability of at least that ratio if the residuals were noise. `correlation` is the
+    correlation of neighbours, as far as it exceeds what fitting causes: about the share of the residual variance that
+    follows a pattern; `pattern_probability` is the probability of at least that much, over a few lags, if the residuals
+    were noise.
 
-    `seen_ratio` and `seen_correlation` are the power of both tests: the smallest true ratio, and the smallest share of
-    a pattern, that they find in five of six tables (infinite: none).
+    `detectable_ratio` and `detectable_correlation` are the power of both tests: the smallest true ratio, and the
+    smallest share of a pattern, that they find in five of six tables (infinite: none).
     """
 
     standard_deviation: float
     ratio: float
-    too_large: float
+    size_probability: float
     correlation: float
-    patterned: float
-    seen_ratio: float = math.inf
-    seen_correlation: float = math.inf
+    pattern_probability: float
+    detectable_ratio: float = math.inf
+    detectable_correlation: float = math.inf
 
 
 def residual_statistics(
@@ -67,7 +68,8 @@ def residual_statistics(
             other states decide as well.
         innovations: the whitened residuals where errors of measurement are correlated, for both probabilities; None:
             errors are independent.
-        reference: the smoother that estimates the noise from the same errors, for `too_large`; None: `noise` is known.
+        reference: the smoother that estimates the noise from the same errors, for `size_probability`; None: `noise` is
+            known.
         covariance: (n, n) of the residuals of noise of variance one, all rows one after another, which makes the
             distribution of correlations exact; None: they are about normal, since the fitted curves are smooth.
     """
@@ -85,29 +87,31 @@ def residual_statistics(
         errors = innovations
         square = float(sum(series @ series for series in errors))
         correlations, weights = _correlations(errors, square, parameters)
-    patterned = _patterned(errors, correlations, weights)
+    pattern_probability = _pattern_probability(errors, correlations, weights)
     if covariance is not None and len(covariance) == rows and rows - parameters >= 1.0 and correlations:
-        correlations[0], patterned = _exact_pattern(errors, square, covariance, _reach(rows, parameters))
+        correlations[0], pattern_probability = _exact_pattern(errors, square, covariance, _count_lags(rows, parameters))
     is_testable = rows - parameters >= 1.0
     return ResidualStatistics(
         standard_deviation,
         ratio,
-        _too_large(errors, square / free, noise, parameters, reference),
+        _size_probability(errors, square / free, noise, parameters, reference),
         correlations[0] if correlations else 0.0,
-        patterned,
-        _seen_ratio(errors, noise, parameters, reference) if is_testable else math.inf,
-        _seen_correlation(weights, rows) if is_testable else math.inf,
+        pattern_probability,
+        _detectable_ratio(errors, noise, parameters, reference) if is_testable else math.inf,
+        _detectable_correlation(weights, rows) if is_testable else math.inf,
     )
 
 
-def _patterned(errors: Sequence[FloatArray], correlations: Sequence[float], variances: Sequence[float]) -> float:
+def _pattern_probability(
+    errors: Sequence[FloatArray], correlations: Sequence[float], variances: Sequence[float]
+) -> float:
     """Return the probability of at least these correlations, all together, in noise: they are about normal."""
     from scipy import special
 
     return float(special.ndtr(-sum(correlations) / math.sqrt(sum(variances)))) if sum(variances) else 0.5
 
 
-def _reach(rows: float, parameters: float) -> int:
+def _count_lags(rows: float, parameters: float) -> int:
     """Return how many rows apart are compared: what p fitted curves leave turns within n/p rows."""
     return max(1, min(_LAGS, int(rows / (2.0 * max(parameters, 1.0)))))
 
@@ -132,10 +136,10 @@ def _exact_pattern(
     weights = np.linalg.eigvalsh(root.T @ (near - ratio * np.eye(len(near))) @ root)
     first = float(sum(series[:-1] @ series[1:] for series in errors)) / square
     expected = float((covariance * (lags == 1)).sum()) / 2.0 / max(float(np.trace(covariance)), 1.0)
-    return first - expected, positive_tail(weights, np.ones(len(weights)))
+    return first - expected, probability_of_positive_sum(weights, np.ones(len(weights)))
 
 
-def _seen_ratio(
+def _detectable_ratio(
     errors: Sequence[FloatArray], noise: float, parameters: float, reference: ReferenceSmoother | None
 ) -> float:
     """Return the ratio of standard deviations, model to noise, that the test finds in five of six tables.
@@ -145,7 +149,9 @@ def _seen_ratio(
     free = max(sum(map(len, errors)) - parameters, 1.0)
 
     def is_too_large(ratio: float) -> bool:
-        return _too_large(errors, (ratio * unit) ** 2, noise, parameters, reference) < SETTINGS.inference.improbable
+        return (
+            _size_probability(errors, (ratio * unit) ** 2, noise, parameters, reference) < SETTINGS.inference.improbable
+        )
 
     unit = noise if reference is None else reference.noise
     if not unit > 0.0:
@@ -159,7 +165,7 @@ def _seen_ratio(
     return critical / math.sqrt(spread) if spread > 0.0 else math.inf
 
 
-def _seen_correlation(weights: Sequence[float], rows: int) -> float:
+def _detectable_correlation(weights: Sequence[float], rows: int) -> float:
     """Return the share of a slow pattern in the residual variance that the test finds in five of six tables.
 
     A slow pattern with this share correlates the rows at each lag by about as much.
@@ -174,7 +180,7 @@ def _seen_correlation(weights: Sequence[float], rows: int) -> float:
     return max(share, SETTINGS.inference.part) if share < 1.0 else math.inf
 
 
-def _too_large(
+def _size_probability(
     errors: Sequence[FloatArray], variance: float, noise: float, parameters: float, reference: ReferenceSmoother | None
 ) -> float:
     """Return the probability of at least this variance if the residuals were noise."""
@@ -198,7 +204,7 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
     """
     rows = sum(len(series) for series in errors)
     correlations, variances = [], []
-    for lag in range(1, _reach(rows, parameters) + 1):
+    for lag in range(1, _count_lags(rows, parameters) + 1):
         pairs = sum(max(len(series) - lag, 0) for series in errors)
         if pairs:
             product = float(sum(series[:-lag] @ series[lag:] for series in errors if len(series) > lag))

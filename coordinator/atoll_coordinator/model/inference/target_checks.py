@@ -10,9 +10,9 @@ from typing import ClassVar, Final
 import numpy as np
 
 from atoll_coordinator.data.differentiation.quantisation import find_quantisation
-from atoll_coordinator.model.inference.checks import EquationChecks, Finding, by_r2, percent, r2_text
+from atoll_coordinator.model.inference.checks import EquationChecks, Finding, format_percent, format_r2, judge_r2
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, structure_price
-from atoll_coordinator.model.inference.residual_covariance import orthonormal
+from atoll_coordinator.model.inference.residual_covariance import orthonormal_basis
 from atoll_coordinator.model.refinement import JobKind, Refined
 from atoll_coordinator.model.selection.comparison import differ
 from atoll_coordinator.model.shooting.points_between import points_between
@@ -33,7 +33,7 @@ class TargetChecks(EquationChecks):
     """
 
     kind: ClassVar[JobKind] = "target"
-    unmade: ClassVar[Finding] = Finding(
+    default_finding: ClassVar[Finding] = Finding(
         "not made", "the equation has no finite value on some rows",
         advice="leave out divisions and logarithms, or these rows",
     )  # fmt: skip
@@ -49,10 +49,10 @@ class TargetChecks(EquationChecks):
         self._problem = problem
         places = thinned_places(len(problem.target.values), SETTINGS.rows.most)
         roots = np.ones(len(places)) if weights is None else np.sqrt(weights[places] / weights[places].mean())
-        self.alternative = self._nearest()
-        self._regress(np.ascontiguousarray(problem.inputs[:, places]), problem.target.values[places], roots)
+        self.alternative = self._nearest_alternative()
+        self._set_quantities(np.ascontiguousarray(problem.inputs[:, places]), problem.target.values[places], roots)
 
-    def _regress(self, inputs: FloatArray, values: FloatArray, roots: FloatArray) -> None:
+    def _set_quantities(self, inputs: FloatArray, values: FloatArray, roots: FloatArray) -> None:
         """Set the quantities of the residuals on rows, whose weights have these `roots` (R,).
 
         The equation is linearised about its constants. Nothing is set if it has no finite value on some rows, or if the
@@ -66,13 +66,13 @@ class TargetChecks(EquationChecks):
         total = float((weights * (values - mean) ** 2).sum())
         if not np.isfinite(errors).all() or not total > 0.0:
             return
-        basis = orthonormal((np.nan_to_num(slopes, posinf=0.0, neginf=0.0) * roots).T)
+        basis = orthonormal_basis((np.nan_to_num(slopes, posinf=0.0, neginf=0.0) * roots).T)
         # The errors of an equation vary with its columns, so that they are similar on neighbouring rows in one order.
         orders = [np.argsort(key, kind="stable") for key in (*inputs, values - errors / np.maximum(roots, 1e-300))]
         order = max(orders, key=lambda order: float(errors[order][:-1] @ errors[order][1:]))
         square = float(errors @ errors)
         predicted = errors / np.maximum(1.0 - (basis**2).sum(axis=1), EXACT_ERROR)
-        distinct = _distinct(inputs[sorted(variables_of(program))] if variables_of(program) else inputs)
+        distinct = _count_distinct(inputs[sorted(variables_of(program))] if variables_of(program) else inputs)
         self.residuals = [errors[order]]
         self.orders = len(orders)
         if len(values) <= _MOST_ROWS:
@@ -112,7 +112,7 @@ class TargetChecks(EquationChecks):
         constant = log_bayes_factor(distinct + 1, 1, total / whole)
         return log_bayes_factor(distinct + 1, constants, square / whole) - constant - price
 
-    def _nearest(self) -> float | None:
+    def _nearest_alternative(self) -> float | None:
         """Return the nats of the next best alternative that says something else among the rows; None without one.
 
         Alternatives that agree with the equation do not count: their predictions are as good.
@@ -133,8 +133,8 @@ class TargetChecks(EquationChecks):
         if r2 is None:
             return Finding("not made", "the equation has no finite value on some rows, so that no row can be left out")
         least = 1.0 - SETTINGS.inference.part - min(2.0 * self.target.uncertainty, 1.0) ** 2
-        text = r2_text(r2)
-        return by_r2(
+        text = format_r2(r2)
+        return judge_r2(
             r2, least, f"leave-one-out R2 of the rows: {text}", f"the leave-one-out R2 of the rows is only {text}"
         )
 
@@ -142,8 +142,8 @@ class TargetChecks(EquationChecks):
         """Check the uncertainty of the target: many wrong equations fit an uncertain target as well as the law does."""
         uncertainty, most = self.target.uncertainty, SETTINGS.inference.largest_uncertainty
         if uncertainty <= most:
-            return Finding("passed", f"the target is uncertain by {percent(uncertainty)}", uncertainty, most)
-        reason = f"the target itself is uncertain by {percent(uncertainty)} of its standard deviation"
+            return Finding("passed", f"the target is uncertain by {format_percent(uncertainty)}", uncertainty, most)
+        reason = f"the target itself is uncertain by {format_percent(uncertainty)} of its standard deviation"
         return Finding("failed", reason, uncertainty, most)
 
     def check_digits_of_constants(self) -> Finding:
@@ -156,19 +156,19 @@ class TargetChecks(EquationChecks):
         quantisation = find_quantisation([values])
         if quantisation is None or quantisation.kind not in ("decimals", "digits") or not len(rounded):
             return Finding("not applicable", "the values are not rounded")
-        most = max(map(_digits, rounded.tolist()))
-        count = max((_digits(constant.value or 0.0) for constant in self.shown.constants), default=0)
+        most = max(map(_count_digits, rounded.tolist()))
+        count = max((_count_digits(constant.value or 0.0) for constant in self.shown.constants), default=0)
         if count <= most:
             return Finding("passed", f"constants have {count} digits at most, and the values {most}", count, most)
         reason = f"a constant has {count} digits and the values {most}: its term may describe rounding errors"
         return Finding("failed", reason, count, most)
 
 
-def _digits(value: float) -> int:
+def _count_digits(value: float) -> int:
     return len(Decimal(repr(value)).normalize().as_tuple().digits)
 
 
-def _distinct(columns: FloatArray) -> int:
+def _count_distinct(columns: FloatArray) -> int:
     """Return how many rows of some columns differ by more than rounding."""
     scales = columns.std(axis=1)
     varying = columns[scales > 0.0] / (EXACT_ERROR * scales[scales > 0.0, None])

@@ -25,7 +25,7 @@ _MOST_NUMBERS: Final = 100_000
 """Numbers of all curves together, about 1 MB as text."""
 
 
-def fit_starts(
+def fit_initial_states(
     comparison: ModelComparison, programs: Sequence[Program], near: TrajectoryFit | None = None
 ) -> TrajectoryFit | None:
     """Return `programs`, all constants as they are, fitted to the trajectories by their initial states alone."""
@@ -58,7 +58,7 @@ def rows_by_trajectory(measurements: Measurements) -> list[tuple[str, IntArray]]
     return named_rows
 
 
-def listed_trajectories(
+def list_trajectories(
     measurements: Measurements, fit: TrajectoryFit | None, errors: FloatArray | None, states: Sequence[str],
     preparation: Preparation, quantile: float,
 ) -> list[Simulated]:  # fmt: skip
@@ -96,7 +96,7 @@ def listed_trajectories(
         recorded = parts[name].measured[[recording.states.index(state) for state in states]]
         if recorded.shape == measured.shape:
             measured = np.where(np.isnan(measured), np.nan, recorded)
-        r2 = [None for _ in states] if fit is None else r2_of(measurements, fit, rows)
+        r2 = [None for _ in states] if fit is None else compute_r2(measurements, fit, rows)
         start = None if fit is None else dict(zip(names, fit.simulated[:, rows[0]].tolist(), strict=False))
         listed.append(Simulated(
             name=name,
@@ -113,7 +113,7 @@ def listed_trajectories(
     return listed
 
 
-def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice) -> list[float | None]:
+def compute_r2(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice) -> list[float | None]:
     """Return for each measured state the share of its variance along these rows that the simulation explains."""
     shares: list[float | None] = []
     for state in range(len(measurements.observed)):
@@ -134,7 +134,9 @@ def squares_about_mean(measurements: Measurements, state: int, rows: IntArray | 
     return float((weights * (values - mean) ** 2).sum()), len(values)
 
 
-def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float) -> FloatArray:
+def simulated_standard_errors(
+    measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float
+) -> FloatArray:
     """Return the standard errors (O, N) of the simulated states, from constants and initial states together.
 
     To first order: with sensitivities J of the constants and Y of a piece's initial state, whose normal equations have
