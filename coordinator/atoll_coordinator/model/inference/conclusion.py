@@ -1,7 +1,12 @@
 """From the chosen system to the reported model: constants with errors, alternatives, verdicts, simulations.
 
-`final_model` decides how the equations are shown; here they are simulated, compared with their alternatives, and judged
-(`trajectory_checks`, `verdict`). Constants of groups of trajectories are another set of numbers of the same model.
+`conclude` works in this order. `final_model.finalize` fixes the equations as they are shown. `estimate_errors` gives
+the errors of the constants. `long_run` tests whole trajectories or chaos. `prediction` compares the model with its
+alternatives from other initial states. `verdict.judge` grades each equation by its `TrajectoryChecks`. Simulations with
+bands are listed. If groups of trajectories have their own constants, the same steps use one set of constants per group.
+
+Doubtful: all errors and bands are conditional on the structure that was chosen. The selection of the structure from the
+same data adds uncertainty, which appears only in the comparison with the alternatives.
 """
 
 import math
@@ -56,7 +61,7 @@ from atoll_core.expression.writing.expansion import expand_program
 
 
 def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement | None:
-    """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
+    """Return the refinement for the chosen system; None if it cannot be simulated on all rows."""
     final = finalize(selection)
     if final is None:
         return None
@@ -115,7 +120,7 @@ def _describe_constants(
 ) -> tuple[Sequence[EquationConstants], Sequence[Sequence[tuple[Constant, ...]]]]:
     """Return the estimates of the constants of each equation, and of each group if groups have their own.
 
-    All groups together have the constants that they share with their errors, and the means of the others without.
+    For all groups together, shared constants have their errors; other constants are means over groups, without errors.
     """
     fixed, columns = final.comparison.fixed, final.free.fit.system.columns
     described = [
@@ -143,7 +148,7 @@ def _describe_constants(
 
 
 def _combine_groups(value: float, constants: Sequence[Constant]) -> Constant:
-    """Return a constant of all groups together: the shared one, or the mean of those of the groups without errors."""
+    """Return a constant for all groups together: the shared one, or the mean over the groups, without errors."""
     if constants[0].shared:
         return constants[0]
     fitted = float(np.mean([constant.fitted or 0.0 for constant in constants]))
@@ -155,7 +160,7 @@ def _describe_equation(
     final: FinalModel, index: int, known: EquationConstants, by_group: Sequence[tuple[Constant, ...]],
     held_out_r2: float | None, prediction: Prediction,
 ) -> Refined:  # fmt: skip
-    """Return one equation as it is shown, compared with its alternatives."""
+    """Return one equation as it is shown, with its alternatives."""
     task, ranking = final.task, final.ranking
     name, program = task.variables[index], final.programs[index]
     programs = [group_programs[index] for group_programs in final.by_group]
@@ -180,7 +185,7 @@ def _describe_equation(
 
 
 def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> tuple[Alternative, ...]:
-    """Return the equation that is shown and its closest alternatives, all other equations as they are."""
+    """Return the equation that is shown and its closest alternatives; all other equations stay the same."""
     ranking = final.ranking
     comparison, best = ranking.selection.comparison, ranking.selection.model
     r2 = compute_r2(final.shown_comparison.estimator.measurements, final.shown_fit, slice(None))[index]
@@ -204,9 +209,9 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
 def _simulate_held_out(
     final: FinalModel, unseen: ModelComparison, errors: ConstantErrors
 ) -> tuple[TrajectoryFit | None, FloatArray | None]:
-    """Return the simulation of the held-out trajectories from initial states that are fitted to them, and its bands.
+    """Return the simulation of the held-out trajectories, with fitted initial states, and its standard errors.
 
-    None if it failed; without bands if there are groups.
+    The simulation is None if it failed; there are no standard errors if there are groups.
     """
     fit = final.simulate_along(unseen)
     return fit, None if fit is None or final.by_group else _errors_along_trajectories(final, unseen, fit, errors)
@@ -215,9 +220,10 @@ def _simulate_held_out(
 def _errors_along_trajectories(
     final: FinalModel, comparison: ModelComparison, fit: TrajectoryFit, errors: ConstantErrors
 ) -> FloatArray | None:
-    """Return the standard errors (O, N) of trajectories that constants were not fitted to; None when they fail.
+    """Return the standard errors (O, N) of simulations along trajectories to which constants were not fitted.
 
-    One trajectory after another: with dozens of states, all sensitivities together would not fit into memory.
+    None if a simulation fails. Trajectories are simulated one after another: with dozens of states, all sensitivities
+    together would not fit into memory.
     """
     free, trajectory_bands = final.free.fit, []
     for owner in sorted(set(comparison.estimator.measurements.owners.tolist())):
@@ -234,8 +240,8 @@ def _errors_along_trajectories(
 def _predict_states(final: FinalModel, errors: ConstantErrors, *, is_near: bool) -> list[Prediction]:
     """Return how far each state can be predicted from other initial states, see `compare_predictions`.
 
-    The odds that the data alone give an alternative are shared by all alternatives of its equation: these were chosen
-    from many because they describe the data well (Bonferroni).
+    The odds of an alternative by the data alone are divided by the number of alternatives of its equation, since these
+    were chosen from many equations because they describe the data well (Bonferroni).
     """
     ranking = final.ranking
     own = ranking.selection.model
@@ -257,15 +263,16 @@ def _predict_states(final: FinalModel, errors: ConstantErrors, *, is_near: bool)
 
 
 def _odds(nats: float) -> float:
-    """Return the odds of a description that is longer by this many nats, at most one."""
+    """Return the odds, at most one, of a description that is longer by this many nats."""
     return math.exp(-max(nats, 0.0))
 
 
 def _odds_without_prices(other: FittedModel, own: FittedModel, equation: int, points: FloatArray) -> float:
-    """Return the odds of another model by misfit and constants (Schwarz 1978), without the prices of structures.
+    """Return the odds of another model by misfit and number of constants (Schwarz 1978), without the price of
+    structures.
 
-    An elaboration, whose equation as a sum is the model's own with some values of its constants, has no other odds than
-    with it: there are many of them, each of which describes about as much.
+    An elaboration is an equation that equals the model's equation for some values of its constants. Its odds include
+    the price of the structure: there are many elaborations, and each describes the data about as well.
     """
     program, contained = other.programs[equation], own.programs[equation]
     expansion = expand_program(program)
@@ -277,7 +284,7 @@ def _odds_without_prices(other: FittedModel, own: FittedModel, equation: int, po
 
 
 def _estimate_state_errors(final: FinalModel) -> dict[str, Errors]:
-    """Return the errors of each state as estimated from residuals, by name; empty without noise."""
+    """Return the measurement errors of each state, estimated from residuals, by name; empty without noise."""
     comparison, fit = final.comparison, final.free.fit
     if comparison.score.is_exact(final.free):
         return {}
@@ -302,7 +309,7 @@ def _estimate_state_errors(final: FinalModel) -> dict[str, Errors]:
 
 
 def _warn_of_poles(final: FinalModel) -> Iterator[str]:
-    """Yield a sentence for each pole of an equation in the region that the data visit."""
+    """Yield a warning for each pole of an equation within the measured region."""
     dataset = final.task.dataset
     for name, program in zip(final.task.variables, final.programs, strict=True):
         for part in find_poles(program, dataset.inputs):

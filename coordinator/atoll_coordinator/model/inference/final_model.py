@@ -1,10 +1,19 @@
 """The chosen system as it is shown: fitted to all rows, its constants rounded, simulated along whole trajectories.
 
-In this order: the system is fitted to all rows; constants become simple numbers where the data single these out;
-equations are written as short as they can be; factors of one that the data refute are written; terms that equations
-share are fitted together; the shown system is simulated along whole trajectories, if possible. Each step is kept if the
-data are described no worse. Where groups of trajectories have constants of their own, `groups` does all of this
-instead.
+`finalize` works in this order:
+
+1. The system is fitted to all rows.
+2. Constants become simple numbers where the data support them.
+3. Equations are written in their shortest form.
+4. Factors of one that the data refute are written as constants.
+5. Terms that equations share are fitted together.
+6. The shown system is simulated along whole trajectories, if possible.
+
+Steps 2 to 5 are undone if they make the fit worse than allowed. If groups of trajectories have their own constants,
+`_show_by_group` replaces steps 2 to 5: `groups.choose_shared_constants` decides which constants groups share.
+
+Doubtful: each step decides alone, and no step is reconsidered after a later one. Standard errors belong to the
+shown structure with all constants free, also the constants that became simple numbers.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -45,10 +54,10 @@ from atoll_core.expression.writing.shortest import shortest_over
 
 @dataclass(frozen=True, eq=False)
 class ShownEquations:
-    """Equations as they are shown: `rounded` and their `fit`; `free` is the fit of `explicit`, all constants free.
+    """Equations as they are shown: `rounded` and their `fit`; `free` is the fit of `explicit` with all constants free.
 
-    `fluxes` are terms that were fitted together, see `Refinement`. `by_group` are the equations with the constants of
-    each group where groups of trajectories have their own; each number of `free` belongs to one group or to all.
+    `fluxes` are terms that were fitted together, see `Refinement`. If groups of trajectories have their own constants,
+    `by_group` has the equations of each group; each fitted number of `free` belongs to one group or to all.
     """
 
     rounded: RoundedEquations
@@ -68,10 +77,9 @@ class ShownEquations:
 class FinalModel(ShownEquations):
     """The model on all rows.
 
-    `comparison` is where constants are fitted, in pieces of at most `piece` rows; `shown_comparison` where the
-    equations are simulated as they are shown, over whole trajectories, also where constants are fitted to short pieces
-    of them, and over all rows, also where they are fitted to fewer, and `shown_fit` the simulation there.
-    `held_out_comparison` is a comparison over the held-out trajectories, None when there are none.
+    `comparison` fits the constants, in pieces of at most `piece` rows, possibly to a subset of the rows.
+    `shown_comparison` simulates the equations as they are shown, over all rows, along whole trajectories if possible;
+    `shown_fit` is this simulation. `held_out_comparison` contains the held-out trajectories; None without any.
     """
 
     task: ModellingTask
@@ -85,19 +93,19 @@ class FinalModel(ShownEquations):
 
     @property
     def are_errors_summed(self) -> bool:
-        """Whether the equations are simulated along longer pieces than the pieces of the fit of constants."""
+        """Whether errors add up: the equations are simulated along longer pieces than constants were fitted to."""
         return self.piece < min(self.task.piece, self.task.longest)
 
     @cached_property
     def visited_points(self) -> FloatArray:
-        """The variables of the equations (V, R) at all rows, states as they are simulated."""
+        """The variables of the equations (V, R) at all rows; states have their simulated values."""
         measurements = self.shown_comparison.estimator.measurements
         points = np.concatenate([self.shown_fit.simulated, measurements.inputs])
         return points[[measurements.variables.index(name) for name in self.task.dataset.names]]
 
     @cached_property
     def visited_points_by_group(self) -> list[tuple[Sequence[Program], FloatArray]]:
-        """The equations as they are shown, and the rows (V, R) that they hold for: all, or the rows of each group."""
+        """The equations as they are shown, with the rows (V, R) to which they apply: all, or the rows of each group."""
         measurements = self.shown_comparison.estimator.measurements
         if not self.by_group or measurements.groups is None:
             return [(self.programs, self.visited_points)]
@@ -110,7 +118,7 @@ class FinalModel(ShownEquations):
 
     @cached_property
     def residual_covariances(self) -> list[FloatArray] | None:
-        """The covariance of the residuals of each state; None where constants were fitted to other rows than these."""
+        """The covariance of the residuals of each state; None if constants were fitted to other rows or pieces."""
         fitted = self.comparison.estimator.measurements
         if fitted.rows != self.shown_comparison.estimator.measurements.rows or self.piece != self.task.piece:
             return None
@@ -130,11 +138,11 @@ class FinalModel(ShownEquations):
         ]
 
     def simulate_along(self, comparison: ModelComparison) -> TrajectoryFit | None:
-        """Return the shown equations along the trajectories of a comparison, only initial states being fitted."""
+        """Return the shown equations simulated along the trajectories of a comparison, with fitted initial states."""
         return comparison.estimator.fit(self.shown_fit.system, None, SETTINGS.effort.steps)
 
     def origin(self, equation: int, program: Program) -> Origin:
-        """Return where a program came from, before its constants were made simple."""
+        """Return the source of a program, for instance the front; `program` still has its fitted constants."""
         if self.task.variables[equation] in self.task.known:
             return "known"
         origins = self.origins[equation]
@@ -142,7 +150,7 @@ class FinalModel(ShownEquations):
 
 
 def finalize(selection: SelectedModel) -> FinalModel | None:
-    """Return the chosen system as it is shown; None when it cannot be simulated on all rows."""
+    """Return the chosen system as it is shown; None if it cannot be simulated on all rows."""
     task = selection.task
     origins = tuple(
         candidates.origins(compared)
@@ -184,7 +192,7 @@ def _show_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
         if with_factors is not None and with_factors.fit.misfit <= shown.fit.misfit:
             shown = with_factors
         shorter = _shortest_writings(whole, shown.programs)
-        if sum(map(len, shorter)) < sum(map(len, shown.programs)):  # constants are one or equal as rounded
+        if sum(map(len, shorter)) < sum(map(len, shown.programs)):  # rounded constants that are one or equal
             shortened = _show_equations(comparison, best, shorter)
             shown = shown if shortened is None or shortened.fit.nats > shown.fit.nats else shortened
         return _share_terms(task, comparison, shown)
@@ -218,9 +226,9 @@ def _shortest_writings(whole: SelectedModel, programs: Sequence[Program]) -> tup
 
 
 def _shortest_writing(whole: SelectedModel, equation: int, program: Program) -> Program:
-    """Return the shortest writing of a program, unless it is given or would be larger than is allowed.
+    """Return the shortest form of a program; the program itself if it is given or the form would be too large.
 
-    Where constants have bounds, the shortest one in which each of them stands by itself.
+    If constants have bounds, each of these is still a separate constant in the shortest form.
     """
     if equation in whole.comparison.fixed:
         return program
@@ -232,7 +240,7 @@ def _shortest_writing(whole: SelectedModel, equation: int, program: Program) -> 
 
 
 def _share_terms(task: ModellingTask, comparison: ModelComparison, shown: ShownEquations) -> ShownEquations:
-    """Return the equations with the terms that they share fitted together, if the data allow it."""
+    """Return the equations with shared terms fitted together, if this shortens the description."""
     together = fit_shared_terms(comparison, shown.free, shown.programs)
     if together is None or not all(map(task.may_be_shown, together.model.programs)):
         return shown
@@ -249,9 +257,9 @@ def _share_terms(task: ModellingTask, comparison: ModelComparison, shown: ShownE
 def _simulate_in_whole(
     task: ModellingTask, comparison: ModelComparison, shown: ShownEquations
 ) -> tuple[ModellingTask, ModelComparison, TrajectoryFit]:
-    """Return the equations as they are shown along whole trajectories and all rows, if they can be simulated there.
+    """Return the simulation of the shown equations along whole trajectories and all rows, if it succeeds.
 
-    Else along the trajectories that they were fitted to.
+    Otherwise return the simulation along the pieces and rows to which they were fitted.
     """
     whole, fitted = in_whole(task), comparison.estimator.measurements.rows
     for here in (whole, task) if whole.piece != task.piece else (task,):
@@ -277,9 +285,9 @@ def _show_equations(
     numbers = fitted.fit.system.columns[0].tolist()
 
     def outside(rounded: RoundedEquations) -> frozenset[int]:
-        """Return the fitted numbers, by index, of constants that lie outside of their intervals as they are shown."""
+        """Return the fitted numbers, by index, of constants whose shown value is outside their 95 % interval."""
         if is_exact:
-            return frozenset()  # intervals would follow from integration errors
+            return frozenset()  # intervals would only reflect integration errors
         known = describe_constants(comparison.fixed, explicit, rounded.programs, errors)
         sought = (constants for equation, constants in enumerate(known) if equation not in comparison.fixed)
         written = (constant for constants in sought for constant in constants.written)
@@ -292,7 +300,7 @@ def _show_equations(
 def _write_refuted_factors(
     task: ModellingTask, comparison: ModelComparison, shown: ShownEquations
 ) -> tuple[Program, ...] | None:
-    """Return the programs with those factors of one written out that the data refute; None without such factors."""
+    """Return the programs with factors of one written as constants where the data refute one; None without any."""
     programs, errors = shown.programs, estimate_errors(comparison, shown.free)
     known = describe_constants(comparison.fixed, shown.explicit, programs, errors)
     if not any(constants.refuted_factors for constants in known):
@@ -304,16 +312,16 @@ def _write_refuted_factors(
 
 
 _Outside = Callable[[RoundedEquations], frozenset[int]]
-"""Tells the fitted numbers, by index, of constants that lie outside of their intervals."""
+"""Returns the fitted numbers, by index, of constants whose shown value is outside their 95 % interval."""
 
 
 def _round_to_fewest_digits(
     comparison: ModelComparison, fitted: FittedModel, outside: _Outside
 ) -> tuple[RoundedEquations, FittedModel] | None:
-    """Return a system with constants as they are shown, in the fewest digits that do not change simulations.
+    """Return a system with rounded constants, with the fewest digits that do not change simulations.
 
-    They are compared with simulations by the same simple numbers and all digits of the other constants. None when it
-    cannot be simulated. Constants that would lie outside of their intervals are not made simple.
+    The reference is a simulation with the same simple numbers and all digits of the other constants. None if the system
+    cannot be simulated. A constant does not become simple if its value would lie outside its 95 % interval.
     """
     *few, most = ERROR_DIGITS
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None
@@ -344,7 +352,7 @@ def _round_to_digits(
 def _fit_all_constants(
     comparison: ModelComparison, best: FittedModel, shown: Sequence[Program], shared: Collection[SharedNumber]
 ) -> tuple[tuple[ExplicitCoefficients, ...], FittedModel | None]:
-    """Fit the shown system with all its constants free, if possible also factors of one that are not written."""
+    """Fit the shown system with all its constants free, if possible including factors of one that are not written."""
     explicit = tuple(
         make_explicit_if_free(program, comparison.restrictions(equation), is_given=equation in comparison.fixed)
         for equation, program in enumerate(shown)
@@ -363,7 +371,7 @@ def _fit_all_constants(
 
 
 def attach_estimates(comparison: ModelComparison, model: FittedModel) -> FittedEquations:
-    """Return the equations of a model with the estimates of its constants, for rounding."""
+    """Return the equations of a model with the estimates of its constants, ready for rounding."""
     system, errors = model.fit.system, estimate_errors(comparison, model)
     restrictions = [comparison.restrictions(equation) for equation in range(len(model.programs))]
     estimates = Estimates(errors.values, errors.finite_covariance)
@@ -373,11 +381,11 @@ def attach_estimates(comparison: ModelComparison, model: FittedModel) -> FittedE
 
 
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
-    """Return the errors of the fitted numbers, by the errors of measurement by which systems are compared.
+    """Return the errors of the fitted numbers, based on the error model by which systems are compared.
 
-    Variances are corrected for the fitted numbers, and multiplied by the number of rows that count as one
-    (`ModelComparison.inflation`), since the errors of an equation vary as slowly as the states; or by the factor of a
-    correlation that the rows do not exclude, if that is larger.
+    Variances are corrected for the number of fitted numbers. They are multiplied by the larger of two factors: the
+    number of rows per independent row (`Score.inflation`), since errors of an equation vary as slowly as the states;
+    and the inflation by a correlation that the rows cannot exclude (`estimate_variance_inflation`).
     """
     fit, system = model.fit, model.fit.system
     counts, inflation = float(comparison.score.counts.sum()), comparison.score.inflation(model)
@@ -393,6 +401,6 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Constant
 
 
 def estimate_errors_of_constants(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
-    """Return the errors of all constants of a model, which may be multiples of fewer fitted numbers."""
+    """Return the errors of all constants of a model; several constants may be multiples of one fitted number."""
     system = model.fit.system
     return estimate_errors(comparison, model).for_multiples(system.columns[0], system.multiples)

@@ -1,9 +1,13 @@
 """Terms that several equations share, fitted together: a flux that leaves one state and enters another (ADR 0058).
 
-With brackets expanded, each term has a factor and numbers inside. Two terms of the same shape are one flux if their
-numbers inside are equal; if one factor is a simple multiple of the other, the factors are the stoichiometry. Near its
-minimum the misfit is a quadratic form, which says which numbers may be equal, one decision after another, as for simple
-numbers; a fit with all decisions is then compared.
+With brackets expanded, each term has a factor and numbers inside, such as 2 and c in 2*u/(c + u). Two terms of the same
+shape are one flux if their numbers inside are equal. If one factor is a simple multiple of the other, the factors are
+the stoichiometry. `fit_shared_terms` decides: near its minimum the misfit is a quadratic form, so the cost of making
+two numbers equal is known. Decisions are made one after another, as for simple numbers. The model is then fitted with
+all decisions, and used if its description is shorter.
+
+Doubtful: decisions are greedy and depend on the order of the terms. Terms are only compared after expansion, so an
+equation that must stay factored (known, or with bounds) shares nothing.
 
 Letters: P fitted constants.
 """
@@ -48,9 +52,9 @@ class SharedTermsFit:
 
 
 def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequence[Program]) -> SharedTermsFit | None:
-    """Return `shown` with brackets expanded and shared terms fitted together; None where that is no shorter.
+    """Return `shown` with brackets expanded and shared terms fitted together; None if the description is no shorter.
 
-    Equations that are given or have bounds are left as they are.
+    Equations that are given or have bounds are not changed.
     """
     sums = _expand_equations(comparison, shown)
     expansions = [None if summands is None else write_expansion(summands) for summands in sums]
@@ -85,10 +89,10 @@ def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequ
 
 @dataclass(frozen=True)
 class _Occurrence:
-    """A term of an equation: the place of its factor, None for a factor of one, and those of its numbers inside.
+    """A term of an equation: the place of its `factor` (None for a factor of one) and of its numbers inside (`inner`).
 
-    Each comes with the sign that the constant there acts with. Numbers inside are in the order of their paths;
-    `layout` has these, and the numbers that are one or minus one by their form.
+    Each place has the sign of its constant. Numbers inside are in the order of their paths in the term. `layout` has
+    these paths, and the paths of numbers that are one or minus one by the form of the term.
     """
 
     equation: int
@@ -98,9 +102,9 @@ class _Occurrence:
 
 
 def _expand_equations(comparison: ModelComparison, shown: Sequence[Program]) -> list[Sum | None]:
-    """Return the terms of each equation, None for equations that stay as they are.
+    """Return the terms of each equation; None for equations that must not change.
 
-    Where another equation has n*u/(c + u), this one has it in place of n/(c + u).
+    A term n/(c + u) is written with n*u/(c + u) if another equation has a term of this shape.
     """
     sums = [_expand_equation(comparison, equation, program) for equation, program in enumerate(shown)]
     shapes = [{shape_of(monomial) for monomial, _ in summands or ()} for summands in sums]
@@ -113,9 +117,9 @@ def _expand_equations(comparison: ModelComparison, shown: Sequence[Program]) -> 
 
 
 def _price_of_repetition(shape: Shape, sums: Sequence[Sum | None]) -> float:
-    """Return by how many nats a term is shorter where it is written once more, its numbers being known.
+    """Return the nats saved when a term with known numbers occurs again.
 
-    A part that a program uses again costs as little within one equation.
+    A repeated term then costs as little as a part that a program uses again within one equation.
     """
     monomials = (monomial for summands in sums for monomial, _ in summands or () if shape_of(monomial) == shape)
     made = write_expansion(((next(monomials), 1.0),))
@@ -123,7 +127,7 @@ def _price_of_repetition(shape: Shape, sums: Sequence[Sum | None]) -> float:
 
 
 def _expand_equation(comparison: ModelComparison, equation: int, program: Program) -> Sum | None:
-    """Return the terms of an equation that may be written in another way, None of others."""
+    """Return the terms of an equation; None if it must not change or has too many terms."""
     if equation in comparison.fixed or comparison.restrictions(equation).bounds is not None:
         return None
     try:
@@ -133,8 +137,10 @@ def _expand_equation(comparison: ModelComparison, equation: int, program: Progra
 
 
 def _find_common_terms(expansions: Sequence[Expansion | None]) -> dict[Shape, list[_Occurrence]]:
-    """Return the terms that two equations or more have, by shape; terms that one equation has several times are left
-    out."""
+    """Return the terms that occur in at least two equations, by shape.
+
+    Terms that occur several times in one equation are left out.
+    """
     occurrences: dict[Shape, list[_Occurrence]] = {}
     for equation, expansion in enumerate(expansions):
         for shape, occurrence in _list_occurrences(equation, expansion) if expansion is not None else ():
@@ -162,19 +168,19 @@ def _list_occurrences(equation: int, expansion: Expansion) -> Iterator[tuple[Sha
             yield shape, _Occurrence(equation, factors[0] if factors else None, inner, (paths, units))
 
 
-# --------------------------------------------------------------------------------------------------- what they share
+# ----------------------------------------------------------------------------------------------------- shared numbers
 
 
 @dataclass(eq=False)
 class _PlacedEstimates:
-    """Fitted constants by place, their `values` (P,) and `covariance` (P, P), as decisions move them."""
+    """Fitted constants by place, with `values` (P,) and `covariance` (P, P), given the decisions so far."""
 
     index: Mapping[Place, int]
     values: FloatArray
     covariance: FloatArray
 
     def value(self, place: Place) -> float:
-        """Return what a constant is."""
+        """Return the value of a constant."""
         return float(self.values[self.index[place]])
 
     def row(self, *parts: tuple[tuple[Place, float], float]) -> FloatArray:
@@ -190,7 +196,7 @@ class _PlacedEstimates:
         return max(float(row @ self.covariance @ row), least * least, 1e-300)
 
     def with_zero_sum(self, row: FloatArray) -> tuple["_PlacedEstimates", float]:
-        """Return the estimates if a sum of constants is zero, and the nats that the misfit grows by."""
+        """Return the estimates given that a sum of constants is zero, and by how many nats the misfit grows."""
         variance, away = self.variance(row), float(row @ self.values)
         column = self.covariance @ row
         values = self.values - column * (away / variance)
@@ -200,10 +206,10 @@ class _PlacedEstimates:
 
 @dataclass(eq=False)
 class Flux:
-    """Terms of this `shape` that have the same numbers inside, each in another equation.
+    """Terms of this `shape` with the same numbers inside, each in a different equation.
 
-    The description gets about `nats` shorter; the `saving` is the part of a flux that is written only once. `ratios`
-    are the factors over the factor of the `reference`, which is their smallest, where they are simple; by equation.
+    The description gets about `nats` shorter; `saving` is the part due to writing the flux only once. `reference` is
+    the smallest factor. `ratios` has, by equation, the factors over the reference that are simple numbers.
     """
 
     shape: Shape
@@ -221,13 +227,13 @@ class Flux:
 
     @property
     def multiples(self) -> dict[int, float | None]:
-        """How many times the flux stands in each equation, None where the factor is fitted by itself."""
+        """The multiple of the flux in each equation; None if the factor is fitted separately."""
         equations = [term.equation for term in self.alike]
         return {one: self.ratios[one] * self.direction if one in self.ratios else None for one in equations}
 
     @property
     def numbers(self) -> list[SharedNumber]:
-        """The fitted numbers that stand in all the terms."""
+        """The fitted numbers that these terms share."""
         numbers: list[SharedNumber] = [
             tuple((term.inner[number][0], term.inner[number][1] * sign) for term in self.alike)
             for number, (_, sign) in enumerate(self.terms[0].inner)
@@ -261,7 +267,7 @@ def _find_fluxes(
 def _group_equal_terms(
     estimates: _PlacedEstimates, shape: Shape, alike: Sequence[_Occurrence], constant_nats: float, saving: float
 ) -> tuple[_PlacedEstimates, list[Flux]]:
-    """Return terms of one shape by the numbers inside, which are the same where that shortens the description."""
+    """Group terms of one shape into fluxes: numbers inside become equal if that shortens the description."""
     fluxes: list[Flux] = []
     for term in alike:
         for flux in fluxes:
@@ -282,7 +288,7 @@ def _group_equal_terms(
 
 
 def _decide_multiples(estimates: _PlacedEstimates, flux: Flux, constant_nats: float) -> _PlacedEstimates:
-    """Fill in which factors are simple multiples of the smallest, and return the estimates with these decided."""
+    """Set the factors that are simple multiples of the smallest, and return the estimates given these decisions."""
     factors = {term.equation: term.factor for term in flux.terms if term.factor is not None}
     if len(factors) < 2:
         return estimates
@@ -302,7 +308,7 @@ def _decide_multiples(estimates: _PlacedEstimates, flux: Flux, constant_nats: fl
 def _simple_ratio(
     estimates: _PlacedEstimates, base: tuple[Place, float], constant: tuple[Place, float]
 ) -> float | None:
-    """Return the fraction that the data single out as the factor `constant` over `base`, None where there is none."""
+    """Return the simple fraction that the data support as the factor `constant` over `base`; None if there is none."""
     below, above = (sign * estimates.value(place) for place, sign in (base, constant))
     if below == 0.0:
         return None
@@ -315,7 +321,7 @@ def _simple_ratio(
 
 
 def _drop_costly_terms(terms: Sequence[Flux], costs: Sequence[float]) -> tuple[Flux, ...]:
-    """Return the terms that gain more than the `costs` of expanding their equations."""
+    """Return the fluxes that gain more nats than the `costs` of expanding their equations."""
 
     def gain(terms: Sequence[Flux]) -> float:
         expanded = {equation for term in terms for equation in term.multiples}

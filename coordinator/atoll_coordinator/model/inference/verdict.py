@@ -1,12 +1,16 @@
 """The table of checks, and the verdict that follows from them. Pure.
 
 `RULES` is the table: the name of each check, the quantity it measures, its limit, and the kinds of job to which it
-applies. The check is the method `check_` with this name, of `checks`, `trajectory_checks` or `target_checks`: it
-measures the quantity and returns a `Finding` with a clause for the sentence. A check has passed, has failed, is not
-applicable to this table, or was not made; the clause then says why and what to do. An equation is `good` or `exact`
-only if every check that applies was made, could detect a relevant departure, and passed. A departure is relevant if it
-has more than a tenth of the variance of a state, since predictions of a good equation have an R2 above 0.9. A test that
-was not made never counts as passed.
+applies. The check is the method `check_` with this name, of `checks`, `trajectory_checks`, `target_checks` or
+`stochastic.checks`: it measures the quantity and returns a `Finding` with a clause for the sentence. A check has
+passed, has failed, is not applicable to this table, or was not made; the clause then says why and what to do.
+
+`judge` decides: an equation is `good` or `exact` only if every check that applies was made, could detect a relevant
+departure, and passed. A departure is relevant if it has more than 0.1 of the variance of a state, since predictions of
+a good equation have an R2 above 0.9. A test that was not made never counts as passed.
+
+Doubtful: a grade says that no check found a fault. Limits are conventions, and a wrong equation can pass all checks if
+it fits and no tried alternative fits as well.
 """
 
 import math
@@ -41,7 +45,7 @@ class Rule:
     is_exactness: bool = False
 
     def apply(self, equation: EquationChecks) -> Finding:
-        """Return the outcome; a check that has passed but could not detect a relevant departure was not made."""
+        """Return the finding; a check that passed but could not detect a relevant departure counts as not made."""
         finding: Finding = getattr(equation, "check_" + re.sub(r"\W", "_", self.name))() or equation.default_finding
         power = finding.power
         if finding.outcome != "passed" or power is None or not power > SETTINGS.inference.part:
@@ -57,7 +61,7 @@ _PROCESS: Final[Sequence[JobKind]] = ("process",)
 _FITTED: Final = (*_SIMULATED, *_TARGET)
 _ALL: Final = (*_FITTED, *_PROCESS)
 
-# name, quantity measured, limit, kinds of job; the most important checks come first, also in the sentence
+# name, quantity measured, limit, kinds of job; the most important checks come first, here and in the sentence
 RULES: Final[Sequence[Rule]] = (
     Rule("explained variance", "R2 of the simulation, or on the target", "0.1", _FITTED),
     Rule("simulation", "whether the trajectories could be simulated", "all", _SIMULATED),
@@ -104,8 +108,9 @@ class Verdict:
 def judge(equation: EquationChecks) -> Verdict:
     """Return the verdict on an equation.
 
-    `no model`: it explains less than a tenth of the variance. `doubtful`: a check that applies has failed, was not
-    made, or could not detect a relevant departure. `exact`: the checks of exactness have passed as well. `good`: else.
+    `no model`: the equation explains less than 0.1 of the variance. `doubtful`: a check that applies has failed, was
+    not made, or could not detect a relevant departure. `exact`: the checks of exactness have also passed. `good`:
+    otherwise.
     """
     findings, exactness = make_checks(equation), make_checks(equation, of_exactness=True)
     checks = list_checks(findings)
@@ -125,7 +130,7 @@ def judge(equation: EquationChecks) -> Verdict:
 
 
 def make_checks(equation: EquationChecks, *, of_exactness: bool = False) -> dict[str, Finding]:
-    """Return the findings of the checks that apply to this kind of job by name, in the order of their weight."""
+    """Return the findings of the checks that apply to this kind of job by name, the most important check first."""
     return {
         rule.name: rule.apply(equation)
         for rule in RULES
@@ -134,7 +139,7 @@ def make_checks(equation: EquationChecks, *, of_exactness: bool = False) -> dict
 
 
 def list_checks(findings: Mapping[str, Finding]) -> tuple[Check, ...]:
-    """Return the checks for a result."""
+    """Return the findings as checks of a result."""
     return tuple(
         Check(
             name=name, outcome=finding.outcome, reason=finding.clause, value=finding.value, limit=finding.limit,
@@ -145,7 +150,7 @@ def list_checks(findings: Mapping[str, Finding]) -> tuple[Check, ...]:
 
 
 def add_objection(verdict: Verdict, name: str, outcome: CheckOutcome, reason: str) -> Verdict:
-    """Return a verdict with a further check that has failed or was not made: the verdict is at best doubtful."""
+    """Return a verdict with a further check that has failed or was not made; the grade is at best `doubtful`."""
     checks = (*verdict.checks, Check(name=name, outcome=outcome, reason=reason))
     if verdict.grade in ("no model", "doubtful"):
         return Verdict(verdict.grade, verdict.reason, checks)
@@ -153,17 +158,17 @@ def add_objection(verdict: Verdict, name: str, outcome: CheckOutcome, reason: st
 
 
 def list_failures(findings: Iterable[Finding]) -> list[Finding]:
-    """Return the findings that speak against an equation: failed checks, then those that were not made."""
+    """Return the findings against an equation: failed checks, then checks that were not made."""
     listed = [*findings]
     failed = [finding for finding in listed if finding.outcome == "failed"]
     default_finding = {finding.clause: finding for finding in listed if finding.outcome == "not made"}
     if failed:
-        default_finding.pop(UNSIMULATED.clause, None)  # the check of the simulation itself has said so
+        default_finding.pop(UNSIMULATED.clause, None)  # the failed check of the simulation has this reason
     return [*failed, *default_finding.values()]
 
 
 def format_sentence(findings: Sequence[Finding]) -> str:
-    """Return the first two clauses as a sentence; with two, their advice follows in sentences of its own."""
+    """Return the first two clauses as one sentence; with two clauses, their advice follows in separate sentences."""
     if len(findings) == 1:
         return _capitalise(findings[0].clause)
     advice = dict.fromkeys(finding.advice for finding in findings[:2] if finding.advice)

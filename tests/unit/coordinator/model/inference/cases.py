@@ -39,7 +39,8 @@ def given(kind: type[EquationChecks], **quantities: Any) -> Any:
     made: Any = object.__new__(kind)
     known = {"constants": (), "unit_coefficients": (), "uncertainty": 0.0, "digits": None, "chaos": None,
              "predictable_rows": None, "is_cross_validated": False, "are_errors_summed": False, "piece": 500,
-             "held_inputs": (), "is_near": False, "text": "x", "unsupported_state": "", "unknown_inputs": {}, "odds_of_alternatives": 0.0,
+             "held_inputs": (), "is_near": False, "text": "x", "unsupported_state": "", "unknown_inputs": {},
+             "odds_of_alternatives": 0.0,
              "passes_pole": False,
              "is_known": False, "stopped": "", "is_cancelled": False, "target_r2": None, "prediction": None,
              **quantities}  # fmt: skip

@@ -27,7 +27,8 @@ NAMES = ("x", "v", "w")
 def list_checks(residuals: FloatArray, state: int, *, has_noise: bool) -> ProcessChecks:
     """Return the checks of the drift of a state whose whitened steps are given."""
     steps = SimpleNamespace(
-        states=NAMES, residuals=residuals, noiseless_states=[] if has_noise else [state], exact_states=[], has_noise=True,
+        states=NAMES, residuals=residuals, noiseless_states=[] if has_noise else [state], exact_states=[],
+        has_noise=True,
         chosen=SimpleNamespace(is_stopped=False),
     )  # fmt: skip
     target = Target("", "", residuals[state], 0.0, 1.0)
