@@ -441,7 +441,11 @@ class JobController:
             case background.RefiningFailed():
                 self._change(item.job, "ending", now, lambda job: job.finish_unrefined(item.refinement))
             case background.CheckpointWritten():
-                self._commit_checkpoint(item, now)
+                with self.guarded(item.checkpoint.job, "committing a checkpoint", now):
+                    self._commit_checkpoint(item, now)
+                self._place(now)  # archipelagos that waited for this checkpoint
+                if self.checkpoints.is_short:
+                    self._advance_checkpoints(now)
 
     def _prepare_checked(self, checked: background.TableChecked, now: float) -> None:
         job = self.jobs.get(checked.job)
@@ -456,16 +460,11 @@ class JobController:
         self.changed(job.id)
 
     def _commit_checkpoint(self, written: background.CheckpointWritten, now: float) -> None:
-        """Publish the commit of a written checkpoint, and place archipelagos that waited for it."""
-        checkpoint = written.checkpoint
-        with self.guarded(checkpoint.job, "committing a checkpoint", now):
-            self.checkpoints.mark_written(checkpoint)
-            if written.error is not None:
-                raise written.error
-            self._mark_durable(checkpoint, now)
-        self._place(now)
-        if self.checkpoints.is_short:
-            self._advance_checkpoints(now)
+        """Publish the commit of a written checkpoint; raises the error of writing it."""
+        self.checkpoints.mark_written(written.checkpoint)
+        if written.error is not None:
+            raise written.error
+        self._mark_durable(written.checkpoint, now)
 
     # --------------------------------------------------------------------------- workers' reports, time
 

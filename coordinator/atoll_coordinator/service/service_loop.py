@@ -415,7 +415,9 @@ class Service:
                 self._add_lines(key.worker, decode(event.payload, WorkerLog, MAX_MESSAGE))
             case topics.WorkerKey(part="report"):
                 report = decode(event.payload, EpochReport, MAX_MESSAGE)
-                self._add_report(key.worker, report)
+                # An error ends the job: without this report, it would wait for ever.
+                with self.controller.guarded(report.job, "adding a report", self._bus.now(), by_peer=True):
+                    self.controller.add_report(key.worker, report, self._bus.now())
             case topics.WorkerKey(part="result"):
                 result = decode(event.payload, TaskReport, MAX_MESSAGE)
                 self.controller.add_task_report(key.worker, result, self._bus.now())
@@ -432,7 +434,8 @@ class Service:
             case (worker, PullReports()) if event.payload is not None:
                 body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
                 for report in body.reports if isinstance(body, Reports) else ():
-                    self._add_report(worker, report)
+                    with self.controller.guarded(report.job, "adding a report", self._bus.now(), by_peer=True):
+                        self.controller.add_report(worker, report, self._bus.now())
 
     def _add_lines(self, worker: str, message: WorkerLog) -> None:
         """Record a worker's log lines with the jobs that they are about."""
@@ -441,12 +444,6 @@ class Service:
         jobs = {line.job for line in message.lines if line.job is not None}
         known = {job for job in jobs if job in self.controller.jobs or self._store.job(job) is not None}
         self._worker_logs.take(worker, message, known, self._bus.now())
-
-    def _add_report(self, worker: str, report: EpochReport) -> None:
-        """Pass on a report. It is sent once, or pulled again for ever, so that an error ends its job."""
-        now = self._bus.now()
-        with self.controller.guarded(report.job, "adding a report", now, by_peer=True):
-            self.controller.add_report(worker, report, now)
 
     def _add_states(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
         """Pass on an answer; without one the states are pulled again."""
