@@ -111,8 +111,8 @@ class JobController:
         self.begun: Final[dict[str, Job]] = {}
         """Jobs that are not queued: only these are visited at each tick."""
         self.ending: Final[dict[str, Ending]] = {}
-        """Jobs whose ends take effect when their results are composed. Until then the store has their previous state, and
-        a restarted coordinator continues them."""
+        """Jobs whose ends take effect when their results are composed. Until then the store has their previous states,
+        and a restarted coordinator continues them."""
         self.queue: Final = JobQueue()
         self.live_of: Final[Counter[str | None]] = Counter()
         """Number of jobs of each user that have not ended."""
