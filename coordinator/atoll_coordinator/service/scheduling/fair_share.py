@@ -2,8 +2,8 @@
 
 Deficit round robin (M. Shreedhar, G. Varghese, *Efficient fair queuing using deficit round robin*, IEEE/ACM
 Transactions on Networking 4(3), 1996, 375-385) gives each user in turn a quantum of service. Here the cost of a job is
-known only afterwards. So a running job may exceed the quantum; the excess is deducted from the user's next quanta, as in
-the same authors' surplus round robin.
+known only afterwards. So a running job may exceed the quantum; the excess is deducted from the user's next quanta, as
+in the same authors' surplus round robin.
 
 A user's *round* is the number of quanta that the user has used up. Users in the lowest round are served first, in the
 order of their arrival. A user who was idle enters the lowest round, behind the users who are in it: idle time gives no
@@ -65,8 +65,8 @@ class _Share:
 class FairShare:
     """The accounts of all users of one shared resource: places, or the time of workers.
 
-    Each call of `order` must have all jobs that could be served now, and only these. Paused jobs, and jobs of users at a
-    limit, are left out, so that their users get no credit for waiting.
+    Each call of `order` must have all jobs that could be served now, and only these. Paused jobs, and jobs of users at
+    a limit, are left out, so that their users get no credit for waiting.
     """
 
     def __init__(self, quantum_s: float = QUANTUM_S) -> None:
@@ -80,9 +80,9 @@ class FairShare:
     def order(self, jobs: Iterable[Turn], content: Collection[str | None] = ()) -> list[str]:
         """Return the ids of jobs in the order in which they are served, in O(n log n) for n jobs.
 
-        `content` are the users who have all the service that they can use now. The second job of a user counts one round later than
-        the first, as if each took a quantum. The jobs of one user are ordered by age, where each step of priority is
-        worth `AGE_S`.
+        `content` are the users who have all the service that they can use now. The second job of a user counts one
+        round later than the first, as if each took a quantum. The jobs of one user are ordered by age, where each step
+        of priority is worth `AGE_S`.
         """
         by_user: dict[str | None, list[Turn]] = {}
         for job in jobs:

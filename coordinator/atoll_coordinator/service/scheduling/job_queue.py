@@ -1,10 +1,10 @@
 """Waiting jobs and jobs that have places: which job is started, held or released next. Pure; seconds come in.
 
-A job that is prepared or searched has a *place*; refining needs no place. `FairShare` decides which jobs have places, and
-charges users for the time for which their jobs have places. A job that loses its place to the job of another user is
-*held*: its islands stop at a checkpoint, and it continues there at its user's next turn. The jobs of one user are
-ordered: jobs that have begun come first, then priority and age decide. A paused job keeps its position in the queue, but
-other jobs are started before it.
+A job that is prepared or searched has a *place*; refining needs no place. `FairShare` decides which jobs have places,
+and charges users for the time for which their jobs have places. A job that loses its place to the job of another user
+is *held*: its islands stop at a checkpoint, and it continues there at its user's next turn. The jobs of one user are
+ordered: jobs that have begun come first, then priority and age decide. A paused job keeps its position in the queue,
+but other jobs are started before it.
 
 A decision takes a time that grows with users times places, and not with the number of waiting jobs. A change of the
 queue takes O(log n) comparisons for n waiting jobs of one user.
@@ -199,8 +199,8 @@ class JobQueue:
         )
 
     def _candidates(self) -> Iterator[_Entry]:
-        """Yield the jobs that could get a place: for each user the jobs that have begun, and at most as many waiting jobs
-        as there are places."""
+        """Yield the jobs that could get a place: for each user the jobs that have begun, and at most as many waiting
+        jobs as there are places."""
         for name, user in self._users.items():
             if self.has_no_time(name):
                 yield from (entry for entry in user.begun.values() if entry.stage == "preparing")
@@ -245,8 +245,8 @@ class JobQueue:
 
     @property
     def ready(self) -> int:
-        """Number of jobs that wait only for a place. New jobs in a paused queue, and jobs of users without task time, do
-        not count."""
+        """Number of jobs that wait only for a place. New jobs in a paused queue, and jobs of users without task time,
+        do not count."""
         users = (user for name, user in self._users.items() if not self.has_no_time(name))
         return sum(len(self._next_of(user) if self.is_paused else user.waiting) for user in users)
 
