@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.service.monitoring.breakages import what_to_send
+from atoll_coordinator.service.monitoring.breakages import ask_for_report
 from atoll_coordinator.service.tasks.analyses import MAX_KEPT, Analyses, Analysis, key_of
 from atoll_coordinator.service.tasks.background import (
     JobPrepared,
@@ -433,7 +433,7 @@ class TaskController:
             self.analyses.fail(task.id, f"the analysis broke ({why}); try the saved result, and report it with that")
             self._forget_unused_inputs(task.job)
             return
-        to_send = what_to_send(self._configs.pop(task.id), is_certain=failure == "error")
+        to_send = ask_for_report(self._configs.pop(task.id), is_certain=failure == "error")
         if task.function == "prepare":
             self.post(PreparationFailed(task.job, "internal", f"preparing the data broke ({why}){to_send}"))
             return

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 from typing import Final, Protocol
 
 from atoll_coordinator.service.jobs.job import Fault, Job
-from atoll_coordinator.service.monitoring.breakages import Breakages, JobGuard, what_to_send
+from atoll_coordinator.service.monitoring.breakages import Breakages, JobGuard, ask_for_report
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import CounterRegistry
 from atoll_coordinator.service.search.archipelago import Archipelago
@@ -129,7 +129,7 @@ class WorkerController:
         for failure in status.failures:
             with self._guarded(failure.job, "handling a failed island", now):
                 if self._placed(failure.job, failure.variable, failure.term) is not None:
-                    to_send = what_to_send(self._jobs[failure.job].config)
+                    to_send = ask_for_report(self._jobs[failure.job].config)
                     sentence = f"{failure.sentence} (on worker {worker}){to_send}"
                     self._fail_job(failure.job, "internal", sentence, now)
         for assignment_status in status.holdings:

@@ -201,7 +201,7 @@ def test_a_worker_speaks_for_its_own_task_only() -> None:
     assert scene.controller.table.on(worker) is not None
 
 
-def test_what_breaks_says_what_to_send() -> None:
+def test_what_breaks_says_ask_for_report() -> None:
     scene = refining("j", "w0")
     for _ in range(2):
         scene.fail("w0", failure="error")
@@ -210,7 +210,7 @@ def test_what_breaks_says_what_to_send() -> None:
     assert refined.refinement.end == "not refined"
     assert "Refining broke (it broke, twice); equations are as found" in warning
     assert all(part in warning for part in (f"Atoll {VERSION}", "seed 3", "command", "to_csv"))
-    assert "a mistake of Atoll" in warning
+    assert "a bug in Atoll" in warning
     scene = Scene("w0")
     scene.prepare()
     for _ in range(2):
