@@ -201,7 +201,7 @@ def test_a_worker_speaks_for_its_own_task_only() -> None:
     assert scene.controller.table.on(worker) is not None
 
 
-def test_what_breaks_says_ask_for_report() -> None:
+def test_a_broken_task_asks_for_a_report() -> None:
     scene = refining("j", "w0")
     for _ in range(2):
         scene.fail("w0", failure="error")
