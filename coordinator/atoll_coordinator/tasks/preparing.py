@@ -97,7 +97,7 @@ def prepare(table: bytes, specification: bytes, preparer: Preparer = prepare_tab
 
 def prepare_job(table: bytes, config: JobConfig, preparer: Preparer = prepare_table) -> tuple[Prepared, bytes]:
     """Return the prepared job and the bytes of its dataset; raises the errors of `prepare_table`."""
-    from atoll_coordinator.model.result.known import known_entries, with_remarks
+    from atoll_coordinator.model.result.known_equations import known_entries, warn_of_missing_values
     from atoll_coordinator.model.sparse.laws import (  # loads kernels
         laws_among_many,
         settled_variables,
@@ -110,7 +110,7 @@ def prepare_job(table: bytes, config: JobConfig, preparer: Preparer = prepare_ta
     blob = hashlib.sha256(data).hexdigest()
     resolved = with_screened_variables(preparation, resolve(config, preparation.dataset))
     known = known_entries(preparation.dataset, resolved)
-    preparation = with_remarks(preparation, resolved)
+    preparation = warn_of_missing_values(preparation, resolved)
     resolved = with_units(resolved, preparation.source)
     laws = laws_among_many(preparation, resolved)
     settled = settled_variables(preparation, resolved, laws)

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.model.constants.rounding import quadratic_form
+from atoll_coordinator.model.constants.rounding import quadratic_misfit_increase
 from atoll_coordinator.model.description_length import (
     TrajectoryMisfit,
     constant_nats_of,
@@ -360,5 +360,5 @@ class Score:
         moved = fit.system.values - begun.system.values
         if not moved.any():
             return False
-        distance = 2.0 * quadratic_form(moved, self._inflation(begun) * bounded_covariance(begun))
+        distance = 2.0 * quadratic_misfit_increase(moved, self._inflation(begun) * bounded_covariance(begun))
         return bool(special.chdtrc(len(moved), distance) < SETTINGS.inference.improbable)

@@ -153,7 +153,7 @@ def _settled(
 def _simplified(system: System) -> System:
     """Return the system with constants rounded to simple numbers within the errors of an exact model."""
     values = system.values.copy()
-    simple = Estimates(values, np.diag((SETTINGS.inference.exact * values) ** 2)).singled_out
+    simple = Estimates(values, np.diag((SETTINGS.inference.exact * values) ** 2)).accepted_numbers
     values[[*simple]] = [*simple.values()]
     return system.with_values(values)
 
