@@ -6,6 +6,7 @@ work is bounded by counts, never by the clock.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations, product
 
 import numpy as np
 
@@ -131,9 +132,37 @@ def exchange(
                 models = comparison.narrow_down(best, equation, promising_lists.get(equation, ()), rounds, until)
             if models and models[0].nats < best.nats - SETTINGS.selection.least_gain:
                 best = models[0]
+        if best.nats > begun.nats - SETTINGS.selection.least_gain:
+            best = _exchange_two(comparison, best)
         if best.nats > begun.nats - SETTINGS.selection.least_gain or comparison.estimator.work >= until:
             return best
         tried = [programs[: SETTINGS.effort.kept] for programs in lists]
+
+
+def _exchange_two(comparison: ModelComparison, best: FittedModel) -> FittedModel:
+    """Return the best system, or a shorter description with two equations exchanged at the same time.
+
+    Where noise hides the difference between alternatives, the best equation of one state depends on the equation of
+    another, so that no single exchange leads on: with 21 rows of hares and lynxes the system of both best alternatives
+    was 2 nats shorter. The pairs whose alternatives are closest are fitted.
+    """
+    alternatives: list[list[tuple[float, Program]]] = [[] for _ in best.programs]
+    for (equation, _), model in comparison.tried.items():
+        excess = model.nats - best.nats
+        if excess < SETTINGS.inference.distinct_nats and equation not in comparison.fixed:
+            alternatives[equation].append((excess, model.programs[equation]))
+    pairs = [
+        (one + other, first, second, program, partner)
+        for first, second in combinations(range(len(alternatives)), 2)
+        for (one, program), (other, partner) in product(alternatives[first], alternatives[second])
+    ]
+    pairs.sort(key=lambda pair: pair[0])
+    systems = [
+        [{first: program, second: partner}.get(index, own) for index, own in enumerate(best.programs)]
+        for _, first, second, program, partner in pairs[: SETTINGS.effort.beam]
+    ]
+    models = comparison.fit_all(systems) if systems else []
+    return models[0] if models and models[0].nats < best.nats - SETTINGS.selection.least_gain else best
 
 
 def _exchangeable(
