@@ -221,7 +221,7 @@ def _carried_bands(
     """
     free, trajectory_bands = final.free.fit, []
     for owner in sorted(set(comparison.estimator.measurements.owners.tolist())):
-        estimator, starts = comparison.estimator.of_trajectory(owner, fit)
+        estimator, starts = comparison.estimator.estimator_of_trajectory(owner, fit)
         near = estimator.fit(free.system, None, 0, starts, free.errors, is_stiff=fit.is_stiff)
         if near is None:
             return None

@@ -28,9 +28,9 @@ from atoll_coordinator.model.inference.shared_terms import fit_together
 from atoll_coordinator.model.inference.trajectory_simulation import fit_starts
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
-from atoll_coordinator.model.selection.candidates import form
+from atoll_coordinator.model.selection.candidates import form_key
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows
+from atoll_coordinator.model.selection.piece_lengths import in_whole, refit_on_all_rows
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.system import SharedNumber
@@ -138,7 +138,7 @@ class FinalModel(ShownEquations):
         if self.task.variables[equation] in self.task.known:
             return "known"
         origins = self.origins[equation]
-        return origins.get(form(program)) or origins.get(structure(program), "descent")
+        return origins.get(form_key(program)) or origins.get(structure(program), "descent")
 
 
 def finalize(selection: SelectedModel) -> FinalModel | None:
@@ -149,7 +149,7 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
         for candidates, compared in zip(task.candidates.values(), selection.lists, strict=True)
     )
     ranking = rank_alternatives(selection, task.dataset.inputs)
-    whole = on_all_rows(ranking.selection)
+    whole = refit_on_all_rows(ranking.selection)
     if whole is None:
         return None
     equations = _shown_by_group(whole) if task.recording.groups else _shown_on_all_rows(whole)
@@ -161,7 +161,7 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
         task, seen, fit = _seen_in_whole(whole.task, whole.comparison, equations)
     unseen = None
     if any(trajectory.held_out for trajectory in task.recording.trajectories):
-        unseen = task.compare(task.measurements(task.variables, held_out=True), task.variables)
+        unseen = task.make_comparison(task.measurements(task.variables, held_out=True), task.variables)
     return FinalModel(
         **vars(equations), task=task, ranking=ranking, origins=origins, unseen=unseen, comparison=whole.comparison,
         seen=seen, seen_fit=fit, piece=piece,
@@ -173,7 +173,7 @@ def _shown_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
 
     def growth(programs: Sequence[Program]) -> float:
         fit = fit_starts(comparison, programs, best.fit)
-        return np.inf if fit is None else comparison.measure(fit).misfit - best.misfit
+        return np.inf if fit is None else comparison.score_fit(fit).misfit - best.misfit
 
     for programs in (fitted_equations(comparison, best).simplified(growth), best.programs):
         shown = _show(comparison, best, _shortest_writings(whole, programs))
@@ -206,7 +206,7 @@ def _shown_by_group(whole: SelectedModel) -> ShownEquations | None:
     programs = fixed.programs[leading:]
     return ShownEquations(
         RoundedEquations(programs, tuple(() for _ in programs)),
-        replace(model, programs=programs, made=fit),
+        replace(model, programs=programs, fit_or_summary=fit),
         tuple(map(as_written, programs)),
         model,
         by_group=[fixed.of_group(group).programs[leading:] for group in range(len(whole.task.recording.groups))],
@@ -257,7 +257,7 @@ def _seen_in_whole(
     for here in (whole, task) if whole.piece != task.piece else (task,):
         measurements = here.measurements(here.variables)
         if here.piece != task.piece or measurements.rows > fitted:
-            seen = here.compare(measurements, here.variables, is_precise=True)
+            seen = here.make_comparison(measurements, here.variables, is_precise=True)
             fit = fit_starts(seen, shown.programs)
             if fit is not None:
                 return here, seen, fit
@@ -270,7 +270,7 @@ def _show(
     """Return equations of these structures as they are shown, fitted for comparison with another model; None if that
     fails."""
     explicit, free = _freed(comparison, near, programs, shared)
-    fitted = comparison.fit_beside(near, programs, shared=shared)
+    fitted = comparison.fit_from(near, programs, shared=shared)
     if free is None or fitted is None:
         return None
     errors, is_exact = errors_of_constants(comparison, free), comparison.score.is_exact(free)
@@ -338,7 +338,7 @@ def _with_digits(
         estimates |= further
         rounded = constants.rounded(digits, estimates)
     fit = fit_starts(comparison, rounded.programs, fitted.fit)
-    return None if fit is None else (rounded, comparison.measure(fit))
+    return None if fit is None else (rounded, comparison.score_fit(fit))
 
 
 def _freed(
@@ -356,10 +356,10 @@ def _freed(
             if origin is not None:
                 nodes[equation, before[origin]] = (equation, node)
     shared_there = [tuple((nodes[place], multiple) for place, multiple in number) for number in shared]
-    free = comparison.fit_beside(best, [coefficients.program for coefficients in explicit], shared=shared_there)
+    free = comparison.fit_from(best, [coefficients.program for coefficients in explicit], shared=shared_there)
     if free is not None:
         return explicit, free
-    return tuple(map(as_written, shown)), comparison.fit_beside(best, shown, shared=shared)
+    return tuple(map(as_written, shown)), comparison.fit_from(best, shown, shared=shared)
 
 
 def fitted_equations(comparison: ModelComparison, model: FittedModel) -> FittedEquations:

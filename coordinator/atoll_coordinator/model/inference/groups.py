@@ -35,7 +35,7 @@ def model_of_groups(whole: SelectedModel, write: Writer) -> FittedModel:
             programs = [*best.programs]
             programs[equation] = program
             kept = [place for place in _shared(comparison, best) if place[0] != equation]
-            fitted = comparison.fit_beside(best, programs, shared=_numbers(kept))
+            fitted = comparison.fit_from(best, programs, shared=_numbers(kept))
             if fitted is not None:
                 best = min(best, _with_shared(comparison, fitted), key=lambda candidate: candidate.nats)
     return best
@@ -59,7 +59,7 @@ def _with_shared(comparison: ModelComparison, begun: FittedModel) -> FittedModel
         following = None
         shared = _shared(comparison, begun)
         for place in _alike_first(comparison, begun)[:2]:
-            fitted = comparison.fit_beside(begun, begun.programs, shared=_numbers([*shared, place]))
+            fitted = comparison.fit_from(begun, begun.programs, shared=_numbers([*shared, place]))
             if fitted is not None and fitted.nats < begun.nats:
                 following = fitted
                 break

@@ -84,7 +84,7 @@ def _whole_r2(final: FinalModel) -> list[float | None] | None:
     measurements = task.measurements(task.variables)
     if not len(measurements.inputs):
         measurements = measurements.strided(-(-measurements.rows // SETTINGS.rows.most))
-    comparison = task.compare(measurements, task.variables, is_precise=True, measured_rows=measurements.rows)
+    comparison = task.make_comparison(measurements, task.variables, is_precise=True, measured_rows=measurements.rows)
     fit = final.simulated_by(comparison)
     if fit is None:
         return None if task.is_over else [-math.inf for _ in measurements.observed]
@@ -121,7 +121,7 @@ def _fits_in_whole(final: FinalModel) -> bool | None:
         begun = max(task.piece // stride, SETTINGS.shooting.lengths[1])
         task = replace(task, piece=min(task.piece * SETTINGS.shooting.segment_growth, task.longest))
         measurements = task.measurements(task.variables).strided(stride)
-        comparison = task.compare(measurements, task.variables, is_precise=True, measured_rows=rows)
+        comparison = task.make_comparison(measurements, task.variables, is_precise=True, measured_rows=rows)
         model = comparison.fit_model(programs, lengths=(begun, None))
         if deadline.is_over:
             return None

@@ -28,7 +28,7 @@ from atoll_coordinator.model.inference.long_run import along
 from atoll_coordinator.model.shooting.integration import Unsimulated
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
-from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between, without_kept
+from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between, remove_conserved_directions
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.result.equations import Prediction
@@ -182,13 +182,13 @@ class _Elsewhere:
         measurements, noise = self._measurements, np.zeros(len(self._measurements.smoothed))
         noise[measurements.observed] = measurements.noise
         shift = SETTINGS.common.negligible * measurements.scales
-        return np.asarray(without_kept(shift[None], measurements.smoothed, noise)[0])
+        return np.asarray(remove_conserved_directions(shift[None], measurements.smoothed, noise)[0])
 
     def own_courses(self, model: System) -> list[Course]:
         """Return the model's courses from all initial states; from now on all are followed for as long as these."""
         courses = []
         for place, start in enumerate(self.starts):
-            simulated, why = self._estimator(place).simulate_as_far(model, start)
+            simulated, why = self._estimator(place).simulate_until_blow_up(model, start)
             if why == "ran away" and self._leaves_as_measured(simulated[:, np.isfinite(simulated).all(axis=0)]):
                 self._rows[place] = self._rows_measured_from(start, place)
             courses.append(self._followed(simulated, why, self._rows.get(place)))
@@ -251,7 +251,7 @@ class _Elsewhere:
         return self._estimators[place % len(self._estimators)]
 
     def _course(self, system: System, place: int, start: FloatArray, rows: int | None = None) -> Course:
-        return self._followed(*self._estimator(place).simulate_as_far(system, start), rows)
+        return self._followed(*self._estimator(place).simulate_until_blow_up(system, start), rows)
 
     def _followed(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
         """Return the measured states of this many rows, all by default, or why the simulation ended earlier."""

@@ -60,7 +60,7 @@ def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence
     programs = [
         expansion.program if expansion is not None else shown[equation] for equation, expansion in enumerate(expansions)
     ]
-    free, apart = comparison.fit_beside(near, programs), comparison.fit_beside(near, shown)
+    free, apart = comparison.fit_from(near, programs), comparison.fit_from(near, shown)
     if free is None or apart is None:
         return None
     savings = {shape: _saving(shape, sums) for shape in common}
@@ -73,7 +73,7 @@ def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence
         free.programs[equation] if equation in touched else apart.programs[equation] for equation in range(len(shown))
     ]
     numbers = [number for term in terms for number in term.numbers]
-    together = comparison.fit_beside(free, chosen, shared=numbers)
+    together = comparison.fit_from(free, chosen, shared=numbers)
     if together is None or together.nats - sum(term.saving for term in terms) >= apart.nats:
         return None
     return FittedTogether(together, terms, numbers)

@@ -82,7 +82,7 @@ class TrajectoryChecks(EquationChecks):
         noise = self.noise_estimate = float(measurements.noise[index])
         if sensor is not None:
             noise = float(sensor.sigmas[index])
-            self.innovations = _pieces_of(final.seen.estimator.whitened(residuals, sensor), measurements, index)
+            self.innovations = _pieces_of(final.seen.estimator.whiten(residuals, sensor), measurements, index)
         if smoothing.method == "interpolation" and np.bincount(measurements.owners_of_rows).max() <= 2 * HALF_WIDTHS:
             # Of rows so few that none has all the neighbours that predict it, interpolation hides noise: it takes the
             # least of several estimates. What is rough in the residuals is noise then.

@@ -21,7 +21,7 @@ from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.selection.candidates import CandidateSet, form
+from atoll_coordinator.model.selection.candidates import CandidateSet, form_key
 from atoll_coordinator.model.stochastic.checks import ProcessChecks, ProcessSteps
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.path_ensembles import settle, simulate_ensemble
@@ -143,9 +143,9 @@ def _origin(program: Program, candidates: CandidateSet) -> Origin:
         "runner-up": candidates.runners_up,
         "guess": candidates.guesses,
     }
-    key = form(make_coefficients_explicit(program).program)
+    key = form_key(make_coefficients_explicit(program).program)
     for origin, programs in sources.items():
-        if any(form(make_coefficients_explicit(candidate).program) == key for candidate in programs):
+        if any(form_key(make_coefficients_explicit(candidate).program) == key for candidate in programs):
             return origin
     return "descent"
 

@@ -163,6 +163,6 @@ def _sparse_sums(problem: Problem, weights: FloatArray, columns: Sequence[int]) 
     sums: list[Sum] = []
     for terms, _ in product_libraries(columns, len(roots), range(1, SETTINGS.sparse.degree + 1)):
         regression = Regression(rows, product_atoms(rows.inputs, terms))
-        sums += regression.on_the_way(range(len(terms)), roots)
+        sums += regression.elimination_path(range(len(terms)), roots)
     sums.sort(key=lambda fit: fit.nats)
     return [fit.sum_of_products() for fit in sums[: SETTINGS.effort.beam // 2]]

@@ -26,7 +26,7 @@ def decayed(rate, noise, text="-0.3*x", seed=0):
 
 def round_system(comparison, model):
     def growth(programs):
-        return comparison.measure(fit_starts(comparison, programs, model.fit)).misfit - model.misfit
+        return comparison.score_fit(fit_starts(comparison, programs, model.fit)).misfit - model.misfit
 
     return fitted_equations(comparison, model).simplified(growth)
 

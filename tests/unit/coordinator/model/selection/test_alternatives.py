@@ -27,10 +27,10 @@ def selection(starts=STARTS, known=(), data=None):
     preparation = prepare(table(SWING, starts, TIMES, 0.05, 130), config)
     candidates = {name: CandidateSet(known=SWING.parsed("y") if name in known else None) for name in ("x", "y")}
     task = ModellingTask(preparation.dataset, preparation.recording, config, candidates)
-    comparison = task.compare(task.measurements(task.variables), task.variables)
+    comparison = task.make_comparison(task.measurements(task.variables), task.variables)
     best = comparison.fit_model([SWING.parsed("y"), SWING.parsed(TRUTH)])
     comparison.narrow_down(best, 1, [SWING.parsed(text) for text in (TRUTH, *OTHERS)], ((12, 20),))
-    best = comparison.fit_beside(best, best.programs, 20)
+    best = comparison.fit_from(best, best.programs, 20)
     return SelectedModel(task, comparison, best)
 
 

@@ -6,7 +6,7 @@ from scipy import special
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.sparse.atoms import product_atoms, products
-from atoll_coordinator.model.sparse.laws import find_laws, laws_among_many, settled_variables
+from atoll_coordinator.model.sparse.laws import find_laws, find_laws_among_many, settled_variables
 from atoll_coordinator.model.sparse.regression import Regression
 from atoll_coordinator.model.sparse.rows import Measured, weak_rows
 from atoll_coordinator.settings import SETTINGS
@@ -26,7 +26,7 @@ def laws_of(preparation, name, columns=(0, 1, 2), **options):
 
 
 def settled_of(preparation, config):
-    return settled_variables(preparation, config, laws_among_many(preparation, config))
+    return settled_variables(preparation, config, find_laws_among_many(preparation, config))
 
 
 def terms(law):
@@ -135,7 +135,7 @@ def test_fitted_coefficients_are_no_degrees_of_freedom_of_what_a_law_leaves():
     form = weak_rows(Measured(times, ((0, len(times)),), noisy, values, sizes), 0, 20)
     for degree, count in ((1, 3), (2, 6), (3, 10)):
         regression = Regression(form, product_atoms(noisy, products((0, 1), degree)))
-        found, free = regression.refitted(range(count), np.ones(len(form.sides))), form.independent - count
+        found, free = regression.refit(range(count), np.ones(len(form.sides))), form.independent - count
         assert found.assessment.probability == pytest.approx(special.chdtrc(free, free * found.excess**2))
 
 

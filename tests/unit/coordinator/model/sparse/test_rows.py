@@ -106,7 +106,7 @@ def test_errors_reach_the_neighbours_of_the_same_trajectory():
     last = int(np.flatnonzero(np.diff(rows.first) >= rows.bump.shape[1])[0])
     errors = np.zeros(len(rows.first))
     errors[last] = -2.0
-    assert np.flatnonzero(rows.widened(errors)).tolist() == [last - 1, last]
+    assert np.flatnonzero(rows.widen(errors)).tolist() == [last - 1, last]
 
 
 def test_so_many_windows_stand_for_all_and_begin_early_and_late():
