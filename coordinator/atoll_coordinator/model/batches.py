@@ -199,7 +199,7 @@ class Spread:
         size = self.batch_size(len(items), size)
         groups = [items[first : first + size] for first in range(0, len(items), size)]
         batches = [function.encode(group) for group in groups]
-        outcomes = self._batches.map(function.name, context, batches, self._deadline.left)
+        outcomes = self._batches.map(function.name, context, batches, self._deadline.seconds_left)
         results: list[Outcome | None] = []
         for group, one in zip(groups, outcomes, strict=True):
             self._deadline.has_cut_short |= one == CANCELLED

@@ -37,7 +37,7 @@ class Deadline:
         return True
 
     @property
-    def left(self) -> float | None:
+    def seconds_left(self) -> float | None:
         """Seconds until `is_over`, at least 0; None: no limit."""
         return None if self.seconds is None else max(0.0, self._began + self._share * self.seconds - self._clock())
 

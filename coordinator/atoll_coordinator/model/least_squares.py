@@ -58,7 +58,7 @@ class Fitter(Protocol[Point, Step, Result]):
         """Return the point after a step and the decrease of the cost; None if the cost is undefined there."""
         ...
 
-    def settled(self, point: Point) -> float:
+    def least_gain(self, point: Point) -> float:
         """Return the smallest decrease of the cost that counts. A step with a smaller predicted decrease is not tried;
         a step with a smaller decrease is the last. By default the cost is in nats."""
         return SETTINGS.selection.least_gain
@@ -80,7 +80,7 @@ class Descent(Generic[Point, Step]):
     start: Point
     equations: Callable[[Point], Solver[Step]]
     step: Callable[[Point, Step], tuple[Point, float] | None]
-    settled: Callable[[Point], float] = lambda point: SETTINGS.selection.least_gain
+    least_gain: Callable[[Point], float] = lambda point: SETTINGS.selection.least_gain
 
     def init(self) -> Point:
         """Return where the fit begins."""
@@ -101,7 +101,7 @@ def minimize(fitter: Fitter[Point, Step, Result], steps: int = SETTINGS.effort.s
     for taken in range(steps if point is not None else 0):
         assert point is not None
         is_new, solve = solve is None, solve or fitter.equations(point)
-        solved, least, moved = solve(damping), fitter.settled(point), None
+        solved, least, moved = solve(damping), fitter.least_gain(point), None
         if solved is not None and np.isfinite(solved[1]):
             if solved[1] <= least or (is_new and fitter.done(point, solved[1], taken)):
                 break

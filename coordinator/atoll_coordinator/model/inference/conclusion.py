@@ -39,7 +39,7 @@ from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.errors import grouped_errors_on
 from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.piece_lengths import remarks
+from atoll_coordinator.model.selection.piece_lengths import piece_remarks
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.shooting.smoothing_noise import estimate_variances
@@ -99,7 +99,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         () if final.by_group else find_correlations(places, of_groups[0]),
         _state_errors(final),
         (
-            *remarks(task, is_tested_in_whole=long_run.fits is True),
+            *piece_remarks(task, is_tested_in_whole=long_run.fits is True),
             *_pole_remarks(final),
             *stochastic_remarks(recording, task.variables, simulated),
         ),

@@ -30,7 +30,7 @@ from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.candidates import form_key
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.piece_lengths import in_whole, refit_on_all_rows
+from atoll_coordinator.model.selection.piece_lengths import refit_on_all_rows, with_longest_pieces
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.system import SharedNumber
@@ -253,7 +253,7 @@ def _seen_in_whole(
 
     Else along the trajectories that they were fitted to.
     """
-    whole, fitted = in_whole(task), comparison.estimator.measurements.rows
+    whole, fitted = with_longest_pieces(task), comparison.estimator.measurements.rows
     for here in (whole, task) if whole.piece != task.piece else (task,):
         measurements = here.measurements(here.variables)
         if here.piece != task.piece or measurements.rows > fitted:

@@ -133,7 +133,7 @@ class _TargetFit(Fitter[Fitted, FloatArray, Fitted]):
         moved = self._rows.linearised(replace(self._program, constants=constants), self._places, point.mse)
         return moved, self._rows.half * (point.mse - moved.mse)
 
-    def settled(self, point: Fitted) -> float:
+    def least_gain(self, point: Fitted) -> float:
         return SETTLED * self._rows.half * point.mse
 
     def done(self, point: Fitted, promise: float, taken: int) -> bool:

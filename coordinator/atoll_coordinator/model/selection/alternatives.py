@@ -58,7 +58,7 @@ def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
         selection: the shortest description so far.
         inputs: points (V, R) at which equations are compared.
     """
-    selection, alternatives = _shortest(selection, inputs)
+    selection, alternatives = _select_shortest(selection, inputs)
     is_held_out = any(trajectory.held_out for trajectory in selection.task.recording.trajectories)
     validation = Validation(selection.comparison)
     own = validation.of(selection.model) if validation.is_possible and not is_held_out else None
@@ -70,14 +70,14 @@ def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
     return Ranking(selection, own, tuple(tuple(map(ranked, models)) for models in alternatives))
 
 
-def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedModel, list[list[FittedModel]]]:
+def _select_shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedModel, list[list[FittedModel]]]:
     """Return the selection and its alternatives; a shorter alternative replaces the selection.
 
     If the work budget is used up, an alternative may stay shorter than the selection; the result reports this.
     """
     until = selection.comparison.estimator.work + SETTINGS.effort.work
     while True:
-        alternatives = _all_alternatives(selection, inputs)
+        alternatives = _find_all_alternatives(selection, inputs)
         best = min(
             (model for models in alternatives for model in models[:1]),
             key=lambda model: model.nats,
@@ -89,15 +89,15 @@ def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedMod
         selection = replace(selection, model=best)
 
 
-def _all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list[FittedModel]]:
+def _find_all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list[FittedModel]]:
     fixed = selection.comparison.fixed
     return [
-        [] if index in fixed else _alternatives(selection, index, inputs)
+        [] if index in fixed else _find_alternatives(selection, index, inputs)
         for index in range(len(selection.model.programs))
     ]
 
 
-def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
+def _find_alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
     """Return the closest alternatives for the equation of one variable, distinct as functions, the closest first.
 
     The user's guesses are always among them, whatever their length.
@@ -110,7 +110,7 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
         (model for (equation, _), model in comparison.fitted_models.items() if equation == index),
         key=lambda model: model.nats,
     )
-    agreeing = _agreeing(selection, index)
+    agreeing = _find_agreeing_programs(selection, index)
     programs = {
         structure(program): program for program in [*agreeing, *(model.programs[index] for model in known_models)]
     }
@@ -176,7 +176,7 @@ def fit_guesses(selection: SelectedModel, index: int) -> list[FittedModel]:
     return fitted
 
 
-def _agreeing(selection: SelectedModel, index: int) -> list[Program]:
+def _find_agreeing_programs(selection: SelectedModel, index: int) -> list[Program]:
     """Return other possible equations of one noise-free variable, which agree along the measured curves.
 
     They come from the candidates; if terms are linearly dependent along the curves, also from the neighbours of the

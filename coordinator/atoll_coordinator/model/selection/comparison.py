@@ -222,7 +222,7 @@ class ModelComparison:
                 models += [model for model in fits if model is not None]
             else:
                 outcomes = ahead[first : first + bounded]
-                self.estimator.count(_total_work(outcomes))
+                self.estimator.add_work(_total_work(outcomes))
                 models += self._models_from_summaries(order, part, outcomes)
         return sorted(models, key=lambda model: model.nats)
 
@@ -274,9 +274,9 @@ class ModelComparison:
 
     def fit_and_summarize(self, ordered: PlannedFit) -> FitOutcome:
         """Fit a system and return its summary and work, as a worker sends them."""
-        order, before = ordered[0], self.estimator.counted
+        order, before = ordered[0], self.estimator.work_of_thread
         model = self.fit_by_plan(*ordered)
-        return None if model is None else self.summarize(order, model), self.estimator.counted - before
+        return None if model is None else self.summarize(order, model), self.estimator.work_of_thread - before
 
     def summarize(self, order: FitPlan, model: FittedModel) -> FitSummary:
         """Return the summary of a model, as a worker sends it."""
@@ -463,7 +463,7 @@ class ModelComparison:
 
     def accept_prefetched(self, equation: int, prefetched: PrefetchedModels) -> list[FittedModel]:
         """Return the models that were prefetched, their work counted as in `narrow_down`."""
-        self.estimator.count(prefetched.work)
+        self.estimator.add_work(prefetched.work)
         return self._remember(equation, prefetched.models)
 
     def score_fit(self, fit: TrajectoryFit) -> FittedModel:

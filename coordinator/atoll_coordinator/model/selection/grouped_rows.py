@@ -75,9 +75,9 @@ class GroupedRows:
                     if program.constants[node] != near.constants[first + node]:
                         constants[:, node] = program.constants[node]
                 return constants
-        return self._fitted(index, program, fixed)
+        return self._fit_by_group(index, program, fixed)
 
-    def _fitted(self, index: int, program: Program, fixed: Collection[int]) -> FloatArray:
+    def _fit_by_group(self, index: int, program: Program, fixed: Collection[int]) -> FloatArray:
         """Return the constants (G, N) of a program fitted to the rows of each group; unchanged if they cannot be
         fitted."""
         places = [place for place in constant_places(program) if place not in fixed]

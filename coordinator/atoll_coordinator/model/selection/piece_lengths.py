@@ -61,7 +61,7 @@ def _fit_without_solver_errors(task: ModellingTask, selection: SelectedModel) ->
     return replace(solved, model=reduce_all(solved.comparison, solved.model), lists=selection.lists)
 
 
-def in_whole(task: ModellingTask) -> ModellingTask:
+def with_longest_pieces(task: ModellingTask) -> ModellingTask:
     """Return the task with the longest pieces that are ever fitted, for nearly noise-free data; else unchanged."""
     return replace(task, piece=SETTINGS.shooting.piece) if task.is_nearly_clean else task
 
@@ -96,7 +96,7 @@ def _calibrate(selection: SelectedModel) -> SelectedModel:
     return replace(selection, comparison=comparison, model=model)
 
 
-def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:
+def piece_remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:
     """Yield remarks for the user: subtracted solver errors, trajectories simulated in pieces, states without an
     equation."""
     if task.solver is not None:

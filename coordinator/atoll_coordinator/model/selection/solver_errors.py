@@ -240,13 +240,13 @@ def _correct_task(task: ModellingTask, found: _Reproduction) -> ModellingTask | 
             smoothed = np.where(np.isfinite(measured), measured, part.smoothed - errors[:, first:end])
             trajectories[place] = replace(part, measured=measured, smoothed=smoothed)
     smoothing = tuple(
-        _without_noise(one, float(left)) for one, left in zip(task.recording.smoothing, found.residuals, strict=True)
+        _remove_noise(one, float(left)) for one, left in zip(task.recording.smoothing, found.residuals, strict=True)
     )
     recording = replace(task.recording, trajectories=tuple(trajectories), smoothing=smoothing)
     return replace(task, recording=recording, solver=found.solver.name)
 
 
-def _without_noise(smoothing: Smoothing, left: float) -> Smoothing:
+def _remove_noise(smoothing: Smoothing, left: float) -> Smoothing:
     """Return the smoothing of a state whose errors are a share `left` of its standard deviation."""
     deviation = smoothing.noise / smoothing.relative_noise if smoothing.relative_noise > 0.0 else 0.0
     return replace(

@@ -133,17 +133,17 @@ class MultipleShooting:
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=may_be_stiff)
         fit = minimize(fitter, steps)
-        self.count(fitter.work)
+        self.add_work(fitter.work)
         return fit
 
-    def count(self, work: int) -> None:
+    def add_work(self, work: int) -> None:
         """Add to the work; also used for fits on workers."""
-        self._of_thread.counted = self.counted + work
+        self._of_thread.counted = self.work_of_thread + work
         with self._lock:
             self.work += work
 
     @property
-    def counted(self) -> int:
+    def work_of_thread(self) -> int:
         """The work counted by the calling thread."""
         return getattr(self._of_thread, "counted", 0)
 
@@ -219,7 +219,7 @@ class MultipleShooting:
         for parity in (0, 1):  # a segment that ends in the first row of the next would be overwritten by that
             chosen = np.arange(parity, len(segments), 2)
             course = self.integrator.integrate(method, system, longer[chosen], np.ascontiguousarray(starts[chosen]))
-            self.count(method.work(course.steps, self.measurements.rows // 2) * numbers)
+            self.add_work(method.work(course.steps, self.measurements.rows // 2) * numbers)
             steepest = self.integrator.steepest(course.sensitivities[np.isin(owners, chosen)], system)
             if course.done < len(chosen) or not steepest < STEEPEST:
                 return None
@@ -275,9 +275,11 @@ class MultipleShooting:
 
     def squares(self, residuals: FloatArray) -> FloatArray:
         """Return the mean squares (O,) of residuals, corrected for robustness weights, which reduce large errors."""
-        return self._consistent((self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals)
+        return self._correct_for_robustness(
+            (self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals
+        )
 
-    def _consistent(self, squares: FloatArray) -> FloatArray:
+    def _correct_for_robustness(self, squares: FloatArray) -> FloatArray:
         consistency = self.measurements.consistency
         return np.asarray(squares if consistency is None else squares / consistency)
 
@@ -286,7 +288,7 @@ class MultipleShooting:
         if errors.is_known:
             return errors
         squares, _ = layout.squares(residuals, errors)
-        sigmas = np.maximum(np.sqrt(self._consistent(squares / self._totals)), self._smallest)
+        sigmas = np.maximum(np.sqrt(self._correct_for_robustness(squares / self._totals)), self._smallest)
         return errors if np.all(np.abs(sigmas / errors.sigmas - 1.0) < 1e-3) else replace(errors, sigmas=sigmas)
 
     def sensor_errors(self, fit: TrajectoryFit, turns: FloatArray) -> ErrorModel:
@@ -396,7 +398,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         there, _ = self.point(system, starts, point.errors, point.cost)
         return None if there is None else (there, point.cost - _cost(self._layout, there.residuals, point.errors))
 
-    def settled(self, point: _Point) -> float:
+    def least_gain(self, point: _Point) -> float:
         """Return the least decrease that counts: a share of the cost, or the cost of rounding errors if larger.
 
         If the data are a solution in closed form, the residuals are rounding errors, and a fit would follow these in

@@ -275,12 +275,12 @@ class Shape:
 
     def price(self, rows: float) -> float:
         """Return the nats of the term in a sum over this many rows: its structure, and 1/2 ln N for each constant."""
-        structure, constants = _written(self.expression(1.5))
+        structure, constants = _structure_and_constants(self.expression(1.5))
         return structure + constants * constant_nats_of(rows)
 
 
 @lru_cache(maxsize=20_000)
-def _written(expression: Expression) -> tuple[float, int]:
+def _structure_and_constants(expression: Expression) -> tuple[float, int]:
     """Return the nats of the structure of a term in a sum, and its number of constants."""
     program = sum_of([expression], [2.5])
     return structure_length(program), len(constant_places(program))
@@ -302,12 +302,12 @@ class Atom:
         """Return the same term on other rows of the variables, `inputs` (V, R)."""
         return Atom(self.shape.over(inputs), self.constant)
 
-    def moved(self, step: float) -> "Atom":
+    def move_constant(self, step: float) -> "Atom":
         """Return the term with its inner constant after a step, which is limited to half of the constant."""
         limit = 0.5 * abs(self.constant)
         return Atom(self.shape, self.constant + min(max(step, -limit), limit))
 
-    def by_constant(self) -> "Atom":
+    def derivative_by_constant(self) -> "Atom":
         """Return the derivative by the inner constant as a term, which has no expression. There must be a constant."""
         assert self.shape.function is not None
         assert self.shape.function.slope is not None
@@ -316,15 +316,15 @@ class Atom:
 
     def depends_on(self, variable: int) -> bool:
         """Tell whether a variable (index) is a factor or occurs in the argument of the function."""
-        return variable in self.shape.factors or _has(self.shape.argument, variable)
+        return variable in self.shape.factors or _contains_variable(self.shape.argument, variable)
 
 
-def _has(expression: object, variable: int) -> bool:
+def _contains_variable(expression: object, variable: int) -> bool:
     if not isinstance(expression, tuple):
         return False
     if len(expression) == 2 and expression[0] == VARIABLE:
         return bool(expression[1] == variable)
-    return any(_has(part, variable) for part in expression[1:])
+    return any(_contains_variable(part, variable) for part in expression[1:])
 
 
 def program_of(atoms: Sequence[Atom], coefficients: Iterable[float]) -> Program:
@@ -337,7 +337,7 @@ def powers(inputs: FloatArray, terms: Sequence[Product]) -> list[Shape]:
     return [Shape(*pair) for pair in zip(terms, values_of_products(terms, inputs), strict=True)]
 
 
-def whole_program(program: Program, inputs: FloatArray) -> Atom:
+def program_atom(program: Program, inputs: FloatArray) -> Atom:
     """Return a program as a term, with its values at `inputs` (V, R)."""
     parts: list[Expression] = []
     for code, left, right, value in program.nodes():

@@ -30,8 +30,8 @@ from atoll_coordinator.model.sparse.atoms import (
     product_libraries,
     products,
     products_of,
+    program_atom,
     values_of_products,
-    whole_program,
 )
 from atoll_coordinator.model.sparse.many_variables import Equation, find_short_laws, window_rows
 from atoll_coordinator.model.sparse.regression import (
@@ -40,11 +40,11 @@ from atoll_coordinator.model.sparse.regression import (
     select_forward,
 )
 from atoll_coordinator.model.sparse.rows import (
-    Measured,
+    MeasuredRows,
     RateRows,
     Rows,
     half_width,
-    measured_of,
+    measured_rows_of,
     rate_rows,
     weak_rows,
 )
@@ -252,7 +252,7 @@ def _find_laws_without_noise(problem: Problem, columns: Sequence[int]) -> Iterat
 class _Windows:
     """The parts of a weak form, see `weak_rows`, and the terms of the largest library."""
 
-    measured: Measured
+    measured: MeasuredRows
     target: int
     half: int
     largest: tuple[Product, ...]
@@ -289,7 +289,7 @@ def _describe(regression: Regression, program: Program) -> _Description:
         return tuple(terms), math.inf
     if not may_be_shown(written, None):
         return None, math.inf
-    alone = Regression(rows, [whole_program(written, rows.inputs)])
+    alone = Regression(rows, [program_atom(written, rows.inputs)])
     fit = alone.refit([0], np.ones(len(rows.sides))) if alone.is_solvable else None
     if fit is None or fit.assessment is None:
         return None, math.inf
@@ -309,7 +309,7 @@ def _find_laws_with_noise(
     problem: Problem, recording: Recording, columns: Sequence[int], others: Sequence[Program], spread: Spread
 ) -> Iterator[Law]:
     """Yield the best sum of each library, the shortest description first."""
-    measured = measured_of(recording, problem.names)
+    measured = measured_rows_of(recording, problem.names)
     place = recording.states.index(problem.target.variable)
     target = problem.names.index(recording.state_symbols[place])
     half = half_width(measured, recording.smoothing[place], len(columns))

@@ -28,11 +28,11 @@ from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum,
 from atoll_coordinator.model.sparse.regression import Regression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
     Assessment,
-    Measured,
+    MeasuredRows,
     Rows,
     WeakRows,
     assessment_by_scale,
-    measured_of,
+    measured_rows_of,
     window_integrals,
     windows_of,
 )
@@ -110,7 +110,7 @@ def window_rows(recording: Recording, names: Sequence[str], variable: str) -> Sh
     enough windows. The noise is estimated by predicting rows from their neighbours. None if trajectories are too short
     for windows.
     """
-    measured = measured_of(recording, names)
+    measured = measured_rows_of(recording, names)
     noise = measured.noise.copy()
     for place in np.flatnonzero(noise > 0.0).tolist():
         signals = [
@@ -138,7 +138,7 @@ def _is_resolved(rows: ShortWindows) -> bool:
     return bool((shares[measured.noise > 0.0] >= _RESOLVED).all())
 
 
-def _short_windows(measured: Measured, target: int, half: int) -> ShortWindows | None:
+def _short_windows(measured: MeasuredRows, target: int, half: int) -> ShortWindows | None:
     """Return windows that each begin in the middle of the previous one; None if there are too few."""
     length = 2 * half + 1
     every = np.array(

@@ -64,7 +64,7 @@ def fit_inner_constants(fit: Sum) -> Sum:
     for _ in range(SETTINGS.effort.steps if inner else 0):
         assert fit.assessment is not None
         atoms = fit.atoms
-        wider = Regression(rows, [*atoms, *(atoms[place].by_constant() for place in inner)])
+        wider = Regression(rows, [*atoms, *(atoms[place].derivative_by_constant() for place in inner)])
         both = wider.refit(range(len(wider.atoms)), fit.assessment.weights) if wider.is_solvable else None
         if both is None:
             break
@@ -72,7 +72,9 @@ def fit_inner_constants(fit: Sum) -> Sum:
         steps = {place: next(slopes) / factors[place] if factors[place] else 0.0 for place in inner}
         better = None
         for share in _SHARES_OF_STEPS:
-            moved = [atom.moved(share * steps[place]) if place in steps else atom for place, atom in enumerate(atoms)]
+            moved = [
+                atom.move_constant(share * steps[place]) if place in steps else atom for place, atom in enumerate(atoms)
+            ]
             regression = Regression(rows, moved, shared)
             if regression.is_solvable:
                 better = regression.refit(range(len(moved)), fit.assessment.weights)

@@ -62,13 +62,13 @@ class Elimination:
     squares: FloatArray
     coefficients: FloatArray
 
-    def kept(self, step: int) -> list[int]:
+    def remaining(self, step: int) -> list[int]:
         """Return the columns that remain at a step."""
         return sorted(self.order[step:])
 
     def factors(self, step: int) -> list[float]:
         """Return the coefficients of the columns that remain at a step."""
-        return [float(self.coefficients[step, place]) for place in self.kept(step)]
+        return [float(self.coefficients[step, place]) for place in self.remaining(step)]
 
 
 def eliminate_columns(
@@ -239,7 +239,7 @@ class Regression:
         before, fit = math.inf, None
         for _ in range(self.rows.reweightings):
             path = self._path(places, weights, self._errors(weights, places), steps=1)
-            fit = self._by_own_weights(Sum(self, tuple(places), path.factors(0), math.inf))
+            fit = self._assess_sum(Sum(self, tuple(places), path.factors(0), math.inf))
             if fit.assessment is None:
                 return None
             weights = fit.assessment.weights
@@ -258,7 +258,7 @@ class Regression:
         for step in reversed(range(len(places))):
             price += self._prices[places[path.order[step]]]
             nats = 0.5 * self.rows.numbers * log(max(squares[step], self.rows.least)) + price
-            yield Sum(self, tuple(places[index] for index in path.kept(step)), path.factors(step), nats)
+            yield Sum(self, tuple(places[index] for index in path.remaining(step)), path.factors(step), nats)
 
     def _best_sum(self, start: Sequence[int], weights: FloatArray, *, is_extended: bool) -> Sum:
         """Return the sum of the shortest description that is found from the terms of `start`.
@@ -274,12 +274,12 @@ class Regression:
         def longer(fit: Sum) -> Iterator[Sum]:
             longer_sum = shortest(best(sorted([*fit.kept, place])) for place in every if place not in fit.kept)
             if longer_sum is not None:
-                yield self._by_own_weights(longer_sum)
+                yield self._assess_sum(longer_sum)
 
         found = best(start)
-        return descend(self._by_own_weights(found), longer, log(float(len(every)))) if is_extended else found
+        return descend(self._assess_sum(found), longer, log(float(len(every)))) if is_extended else found
 
-    def _by_own_weights(self, fit: Sum) -> Sum:
+    def _assess_sum(self, fit: Sum) -> Sum:
         assessment = self._assess(fit)
         nats = math.inf if assessment is None else assessment.misfit + self._price(fit.kept)
         return Sum(self, fit.kept, fit.coefficients, nats, assessment)

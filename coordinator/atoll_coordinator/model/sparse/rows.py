@@ -223,7 +223,7 @@ def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> Rate
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredRows:
     """Rows of the trajectories that are not held out: `times` (R,), `ranges` of consecutive rows.
 
     Large tables are subsampled in evenly spread blocks.
@@ -239,7 +239,7 @@ class Measured:
     noise: FloatArray
 
 
-def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
+def measured_rows_of(recording: Recording, names: Sequence[str]) -> MeasuredRows:
     """Return the rows of the variables `names` (V,), symbols of states and inputs."""
     parts = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
     symbols = (*recording.state_symbols, *recording.input_symbols)
@@ -251,7 +251,7 @@ def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
     stretches = _stretches([len(part.times) for part in parts])
     rows = np.concatenate([np.arange(first, end) for first, end in stretches])
     ends = np.cumsum([end - first for first, end in stretches]).tolist()
-    return Measured(
+    return MeasuredRows(
         np.concatenate([part.times for part in parts])[rows],
         tuple(zip([0, *ends[:-1]], ends, strict=True)),
         np.concatenate([np.where(np.isfinite(states), states, smoothed), inputs])[places][:, rows],
@@ -315,7 +315,7 @@ class WeakRows(Rows):
     derivatives, times the weights of a rule of integration. Atoms are evaluated on the measured rows.
     """
 
-    measured: Measured
+    measured: MeasuredRows
     target: int
     first: Ints
     bump: FloatArray
@@ -436,7 +436,7 @@ WindowRows = TypeVar("WindowRows", bound=WeakRows)
 
 
 def windows_of(
-    kind: type[WindowRows], measured: Measured, target: int, first: Ints, weights: tuple[FloatArray, FloatArray],
+    kind: type[WindowRows], measured: MeasuredRows, target: int, first: Ints, weights: tuple[FloatArray, FloatArray],
     share: float, *more: object,
 ) -> WindowRows:  # fmt: skip
     """Return windows of the class `kind` with these weights of rows, see `WeakRows`, and their left sides."""
@@ -473,7 +473,7 @@ def _product(term: Product, powers: Sequence[FloatArray], without: int | None = 
     return product
 
 
-def weak_rows(measured: Measured, target: int, half: int) -> WeakRows | None:
+def weak_rows(measured: MeasuredRows, target: int, half: int) -> WeakRows | None:
     """Return windows of ``2 half + 1`` rows by the trapezoidal rule; None where trajectories are too short for any."""
     length, step = 2 * half + 1, max(1, round(2.0 * half / SETTINGS.sparse.windows_in_width))
     first = [row for start, end in measured.ranges for row in range(start, end - length + 1, step)]
@@ -497,7 +497,7 @@ def weak_rows(measured: Measured, target: int, half: int) -> WeakRows | None:
     return windows_of(WeakRows, measured, target, rows, (bump * weights, slope * weights), share)
 
 
-def half_width(measured: Measured, smoothing: Smoothing, variables: int) -> int:
+def half_width(measured: MeasuredRows, smoothing: Smoothing, variables: int) -> int:
     """Return the rows of half a window: half of the smoother's span, or less if the largest library needs more windows.
 
     In longer windows, nearly dependent terms have larger errors relative to their differences. In shorter windows,

@@ -265,7 +265,7 @@ class _LikelihoodFit(Fitter[_Point, FloatArray, FittedProcess]):
         moved = _Point(model, point.values + step, self._likelihood.whitened(model))
         return moved, point.whitened.misfit - moved.whitened.misfit
 
-    def settled(self, point: _Point) -> float:
+    def least_gain(self, point: _Point) -> float:
         return self._settled
 
     def done(self, point: _Point, promise: float, taken: int) -> bool:

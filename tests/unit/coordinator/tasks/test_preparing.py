@@ -70,7 +70,7 @@ def test_refining_gets_the_time_that_is_left_and_what_was_prepared() -> None:
     got: list[object] = []
 
     def refiner(preparation, config, pools, deadline, laws) -> Refinement:
-        got.extend([preparation.dataset.variables, config, pools, deadline.left, laws])
+        got.extend([preparation.dataset.variables, config, pools, deadline.seconds_left, laws])
         return Refinement(warnings=("made",))
 
     made = refine(

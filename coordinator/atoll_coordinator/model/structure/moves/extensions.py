@@ -38,7 +38,7 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
     """
     nodes = _with_own_leaves(program.nodes())
     sizes = _sizes(nodes, scales)
-    yield from replace_each(program, nodes, operators, lambda index: _joined(index, scales, sizes[index]))
+    yield from replace_each(program, nodes, operators, lambda index: _additions(index, scales, sizes[index]))
 
 
 def further_terms(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
@@ -79,7 +79,7 @@ def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
     yield from replace_each(program, nodes, operators, lambda index: _leaps_at(nodes, index))
 
 
-def _joined(node: int, scales: Sequence[float], size: float) -> Iterator[Expression]:
+def _additions(node: int, scales: Sequence[float], size: float) -> Iterator[Expression]:
     """Yield the expressions that may replace a node of this size."""
     little = SETTINGS.common.negligible * size
     yield (ADD, node, little)

@@ -24,11 +24,11 @@ def neighbours(program: Program, variables: Collection[int], operators: Collecti
         program,
         nodes,
         operators,
-        lambda index: (*_exchanged(nodes, index, variables), *_joined(index, variables)),
+        lambda index: (*_exchanges(nodes, index, variables), *_additions(index, variables)),
     )
 
 
-def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Iterator[Expression]:
+def _exchanges(nodes: list[Node], index: int, variables: Collection[int]) -> Iterator[Expression]:
     code, left, right, _ = nodes[index]
     if code in (VARIABLE, CONSTANT):
         yield from ((VARIABLE, variable) for variable in variables if (code, left) != (VARIABLE, variable))
@@ -42,7 +42,7 @@ def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Ite
         yield from cofunctions(code, nodes[left])
 
 
-def _joined(node: int, variables: Collection[int]) -> Iterator[Expression]:
+def _additions(node: int, variables: Collection[int]) -> Iterator[Expression]:
     yield (ADD, node, SETTINGS.common.negligible)
     yield (MULTIPLY, 1.0 + SETTINGS.common.negligible, node)
     for variable in variables:

@@ -87,7 +87,7 @@ def test_the_ranking_ends_with_the_work_of_a_part_however_many_alternatives_are_
         estimator.work += SETTINGS.effort.work // 3 + 1
         return [[SimpleNamespace(nats=selection.model.nats - 1.0)]]
 
-    monkeypatch.setattr(alternatives, "_all_alternatives", ever_shorter)
+    monkeypatch.setattr(alternatives, "_find_all_alternatives", ever_shorter)
     begun = SelectedModel(None, comparison, SimpleNamespace(nats=0.0))
     selection, models = alternatives._shortest(begun, np.zeros((1, 1)))
     assert looks == [0.0, -1.0, -2.0]

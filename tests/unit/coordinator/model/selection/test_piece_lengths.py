@@ -9,7 +9,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.piece_lengths import refit_on_all_rows, remarks
+from atoll_coordinator.model.selection.piece_lengths import piece_remarks, refit_on_all_rows
 from atoll_coordinator.model.selection.stages import select_model
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
@@ -49,7 +49,7 @@ def test_regular_trajectories_are_simulated_in_whole():
     selection = select_model(task)
     assert selection.task.piece == task.piece
     assert np.diff(selection.comparison.estimator.measurements.bounds, axis=1).ravel().tolist() == [220, 220]
-    assert list(remarks(selection.task)) == []
+    assert list(piece_remarks(selection.task)) == []
 
 
 def chaotic():
@@ -63,7 +63,7 @@ def chaotic():
 def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
     selection = select_model(chaotic())
     assert selection.task.piece in SETTINGS.shooting.lengths
-    (remark,) = remarks(selection.task)
+    (remark,) = piece_remarks(selection.task)
     assert f"pieces of {selection.task.piece} rows" in remark
     assert "500 rows" in remark
 
