@@ -84,8 +84,8 @@ def count_constants(program: bytes) -> int:
 
 
 def log(value: float) -> float:
-    """Return ln(value), value > 0, by the series of artanh. Its bits are equal on every machine; those of the C library
-    are not."""
+    """Return ln(value), value > 0, by the series of artanh. Its bits are equal on every machine, unlike the bits of the
+    C library's function."""
     mantissa, exponent = math.frexp(value)
     if mantissa < _SQRT_HALF:
         mantissa, exponent = 2.0 * mantissa, exponent - 1

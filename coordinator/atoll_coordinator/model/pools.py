@@ -10,8 +10,8 @@ from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.search.pareto import FrontEntry
 
 Origin = Literal["front", "runner-up", "guess", "library", "descent", "known"]
-"""Where an equation comes from: the front or the runners-up of the search, a guess, a library of terms, a known
-equation, or a descent from any of these to a shorter description. Constants may have been fitted and rounded since."""
+"""The origin of an equation: the front or the runners-up of the search, a guess, a library of terms, a known equation,
+or a descent from one of these to a shorter description. Its constants may have been fitted and rounded later."""
 
 
 @dataclass(frozen=True)

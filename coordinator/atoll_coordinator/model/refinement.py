@@ -18,8 +18,8 @@ from atoll_core.expression.writing.expansion import Shape
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
 JobKind = Literal["trajectories", "target", "process"]
-"""Kinds of job by what an equation is tested against: simulated trajectories, a target on rows, or the steps of a
-stochastic process."""
+"""The kind of job decides the data that test an equation: simulated trajectories, the rows of a target, or the steps of
+a stochastic process."""
 CheckOutcome = Literal["passed", "failed", "not made", "not applicable"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
 """How refining ended: finished, stopped by ``--max-time`` with the best result so far, or not run."""

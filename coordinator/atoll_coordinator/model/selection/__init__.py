@@ -2,7 +2,7 @@
 
 - `stages`: `select_model`, the entry point, and the table of stages that propose candidates and compare systems
 - `task`: the measurements and candidates (`ModellingTask`), and the chosen system (`SelectedModel`)
-- `proposals`: functions that propose programs for an equation; the choice is made elsewhere
+- `proposals`: functions that propose programs for an equation
 - `pool`: the ranked candidates of all equations, and the best system of a few of them; `candidates` ranks the
   candidates for one variable by its trajectories alone
 - `comparison`: fits systems to the same measurements, here or on workers; `score` computes their length in nats

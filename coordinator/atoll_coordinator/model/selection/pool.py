@@ -56,7 +56,7 @@ class CandidatePool:
                 self.comparison, self.best = self.comparison.calibrate(start)
 
     def _add_to(self, propose: Proposer, equation: int) -> None:
-        """Add the programs that a proposer returns for one equation; may run in a thread of its own."""
+        """Add the programs that a proposer returns for one equation; may run in a separate thread."""
         task, name = self._task, self._task.variables[equation]
         if name not in self._ranked:
             return

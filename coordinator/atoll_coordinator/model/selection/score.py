@@ -326,8 +326,8 @@ class Score:
     def _is_like_noise(self, model: FittedModel) -> npt.NDArray[np.bool_]:
         """Tell for which states (O,) the residuals are no larger than the errors of a sensor or the smoother's noise.
 
-        Independent errors may be of uneven size, such as outliers: n errors with the kurtosis k give their variance as
-        precisely as 2 n/(k - 1) normal ones.
+        Independent errors may have different sizes, such as outliers. The variance of n errors with the kurtosis k is
+        known as precisely as the variance of 2 n/(k - 1) normal errors.
         """
         measurements, rows, squares = self.estimator.measurements, self.counts, model.fit.squares
         errors = measurements.weights * model.fit.residuals**2

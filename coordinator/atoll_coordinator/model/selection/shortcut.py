@@ -4,7 +4,7 @@ How it works. Such laws were chosen from all products up to a degree, on many mo
 to the trajectories together, in pieces as long as errors of the initial states allow. Unnecessary parts are removed,
 and the few possible systems are compared. If the residuals are larger than the noise, the other stages run.
 
-Doubt. A law that is no sum of products can be approximated so well by one that its residuals look like noise. So other
+Doubt. A sum of products can approximate a law of another form so well that its residuals look like noise. So other
 programs of the search must be clearly longer descriptions (`Law.lead`).
 """
 

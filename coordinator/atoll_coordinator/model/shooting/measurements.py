@@ -2,7 +2,7 @@
 
 `measurements_of` collects values, weights and inputs of a `Recording` for the states of one system; `thin`, `part`,
 `pieces` and `strided` return subsets. Doubt: states without an equation become inputs with their smoothed values; the
-error of these values is in no weight.
+weights do not contain the errors of these values.
 
 Letters: N rows of all trajectories, S states, D states with an equation here, O measured states, K states with an
     offset, U inputs, B pieces.

@@ -388,7 +388,7 @@ def screen_columns(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
 
     Products of two variables, and cubes, are added one at a time: each time the product that explains most of the
     residuals, as long as this is more than the best of equally many products explains by chance. Backward elimination
-    then ranks the terms, since early terms may only stand for later ones. The result is the variables of the best
+    then ranks the terms, since an early term may have replaced a later one. The result is the variables of the best
     terms.
     """
     if not _are_many(len(columns), 2):

@@ -54,8 +54,8 @@ _SETTLED = 1e-3
 class Elimination:
     """The sums on the way from all columns (K, N) to none, by least squares (Wald's test).
 
-    `order` (K,) are the columns in the order of their removal, `squares` (K + 1,) the sums of squared residuals with
-    the last K, K - 1, ... 0 of these, `coefficients` (K, K) the coefficients at each step.
+    `order` (K,) has the columns in the order of their removal. `squares` (K + 1,) has the sums of squared residuals
+    with K, K - 1, ... 0 remaining columns. `coefficients` (K, K) has the coefficients at each step.
     """
 
     order: list[int]

@@ -2,7 +2,7 @@
 
 The region is sampled by lines between pairs of points. A denominator that changes its sign along a line is zero
 somewhere on it; bisection finds the zero. If the equation stays bounded there, as sin(x)/x at 0, it has no pole. Doubt:
-a zero without a change of sign, as in 1/x**2 of an odd factor, is only found through its factors.
+a denominator that touches zero without a change of sign is found only if one of its factors changes its sign.
 """
 
 from collections.abc import Iterator

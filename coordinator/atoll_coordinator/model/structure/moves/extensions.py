@@ -32,8 +32,8 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
     v. Cosines are treated like sines. Only allowed `operators` (codes) are added. Constants are not fitted yet.
 
     Args:
-        program: over as many variables as there are `scales`.
-        scales: the size of each variable; 0 for those that may not be used.
+        program: a program with as many variables as `scales`.
+        scales: the size of each variable; 0 for variables that may not be used.
         operators: codes of operators that may be brought in.
     """
     nodes = _with_own_leaves(program.nodes())
@@ -48,8 +48,8 @@ def further_terms(program: Program, scales: Sequence[float], operators: Collecti
     program, in any units.
 
     Args:
-        program: over as many variables as there are `scales`.
-        scales: the size of each variable; 0 for those that may not be used.
+        program: a program with as many variables as `scales`.
+        scales: the size of each variable; 0 for variables that may not be used.
         operators: codes of operators that may be brought in.
     """
     nodes = _with_own_leaves(program.nodes())

@@ -105,7 +105,7 @@ def _saturations(nodes: list[Node]) -> Iterator[dict[int, Expression]]:
 
 
 def _factorizations(nodes: list[Node], index: int) -> Iterator[Expression]:
-    """Yield f (a + b) for a sum f a + f b, where a and b may be 1, and likewise for differences and quotients."""
+    """Yield f (a + b) for a sum f a + f b, and likewise for differences and quotients; a and b may be 1."""
     code, left, right, _ = nodes[index]
     for factor, join, a in _factors(nodes, left):
         for right_factor, right_join, b in _factors(nodes, right):
@@ -114,7 +114,7 @@ def _factorizations(nodes: list[Node], index: int) -> Iterator[Expression]:
 
 
 def _factors(nodes: list[Node], node: int) -> list[tuple[int, int, Expression]]:
-    """Return (f, MULTIPLY or DIVIDE, a) for each way to write the node as a f or a/f; a may be 1."""
+    """Return (f, MULTIPLY or DIVIDE, a) for each way to write the node as a*f or a/f; a may be 1."""
     code, left, right, _ = nodes[node]
     if code == MULTIPLY:
         return [(left, MULTIPLY, right), (right, MULTIPLY, left), (node, MULTIPLY, 1.0)]
