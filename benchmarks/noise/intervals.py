@@ -16,7 +16,7 @@ import numpy as np
 
 from atoll.terminal.output import say, table
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.constants.standard_errors import student_95
+from atoll_coordinator.model.constants.standard_errors import student_quantile_95
 from atoll_coordinator.model.inference.final_model import estimate_errors
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.task import ModellingTask
@@ -81,7 +81,7 @@ def fit(law: Law, columns: dict[str, FloatArray]) -> Fit | None:
     comparison, model = comparison.calibrate(model)
     errors = estimate_errors(comparison, model)
     truth = written.constants[written.constants != 0.0]
-    reach = student_95(errors.degrees_of_freedom) * np.sqrt(np.diag(errors.covariance))
+    reach = student_quantile_95(errors.degrees_of_freedom) * np.sqrt(np.diag(errors.covariance))
     weights = comparison.estimator.measurements.inverse_variances
     holds = tuple((np.abs(errors.values - truth) <= reach).tolist())
     return Fit(holds, weights is not None and float(np.ptp(weights)) > 0.0, comparison.score.errors is not None)

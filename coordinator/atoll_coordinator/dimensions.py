@@ -1,8 +1,10 @@
-"""The units of an equation: those that its constants must have, and terms that cannot be right. Pure.
+"""The units of an equation: the units that its constants must have, and terms with impossible units. Pure.
 
-The exponents of each base symbol obey linear equations: both sides of a sum have one unit, arguments of functions and
-exponents have none, the whole has that of the left-hand side. Units of constants, and of variables of which none is
-given, are the unknowns. Equations are taken in from the inside out; one that contradicts those before names its term.
+The exponents of each base symbol obey linear equations: both sides of a sum have the same unit, arguments of functions
+and exponents have no unit, and the whole has the unit of the left-hand side. The unknowns are the units of constants,
+and of variables without a given unit. The linear equations are solved one by one (Gaussian elimination), for inner
+nodes first. If an equation contradicts the earlier ones, its term is reported. So if two terms contradict each other,
+the order decides which one is reported.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +33,7 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.unit_coefficients import make_coefficients_explicit
 
 Vector = dict[str, Fraction]
-"""Exponents by base symbol; unknowns stand in it by their names, which begin with a blank."""
+"""Exponents by base symbol, and coefficients of unknowns by their names, which begin with a blank."""
 
 _DIGITS: Final = 3
 _POWERS: Final = {
@@ -45,11 +47,11 @@ _POWERS: Final = {
 
 @dataclass(frozen=True)
 class EquationUnits:
-    """What the units say of one equation.
+    """The results of the units of one equation.
 
-    `constants` has the unit of each constant in node order, None where units do not determine it; `implied` those of
-    factors of one that are not written, with what each is a factor of, where they are no pure numbers: such a term is
-    right only because of them. `faults` are clauses on terms whose unit no factor makes right.
+    `constants` has the unit of each constant in node order, None if it is not determined. `implied` are units of
+    unwritten factors 1 that are no pure numbers, each with the text of the part that it multiplies: such a term is only
+    correct with this unit. `faults` are clauses about terms whose unit no factor can correct.
     """
 
     constants: tuple[Unit | None, ...]
@@ -58,13 +60,13 @@ class EquationUnits:
 
 
 def units_of(program: Program, names: Sequence[str], units: Mapping[str, Unit], left: Unit | None) -> EquationUnits:
-    """Return the units of the constants of `program`, and which terms cannot be right.
+    """Return the units of the constants of `program`, and the terms with impossible units.
 
     Args:
         program: the right-hand side.
-        names: of the variables.
-        units: of variables, by name; of others they are not known.
-        left: that of the left-hand side, None where it is not known.
+        names: names of the variables.
+        units: known units of variables, by name.
+        left: unit of the left-hand side; None: not known.
     """
     explicit = make_coefficients_explicit(program)
     strict = _Inference(explicit.program, names, {name: expanded(unit) for name, unit in units.items()}, units)
@@ -86,7 +88,7 @@ def units_of(program: Program, names: Sequence[str], units: Mapping[str, Unit], 
 
 @dataclass
 class _Inference:
-    """Units of all nodes, and the equations between them in a form in which each unknown is eliminated once."""
+    """Units of all nodes, and the equations between them, solved for one unknown each (reduced echelon form)."""
 
     program: Program
     names: Sequence[str]
@@ -102,16 +104,16 @@ class _Inference:
             self._of_nodes.append(self._node(index))
 
     def close(self, left: Mapping[str, Fraction] | None, unit: Unit | None) -> None:
-        """Take in that each term of the whole has the unit of the left-hand side; of the first term, if not known."""
+        """Require that each top-level term has the unit of the left-hand side or, if not known, of the first term."""
         first = self._top_terms[0]
         wanted = self._of_nodes[first] if left is None else dict(left)
-        shown = self._unit(first) if unit is None else _said(unit)
+        shown = self._unit(first) if unit is None else _unit_phrase(unit)
         for term in self._top_terms:
             if not self._equate(self._of_nodes[term], wanted):
-                self._blame(f"the term {self._text(term)} has {self._unit(term)} instead of {shown}")
+                self._report_fault(f"the term {self._text(term)} has {self._unit(term)} instead of {shown}")
 
     def constants(self) -> tuple[Unit | None, ...]:
-        """Return the unit of each constant, None where it is not determined."""
+        """Return the unit of each constant, None if it is not determined."""
         units = []
         for place in constant_places(self.program):
             powers = self._reduced(self._of_nodes[place])
@@ -119,7 +121,7 @@ class _Inference:
         return tuple(units)
 
     def _at_top(self, index: int) -> tuple[list[int], list[int]]:
-        """Return the nodes that are added and subtracted at the top, and those that add and subtract them."""
+        """Return the terms of the sum at the top, and the nodes that add and subtract them."""
         code, left, right = self._parts(index)
         if code == NEGATE:
             return self._at_top(left)
@@ -155,7 +157,7 @@ class _Inference:
     def _sum(self, index: int, left: int, right: int) -> Vector:
         if index not in self._top_sums and not self._equate(self._of_nodes[left], self._of_nodes[right]):
             texts = f"{self._text(left)} has {self._unit(left)} and {self._text(right)} {self._unit(right)}"
-            self._blame(f"{texts}, but they are added")
+            self._report_fault(f"{texts}, but they are added")
         return dict(self._of_nodes[left])
 
     def _power(self, index: int, left: int, right: int) -> Vector:
@@ -168,14 +170,14 @@ class _Inference:
 
     def _require_number(self, index: int, what: str) -> None:
         if not self._equate(self._of_nodes[index], {}):
-            self._blame(f"{what} has {self._unit(index)} instead of none")
+            self._report_fault(f"{what} has {self._unit(index)} instead of none")
 
-    def _blame(self, clause: str) -> None:
+    def _report_fault(self, clause: str) -> None:
         if clause not in self.faults:
             self.faults.append(clause)
 
     def _equate(self, one: Vector, other: Vector) -> bool:
-        """Take in that two units are equal; return False, and take in nothing, where that contradicts what is known."""
+        """Require that two units are equal; return False, and change nothing, if this contradicts known equations."""
         difference = self._reduced(product_of(one, other, Fraction(-1)))
         unknowns = [name for name in difference if _is_unknown(name)]
         if not unknowns:
@@ -194,17 +196,17 @@ class _Inference:
         return reduced
 
     def _unit(self, index: int) -> str:
-        """Return words for the unit of a node as far as it is known, in the symbols of those that were given."""
+        """Return words for the unit of a node, "another unit" if it is not known, in the symbols of the given units."""
         written = {name: dict(unit.powers) for name, unit in self.given.items()}
         inference = _Inference(_part(self.program, index), self.names, written, {})
         powers = inference._reduced(inference._of_nodes[-1])
-        return "another unit" if any(map(_is_unknown, powers)) else _said(Unit.of(powers))
+        return "another unit" if any(map(_is_unknown, powers)) else _unit_phrase(Unit.of(powers))
 
     def _text(self, index: int) -> str:
         return to_infix(_part(self.program, index), self.names, digits=_DIGITS)
 
 
-def _said(unit: Unit) -> str:
+def _unit_phrase(unit: Unit) -> str:
     return f"the unit {unit}" if unit.powers else "no unit"
 
 

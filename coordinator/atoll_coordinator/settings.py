@@ -1,7 +1,11 @@
-"""All hand-set numbers that decide which equation is shown and its verdict, by stage, with their reasons.
+"""All hand-set numbers that decide which equation is displayed and its verdict, by stage, with their reasons.
 
-Other numbers stand where they are used: numbers of presentation, mathematical constants, guards against division by
-zero, the sizes of compiled kernels and the numerics of minimisers and integrators.
+Other numbers are defined in the modules that use them: numbers of presentation, mathematical constants, guards against
+division by zero, the sizes of compiled kernels and the numerics of minimisers and integrators.
+
+How firmly a number is known varies. A docstring that quotes a measurement names the data and the result. A docstring
+with only a reason states a judgement; the environment variable `VARIABLE` lets benchmarks change any of these numbers
+and measure the effect.
 """
 
 import ast
@@ -24,11 +28,11 @@ class CommonSettings:
     clean: float = 1e-5
     """Noise or uncertainty below this share counts as zero: bias and rounding of noise-free data are about as large."""
     fewest_rows: int = 5
-    """Fewest rows of a trajectory that has a derivative, of a span, and of any search: a cubic and one to judge it."""
+    """Fewest rows of a differentiated trajectory, of a span, and of any search: four for a cubic, one to judge it."""
     few_values: int = 8
-    """With fewer distinct values a pattern in them, such as a common step, is often chance."""
+    """Fewest distinct values: with fewer, a pattern in them, such as a common step, is often chance."""
     significant: float = 3.0
-    """Standard errors beyond which a finding, or a correlation, is significant (p = 0.003)."""
+    """Number of standard errors beyond which a finding, or a correlation, is significant (p = 0.003)."""
     improbable: float = 1e-6
     """Probability below which a pattern in many values, or between many rows, is not chance."""
 
@@ -41,7 +45,7 @@ class SmoothingSettings:
     """Degrees of loess that are tried. A parabola may fit the values as well as a cubic, but its slope has far more
     bias: the measured derivative error was up to 2.8 times the standard error with parabolas and up to 1.9 without."""
     bins: int = 40
-    """Bins in the narrowest span for which rows may be thinned: means over a fortieth of a span lose nothing."""
+    """Fewest bins of a span if rows are thinned: means over a fortieth of a span lose no information."""
     rows_per_outlier: int = 150
     """Tails are heavy if at least one row in this many is an outlier. Tables without outliers and with noise of 0.2 to
     10 % had at most 2 in 400."""
@@ -50,9 +54,9 @@ class SmoothingSettings:
     smallest_noise: float = 1e-9
     """Noise, as a share of the state's standard deviation, below which data count as noise-free."""
     judged_shares: tuple[float, ...] = (0.95, 0.75)
-    """Shares of the rows, best rows first, on which interpolation and smoothing are compared: neither jumps nor rows at
-    rest may decide. Without noise interpolation wins on one share at least; with noise it loses on both, by a factor
-    near 1.5."""
+    """Shares of the rows, best rows first, on which interpolation and smoothing are compared, so that neither jumps nor
+    rows at rest decide. Without noise interpolation wins on at least one share; with noise it loses on both, by a
+    factor near 1.5."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +66,12 @@ class ColumnSettings:
     least_rows: int = 30
     """Fewest rows for which correlations and neighbours are examined."""
     alike: float = 0.05
-    """Residual of a relation that holds up to noise, at most, as a share of the column's standard deviation. With twice
-    as much, chance relations of slow motions were reported in 2 of 563 drawn tables (residuals of 6 and 8 %)."""
+    """Largest residual of a relation up to noise, as a share of the column's standard deviation. With twice this limit,
+    chance relations of slow motions were reported in 2 of 563 random tables (residuals of 6 and 8 %)."""
     clear: float = 0.3
-    """Noise of curvatures, as a share of their median size, below which they are compared. Of 128 tables of
-    full states none was mistaken for positions (with half this value, one); of 128 tables of positions 71 were
-    recognised."""
+    """Noise of curvatures, as a share of their median size, below which they are compared. Of 128 tables of full states
+    none was mistaken for a table of positions only (with half this value, one was); of 128 tables of positions only, 71
+    were recognised."""
 
 
 @dataclass(frozen=True)
@@ -75,18 +79,18 @@ class RowSettings:
     """Rows of the search."""
 
     most: int = 2_000
-    """About the most rows; more are thinned. A derivative uses the measurements of many neighbours, and two thousand
-    rows show every turn of a curve that a search can find."""
+    """Approximate maximum of rows; larger tables are thinned. A derivative uses the measurements of many neighbours,
+    and two thousand rows resolve every curve that a search can find."""
     over_median_uncertainty: float = 5.0
     """Rows whose uncertainty is less than this many times the median uncertainty are kept."""
     least_kept: float = 0.7
     """Share of the rows that is kept regardless of uncertainty, and that pieces between gaps must contain."""
     most_uneven: float = 2.0
-    """Root mean square of the uncertainty over its mean, at most, on the rows selected."""
+    """Largest ratio of the root mean square of the uncertainty to its mean, over the selected rows."""
 
     @property
     def in_sums(self) -> int:
-        """Most rows in sums over a table; of more rows a part is used."""
+        """Most rows in sums over a table; larger tables are subsampled."""
         return 10 * self.most
 
     @property
@@ -100,10 +104,10 @@ class EffortSettings:
     """Amounts of work, in the unit of `MultipleShooting.work`."""
 
     work: int = 60_000_000
-    """Work of each part of a selection (libraries, exchange, local search) after which it tries nothing new: some
-    seconds of one core. Fits that have begun may take as much again."""
+    """Work of each part of a selection (libraries, exchange, local search) after which it starts nothing new: some
+    seconds of one core. Fits that have begun may need the same amount again."""
     steps: int = 40
-    """Most steps of a fit; nearly all converge within ten."""
+    """Most steps of a fit; nearly all fits converge within ten."""
     beam: int = 12
     """Number of alternatives, decisions, neighbours or members that are kept, and of constants that may become
     simple."""
@@ -115,7 +119,7 @@ class EffortSettings:
 
     @property
     def kept(self) -> int:
-        """Programs kept for the next stage if there are hundreds."""
+        """Number of programs kept for the next stage if there are hundreds."""
         return 4 * self.beam
 
     @property
@@ -131,8 +135,7 @@ class EffortSettings:
 
     @property
     def longest_sum(self) -> int:
-        """Terms of the longest sum that is fitted again without each term: the work grows with the square of their
-        number."""
+        """Longest sum, in terms, that is fitted again without each term: the work grows with its length squared."""
         return 2 * self.beam
 
     @property
@@ -153,7 +156,7 @@ class CriterionSettings:
 
     @property
     def node(self) -> float:
-        """Without trajectories, any node costs ln 8: one of eight choices."""
+        """Price of any node if there are no trajectories: ln 8, one of eight choices."""
         return math.log(8.0)
 
     @property
@@ -172,29 +175,30 @@ class SparseSettings:
     """Sparse regression: sums of products, and of products with functions."""
 
     degree: int = 4
-    """Highest degree of products: few laws have more, and libraries grow with its power."""
+    """Highest degree of products: few laws have a higher one, and libraries grow as a power of it."""
     largest_library: int = 130
     """Larger libraries are not tried: eliminating their terms costs the fourth power of their number."""
     rows_per_term: float = 2.0
     """Fewest independent rows for each term of a library: with fewer, a full library fits anything."""
     windows_in_width: int = 4
-    """Windows of the weak form that begin within the width of one, and fewest half widths in the longest trajectory."""
+    """Number of windows of the weak form that begin within one width. Also the fewest half widths in the longest
+    trajectory."""
     functions: int = 2
     """Most products with functions that are added to a sum."""
     most_constants: int = 7
     """Sums with more constants are not candidates for trajectories."""
     most_atoms: int = 40_000
-    """Products with functions, one for each inner constant tried, that are compared: some seconds of work."""
+    """Most products with functions, one for each inner constant tried, that are compared: some seconds of work."""
     trusted_share: float = 0.4
-    """Share of the derivatives, most certain first, in which functions are sought: for seven states with fast
-    transients and 51 rows a trajectory, their errors were 1e-3 of the standard deviation; with a share of 0.7 they were
-    0.3."""
+    """Share of the derivatives, most certain first, with which functions are searched. Measured for seven states with
+    fast transients and 51 rows for each trajectory: the errors of these derivatives were 1e-3 of the standard
+    deviation; with a share of 0.7 they were 0.3."""
     screened: int = 8
     """Most variables of an equation, if there are too many variables for a library of all products."""
 
     @property
     def rows(self) -> int:
-        """Rows that determine the largest library: as many are enough for a pursuit."""
+        """Number of rows that determine the largest library; this number is also enough for a pursuit."""
         return round(self.rows_per_term * self.largest_library)
 
 
@@ -205,10 +209,12 @@ class ShootingSettings:
     exact: float = 1e-8
     """Errors below this share of a state's standard deviation are integration errors, not errors of the model."""
     lengths: tuple[int, ...] = (10, 30, 100)
-    """Rows of the first segments of a fit (short ones converge from any guess), and of the pieces in which trajectories
-    are simulated if errors of an initial state, or of a solver, grow too much along whole trajectories."""
+    """Rows of the first segments of a fit (short segments converge from any guess). Also the rows of the pieces in
+    which trajectories are simulated, if errors of an initial state or of the solver grow too much along whole
+    trajectories."""
     segment_growth: int = 5
-    """Segments grow at most by this factor from one stage of a fit to the next, and the longest to whole pieces."""
+    """Largest factor by which segments grow from one stage of a fit to the next, and from the longest segments to whole
+    pieces."""
 
     @property
     def piece(self) -> int:
@@ -218,24 +224,29 @@ class ShootingSettings:
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Which equations together are the model. Work is counted by the estimator, see `MultipleShooting.work`."""
+    """Selection of the equations that together are the model.
+
+    The estimator counts the work, see `MultipleShooting.work`.
+    """
 
     least_noise: float = 1e-4
-    """Independent errors below this share of a state's standard deviation cannot hide a term of a law: the
-    residuals are then systematic errors, for instance of a solver, whose rows are not independent. A process with less
-    noise than this share of its median step counts as deterministic."""
+    """Independent errors below this share of a state's standard deviation cannot hide a term of a law. Residuals below
+    it are systematic errors, for instance of a solver, and their rows are not independent. A process with less noise
+    than this share of its median step counts as deterministic."""
     usual_length: float = 30.0
-    """Nats of an equation's structure and constants: four of five of the 174 laws that `benchmarks.corpus --in-turn
-    --seeds 1600-1628` draws take less (22 in the median, 2.5 nats a constant). If an equation is longer, there may be
-    a short law that was not proposed, however small its residuals."""
+    """Description length in nats of an equation's structure and constants, above which an equation is suspect: of the
+    174 laws that `benchmarks.corpus --in-turn --seeds 1600-1628` draws, four in five are shorter (median 22, 2.5 nats
+    for each constant). If an equation is longer, there may be a short law that was not proposed, no matter how small
+    the residuals are."""
     systematic_numbers: float = 10.0
-    """Fewest independent numbers in the systematic errors of a state, and the number for errors of a solver: few, since
-    these follow from its tolerance and the state. A misfit smaller by a decade gains 1.15 nats for each number: needed
-    terms of a law gain several decades, a term that follows a solver's errors less than a third of one."""
+    """Fewest independent numbers in the systematic errors of a state; also the number for errors of a solver. It is
+    small because these errors follow from the tolerance and the state. A misfit smaller by a decade gains 1.15 nats for
+    each number. Necessary terms of a law gain several decades; a term that fits a solver's errors gains less than a
+    third of a decade."""
     compared_rows: int = 1_200
-    """Structures are compared on at most about this many rows; constants are then fitted on all."""
+    """Approximate maximum of rows on which structures are compared; constants are then fitted on all rows."""
     fewest_steps: int = 100
-    """Fewest steps from row to row for which a stochastic process is sought: they give a variance within 14 %."""
+    """Fewest steps from row to row for the search of a stochastic process: they determine a variance within 14 %."""
     least_gain: float = 0.1
     """Smallest difference of description lengths that counts, in nats."""
 
@@ -253,15 +264,16 @@ class InferenceSettings:
     exact: float = 1e-6
     """Residuals below this share of the standard deviation are integration errors."""
     excess: float = 1.25
-    """Residuals larger than this many times the noise are too large, unless they may be by chance."""
+    """Residuals larger than this many times the noise are too large, unless the difference may be chance."""
     part: float = 0.1
     """Share of a variance, or of a measured range, that is relevant: a pattern in residuals, unexplained variance, or a
     simulation outside of the range. An equation that explains less is not a model."""
     improbable: float = 0.01
-    """Probability below which residuals are not noise, and the share of good equations that may be chance; half as many
-    exact verdicts may be wrong."""
+    """Probability below which residuals do not count as noise. Also the share of good equations that may be chance;
+    half of this share of exact verdicts may be wrong."""
     largest_uncertainty: float = 0.01
-    """A target that is more uncertain does not distinguish a law from wrong equations of the same error."""
+    """Largest uncertainty of a target: a more uncertain target does not distinguish a law from wrong equations of the
+    same error."""
     distinct_nats: float = 3.0
     """Alternatives within this Δ description length may be right (odds of 20: one in twenty good verdicts may be
     wrong)."""
@@ -270,7 +282,7 @@ class InferenceSettings:
 
     @property
     def chance_nats(self) -> float:
-        """Δ log-likelihood over no equation from which on an equation is not chance (odds of 100)."""
+        """Δ log-likelihood, relative to no equation, above which an equation is not chance (odds of 100)."""
         return round(-math.log(self.improbable), 1)
 
     @property
@@ -322,7 +334,7 @@ def with_changes(settings: Settings, text: str) -> Settings:
 
 _CHANGES: Final = os.environ.get(VARIABLE, "")
 if _CHANGES:
-    logging.getLogger(__name__).warning("%s is set (%s): results are not those of this engine", VARIABLE, _CHANGES)
+    logging.getLogger(__name__).warning("%s is set (%s): results may differ from the defaults", VARIABLE, _CHANGES)
 
 SETTINGS: Final = with_changes(Settings(), _CHANGES)
 """The values in use."""

@@ -1,9 +1,9 @@
 """Units of measurement as products of powers of symbols, such as ``m/s^2`` or ``cells/(mL h)``. Pure.
 
-Any word is a unit: what is not known stands for itself, as cells or EUR do. Known symbols are also written by those of
-the SI, with their factor as powers of 2, 3 and 5, so that N is kg m s^-2, and min 60 s. Temperatures on shifted scales
-and units whose factor is no such product (ft, eV) stand for themselves, and so does pH, the acidity: whoever means
-picohenry writes nH/1000.
+Any word is a unit: an unknown word, such as cells or EUR, is a base symbol. Known symbols are expanded to SI base
+units, with factors as powers of 2, 3 and 5: N is kg m s^-2, and min is 60 s. Three kinds of known symbols are not
+expanded: temperatures on shifted scales, units whose factor is not such a product (ft, eV), and pH, which is read as
+the acidity. A picohenry must be written nH/1000.
 """
 
 import re
@@ -41,16 +41,17 @@ _PLAIN: Final = {
     "degree": "deg", "°": "deg",
 }  # fmt: skip
 _THEMSELVES: Final = frozenset({"pH"})
-"""What looks like a prefix with a symbol and is none."""
+"""Units that look like a prefix with a symbol but are not."""
 _PRIMES: Final = (2, 3, 5, 7)
 _FACTORS: Final = frozenset(map(str, _PRIMES))
 _OPENING, _CLOSING, _END = ("sign", "("), ("sign", ")"), ("end", "")
 _LONGEST: Final = 300
-"""Characters of a unit. No unit has as many, and what has fewer cannot have too many brackets to be read."""
+"""Most characters of a unit. No real unit is as long, and a shorter text cannot have too many nested brackets for the
+parser."""
 
 
 def product_of(one: Powers, other: Powers, power: Fraction) -> dict[str, Fraction]:
-    """Return the powers of the product of one unit with a power of another; those of zero are left out."""
+    """Return the powers of the product of one unit with a power of another; zero powers are left out."""
     powers = dict(one)
     for symbol, exponent in other.items():
         powers[symbol] = powers.get(symbol, Fraction(0)) + exponent * power
@@ -59,18 +60,18 @@ def product_of(one: Powers, other: Powers, power: Fraction) -> dict[str, Fractio
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: its symbols with their powers, as they were written."""
+    """A unit: its symbols with their powers, not expanded."""
 
     powers: tuple[tuple[str, Fraction], ...] = ()
 
     @classmethod
     def of(cls, powers: Powers) -> "Unit":
-        """Return the unit of these powers; those of zero are left out."""
+        """Return the unit of these powers; zero powers are left out."""
         return cls(tuple((symbol, power) for symbol, power in powers.items() if power))
 
     @property
     def is_none(self) -> bool:
-        """Whether it is a pure number."""
+        """Whether the unit is 1, the unit of pure numbers."""
         return not expanded(self)
 
     def times(self, other: "Unit", power: Fraction | int = 1) -> "Unit":
@@ -80,7 +81,7 @@ class Unit:
     def __str__(self) -> str:
         if not self.powers:
             return "1"
-        # Numbers first: one right behind a symbol is read as its exponent.
+        # Numbers first: a number directly after a symbol would be read as its exponent.
         ordered = sorted(self.powers, key=lambda item: not is_factor(item[0]))
         above = [_power(symbol, power) for symbol, power in ordered if power > 0]
         below = [_power(symbol, -power) for symbol, power in ordered if power < 0]
@@ -98,7 +99,10 @@ def _power(symbol: str, power: Fraction) -> str:
 
 
 def parse_unit(text: str) -> Unit:
-    """Return the unit that a text says, none for ``1`` and ``-``; raises UsageError for no product of powers."""
+    """Return the unit that a text means, the unit of pure numbers for ``1`` and ``-``.
+
+    Raises UsageError for other texts.
+    """
     if text.strip() in _NONE:
         return NO_UNIT
     if len(text) > _LONGEST:
@@ -123,7 +127,7 @@ def _fault(text: str) -> UsageError:
 
 
 class _Parser:
-    """Reads a product from left to right; a slash divides by what follows it up to the next sign or bracket."""
+    """Reads a product from left to right; a slash divides by the factors up to the next sign or bracket."""
 
     def __init__(self, text: str, tokens: list[tuple[str, str]]) -> None:
         self._text = text
@@ -131,7 +135,7 @@ class _Parser:
         self._place = 0
 
     def expect(self, token: tuple[str, str]) -> None:
-        """Take the next token; raises UsageError when it is another one."""
+        """Take the next token; raises UsageError if it differs from the expected one."""
         if self._take() != token:
             raise _fault(self._text)
 
@@ -172,7 +176,7 @@ class _Parser:
         return NO_UNIT.times(base, self._exponent(is_symbol=kind != "number"))
 
     def _exponent(self, *, is_symbol: bool) -> Fraction:
-        """Return the exponent that follows, 1 where there is none; a number right behind a symbol is one, too."""
+        """Return the exponent that follows, 1 if there is none; a number directly after a symbol is an exponent."""
         kind, value = self._next
         if kind == "power":
             self._place += 1
@@ -201,7 +205,7 @@ class _Parser:
 
 
 def _factored(number: Fraction, text: str) -> dict[str, Fraction]:
-    """Return a number as powers of small primes; raises UsageError for any other."""
+    """Return a number as powers of small primes; raises UsageError for a number with other prime factors."""
     powers: dict[str, Fraction] = {}
     for rest, sign in ((number.numerator, 1), (number.denominator, -1)):
         if rest <= 0:
@@ -221,7 +225,7 @@ def is_factor(symbol: str) -> bool:
 
 
 def expanded(unit: Unit) -> dict[str, Fraction]:
-    """Return a unit by the symbols of the SI, and powers of small primes for its factor."""
+    """Return a unit in SI base symbols, with its factor as powers of small primes."""
     powers: dict[str, Fraction] = {}
     for symbol, power in unit.powers:
         for base, exponent in _expanded(symbol).items():

@@ -1,4 +1,4 @@
-"""Making all kernels of the coordinator ready before work comes: compiled once per machine, else loaded."""
+"""Prepares all kernels of the coordinator before work arrives: compiled once per machine, loaded afterwards."""
 
 from typing import Final
 
@@ -8,7 +8,7 @@ from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
 from atoll_core.compilation.cache import Report, compile_or_load
 
 KERNELS: Final = 17
-"""How many kernels are compiled apart."""
+"""Number of separately compiled kernels."""
 
 
 def warm_up(report: Report) -> None:

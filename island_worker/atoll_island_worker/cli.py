@@ -1,7 +1,7 @@
-"""The ``island-worker`` program: options, help, exit codes. Light, because ``--help`` must be instant.
+"""The ``island-worker`` program: options, help, exit codes. It imports little, because ``--help`` must be instant.
 
-One process is one worker. With more than one, this process loads what workers need, forks them, restarts them when they
-die, and ends with them; see `atoll_island_worker.processes`.
+One process is one worker. For several workers, this process loads libraries and kernels, forks the workers, restarts
+workers that die, and ends when they have ended; see `atoll_island_worker.processes`.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from atoll_core.machine import batch_job
 from atoll_core.main_program import exit_code_of
 from atoll_core.signals import draining, exiting, raise_interrupts
 from atoll_island_worker import processes
-from atoll_island_worker.processes import Child, ExitReasons, complain, report_to
+from atoll_island_worker.processes import Child, ExitReasons, print_reason, report_to
 
 if TYPE_CHECKING:
     from atoll_core.wire.addresses import Destination
@@ -48,7 +48,7 @@ examples:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line (None: the command line of this process) and return its exit code."""
     words = sys.argv[1:] if argv is None else argv
-    return exit_code_of(lambda: _dispatch(_parse(words)), complain)
+    return exit_code_of(lambda: _dispatch(_parse(words)), print_reason)
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -98,13 +98,13 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         metavar="TIME",
         type=duration,
         default=_GRACE_S,
-        help="how long this may take, also after SIGTERM; a second SIGTERM ends at once (default: 30s)",
+        help="how long the handover may take, also after SIGTERM; a second SIGTERM ends at once (default: 30s)",
     )
     add_log_options(parser)
     add_tls_options(parser)
-    parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
-    parser.add_argument("--exit-reasons", type=int, help=argparse.SUPPRESS)  # where to report why we end
-    parser.add_argument("--supervise", action="store_true", help=argparse.SUPPRESS)  # restart one worker, too
+    parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end together with this process
+    parser.add_argument("--exit-reasons", type=int, help=argparse.SUPPRESS)  # where the reason of the end is reported
+    parser.add_argument("--supervise", action="store_true", help=argparse.SUPPRESS)  # restart even a single worker
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
     complete(parser)
     return parser.parse_args(argv)
@@ -116,25 +116,25 @@ def _dispatch(options: argparse.Namespace) -> int:
 
     credentials = credentials_of(vars(options), os.environ, "connect")
     connect = _destination(options, credentials)
-    name = _name_for(credentials.name if credentials is not None else None, options.name)
+    name = _worker_name(credentials.name if credentials is not None else None, options.name)
     raise_interrupts()
     number = options.processes
     if number is None:
         number, reason = usable_cores(os.environ)
         sys.stderr.write(f"island-worker: {number} {'process' if number == 1 else 'processes'}: {reason}\n")
     if number == 1 and not options.supervise:
-        report = partial(report_to, options.exit_reasons) if options.exit_reasons is not None else complain
+        report = partial(report_to, options.exit_reasons) if options.exit_reasons is not None else print_reason
         return exit_code_of(partial(work, connect, name, options, options.parent), report)
     names = [f"{name[:58]}-{index}" for index in range(number)]
     return work_together(connect, names, options)
 
 
 def _destination(options: argparse.Namespace, credentials: "Credentials | None") -> "Destination":
-    """Return the address of the coordinator, from the options or ``ATOLL_CONNECT``; wait for the file with it.
+    """Return the address of the coordinator, from the options or ``ATOLL_CONNECT``; wait for the file with the address.
 
     Raises:
         UsageError: no address, two addresses or an invalid one was given.
-        UnreachableError: the file did not come in time, or nothing accepts connections at the addresses in it.
+        UnreachableError: the file did not appear in time, or no program accepts connections at the addresses in it.
     """
     from atoll_core.errors import UsageError
     from atoll_core.wire.addresses import destination
@@ -155,11 +155,11 @@ def _destination(options: argparse.Namespace, credentials: "Credentials | None")
     return destination(connect, credentials)
 
 
-def _name_for(principal: str | None, wanted: str | None) -> str:
-    """Return the worker's name; with a certificate it must be the name in it, alone or followed by a hyphen and more.
+def _worker_name(principal: str | None, wanted: str | None) -> str:
+    """Return the worker's name; with a certificate it must be the name in it, or this name with a hyphen and a suffix.
 
     Raises:
-        UsageError: the wanted name does not agree with the certificate.
+        UsageError: the requested name does not match the certificate.
     """
     from atoll_core.errors import UsageError
 
@@ -179,7 +179,7 @@ def _default_name() -> str:
     import socket
 
     host = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname().split(".")[0]) or "worker"
-    if job := batch_job(os.environ):  # `coordinator adapt` looks for it
+    if job := batch_job(os.environ):  # `coordinator adapt` looks for this name
         return f"{host[:28]}-{job}-{os.getpid()}"
     return f"{host[:40]}-{os.getpid()}"
 
@@ -203,12 +203,15 @@ def _name(text: str) -> str:
 
 
 def work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
-    """Run one process for each name, and restart it when it dies; if possible forked, after loading once."""
+    """Run one process for each name, and restart it when it dies.
+
+    If possible, processes are forked after the libraries were loaded once.
+    """
     from atoll_island_worker.tasks.task_process import TaskServer
 
     end = time.monotonic() + options.lifetime if options.lifetime is not None else None
     with contextlib.ExitStack() as held:
-        # First, because it is a fork, too: it must not have what is loaded and opened below.
+        # Started first, because it is also a fork: it must not inherit the libraries and pipes loaded and opened below.
         start = partial(_fork, held.enter_context(contextlib.closing(TaskServer()))) if processes.can_fork() else _start
         exit_reasons = held.enter_context(ExitReasons())
         if processes.can_fork():
@@ -223,7 +226,7 @@ def work_together(connect: "Destination", names: Sequence[str], options: argpars
 
 
 def load_ahead() -> None:
-    """Load libraries, and kernels if they have been compiled; errors are ignored: every worker reports them.
+    """Load libraries, and kernels if they are compiled. Errors are ignored here, because every worker reports them.
 
     The workers compile, because they can report this to the coordinator.
     """
@@ -236,13 +239,13 @@ def load_ahead() -> None:
 
         if is_compiled("atoll_island_worker"):
             run_small_epochs()
-    gc.freeze()  # all workers share this memory as long as the garbage collector does not write to it
+    gc.freeze()  # all workers share this memory unless the garbage collector writes to it
 
 
 def _start(
     connect: "Destination", name: str, options: argparse.Namespace, end: float | None, exit_reasons: ExitReasons
 ) -> Child:
-    """Start an interpreter that works until `end` of the monotonic clock (None: no end), and ends with this one."""
+    """Start an interpreter that works until `end` on the monotonic clock (None: no end), and ends with this process."""
     words = ["--connect", str(connect), "--processes", "1", "--name", name, "--grace", f"{options.grace:g}"]
     if (files := connect.credentials) is not None:
         words += ["--tls-ca", str(files.authority), "--tls-cert", str(files.certificate), "--tls-key", str(files.key)]
@@ -257,14 +260,14 @@ def _fork(
     tasks: "TaskServer", connect: "Destination", name: str, options: argparse.Namespace, end: float | None,
     exit_reasons: ExitReasons,
 ) -> Child:  # fmt: skip
-    """Start a fork of this process that works until `end`; `tasks` forks its processes for tasks."""
+    """Start a fork of this process that works until `end`; `tasks` forks the processes for its tasks."""
     parent = os.getpid()
 
-    def act() -> int:
+    def run_until_end() -> int:
         options.lifetime = _seconds_until(end)
         return exit_code_of(partial(work, connect, name, options, parent, tasks), exit_reasons.report)
 
-    return processes.Forked(act)
+    return processes.Forked(run_until_end)
 
 
 def _seconds_until(end: float | None) -> float | None:
@@ -275,7 +278,7 @@ def work(
     connect: "Destination", name: str, options: argparse.Namespace, parent: int | None,
     tasks: "TaskServer | None" = None,
 ) -> int:  # fmt: skip
-    """Be one worker until it ends; `parent`: the process with which this one ends.
+    """Run one worker until it ends; `parent`: if this process ends, the worker ends too.
 
     `tasks` starts processes for tasks, by default new interpreters.
     """
@@ -289,5 +292,5 @@ def work(
         from atoll_island_worker.worker import run_worker
 
         on_signal = partial(draining, parent) if options.grace > 0.0 else lambda leave: contextlib.nullcontext()
-        show = WarmUpDisplay() if sys.stderr.isatty() and options.parent is None else None  # else it is in the log
+        show = WarmUpDisplay() if sys.stderr.isatty() and options.parent is None else None  # else it is logged
         return run_worker(connect, name, options.wait, options.lifetime, options.grace, on_signal, show, tasks)

@@ -1,13 +1,14 @@
 """The connection of a worker to its coordinator: requests, handshake, absence, drain, and how the worker ends.
 
-A worker greets twice: as soon as it is connected, so that the coordinator knows it, and again with the fingerprint of
-its kernels once they are ready. Only then are islands placed here. If the coordinator is silent, it is asked whether it
-would accept us (an enquiry, which changes nothing); if it stays away too long, the worker ends. A coordinator that has
-opened the store again has a later incarnation; an earlier one that answers late, or hangs, is never joined again.
+A worker greets twice: once as soon as it is connected, so that the coordinator knows it, and again with the fingerprint
+of its kernels when they are ready. The coordinator places islands here only after the second greeting. If the
+coordinator is silent, the worker sends an enquiry: it asks whether the coordinator would accept it, which changes
+nothing. If the coordinator is away too long, the worker ends. Each time a coordinator opens the store, it gets a later
+incarnation number. A worker never joins an earlier incarnation again, such as a process that hung and answers late.
 
 A worker that is asked to end (by SIGTERM or its lifetime) drains: its heartbeats say ``leaving``, the coordinator
-places its islands elsewhere and answers ``shutdown``. Without that answer the worker ends when its grace, or a shorter
-absence of the coordinator, is over.
+places its islands elsewhere and answers ``shutdown``. Without this answer the worker ends after its grace period, or
+earlier if the coordinator is away.
 """
 
 import logging
@@ -33,14 +34,14 @@ from atoll_island_worker.session import interface as io
 
 PULL_TIMEOUT_S: Final = 5.0
 MIGRANTS_TIMEOUT_S: Final = 1.0
-"""Migrants are asked for before they exist: an answer that is lost costs so much time."""
+"""Timeout of a pull of migrants. Migrants are requested before they exist, so a lost answer costs this time."""
 
 FETCH_TIMEOUT_S: Final = 20.0
 
 
 @dataclass(frozen=True, slots=True)
 class PendingRequest:
-    """A request that has no reply yet: a `question` about `subject` (a digest, task or fingerprint), or a `pull`.
+    """A request without a reply yet: a `question` about `subject` (a digest, task or fingerprint), or a `pull`.
 
     `index` is the number of a chunk; for a greeting it is the number of welcomes before it.
     """
@@ -61,7 +62,7 @@ class Requests:
         self._open: dict[int, PendingRequest] = {}
 
     def ask(self, key: str, payload: bytes, timeout_s: float, request: PendingRequest) -> None:
-        """Send a query; the reply will answer `request`."""
+        """Send a query; its reply belongs to `request`."""
         self._open[self._bus.get(key, payload, timeout_s)] = request
 
     def pop(self, token: int) -> PendingRequest | None:
@@ -99,21 +100,22 @@ _LOG = logging.getLogger(__name__)
 
 START_S: Final = 10.0
 RETURN_S: Final = 3600.0
-"""Defaults for how long a worker waits for a coordinator: at the start, when the address may be wrong, and later, when
-the coordinator is being restarted or upgraded, or waits for space on its disk."""
+"""Default waiting times for a coordinator: at the start, when the address may be wrong, and later, when the coordinator
+may be restarting, upgrading, or waiting for disk space."""
 
 GREET_TIMEOUT_S: Final = 2.0
 GREET_PAUSE_S: Final = 0.2
 STALE_PAUSE_S: Final = 2.0
-"""Pause between greetings while a former coordinator answers; once it runs again it ends within a tick."""
+"""Pause between greetings while a former coordinator answers: a former coordinator that runs again ends within a
+tick."""
 
 GRACE_S: Final = 30.0
-"""Default for how long a drain may take."""
+"""Default time limit of a drain."""
 ALONE_S: Final = 3.0
-"""How long a draining worker waits for a coordinator that is away."""
+"""Time that a draining worker waits for an absent coordinator."""
 
 QUIET_S: Final = 15.0
-"""After this silence the coordinator is asked whether it is there: behind a router a lost link does not show. The
+"""After this silence the worker sends an enquiry: behind a router, a lost link cannot be noticed otherwise. The
 coordinator tolerates the same silence of a worker."""
 
 GREET: Final = "greet"
@@ -126,19 +128,19 @@ class CoordinatorConnection:
     """Greets the coordinator, subscribes in its cluster, waits while it is away, and drains the worker before it ends.
 
     `welcome`: the coordinator's last answer to a greeting; None before the first. `is_accepted`: the coordinator knows
-    that the kernels here are ready. `is_draining`: heartbeats tell that this worker wants to end. `exit_code`: None
+    that the kernels here are ready. `is_draining`: heartbeats say that this worker wants to end. `exit_code`: None
     while the worker runs; `error`: the error with which it ends, if any.
     """
 
     def __init__(
         self, bus: Bus, requests: Requests, name: str, wait_s: float | None, lifetime_s: float | None, grace_s: float
     ) -> None:
-        """Set up, without a greeting yet.
+        """Set up the connection; no greeting is sent yet.
 
         Args:
-            wait_s: how long the coordinator may be away, at the start or later; None: `START_S`, then `RETURN_S`.
+            wait_s: longest absence of the coordinator, at the start or later; None: `START_S`, then `RETURN_S`.
             lifetime_s: seconds after which the worker drains; None: never.
-            grace_s: how long a drain may take; 0: the worker ends at once.
+            grace_s: time limit of a drain; 0: the worker ends at once.
         """
         self.instance: Final = uuid4().hex
         self.welcome: Welcome | None = None
@@ -153,7 +155,7 @@ class CoordinatorConnection:
         self._lifetime_s = lifetime_s
         self._grace_s = grace_s
         self._fingerprint = ""
-        self._is_reachable = False  # an enquiry was answered although no greeting was
+        self._is_reachable = False  # an enquiry was answered, but the greeting was not
         self._away_since: float | None = bus.now()
         self._heard_at = self._asked_at = bus.now()
         self._clusters: set[str] = set()
@@ -174,7 +176,7 @@ class CoordinatorConnection:
             self._bus.call_later(self._lifetime_s, LIFETIME)
 
     def greet(self) -> None:
-        """Ask to be accepted."""
+        """Send a greeting, which asks the coordinator to accept this worker."""
         request = PendingRequest("hello", self._fingerprint, self._welcomes)
         self._requests.ask(topics.hello(self._name), self._hello(), GREET_TIMEOUT_S, request)
 
@@ -182,8 +184,8 @@ class CoordinatorConnection:
         """Handle the answer (None: none came) to a greeting that carried `fingerprint` ("": kernels not ready).
 
         Returns a Reset if the coordinator, or its store, has changed. Without an answer, or after a late answer of a
-        former coordinator, another greeting follows; a refusal ends the worker. `welcomes`: the number of welcomes and
-        later incarnations when the greeting was sent; None: as now.
+        former coordinator, another greeting follows; a refusal ends the worker. `welcomes`: the count of welcomes and
+        later incarnations when the greeting was sent; None: the present count.
         """
         if payload is None:
             self._enquire()
@@ -195,7 +197,7 @@ class CoordinatorConnection:
             self.fail(error)
             return None
         former = self.welcome
-        is_late = welcomes not in (None, self._welcomes)  # and may come from a former coordinator
+        is_late = welcomes not in (None, self._welcomes)  # the answer may come from a former coordinator
         is_stale = former is not None and former.realm == welcome.realm and welcome.incarnation < self._newest
         if former and is_late and (former.realm != welcome.realm or is_stale):
             self.greet()
@@ -217,11 +219,11 @@ class CoordinatorConnection:
         return io.Reset(welcome.incarnation if former.realm == welcome.realm else 0)
 
     def _refuse_stale(self, incarnation: int) -> None:
-        """Do not join a coordinator after a later incarnation of it: it was hanging, or its store was copied back."""
+        """Refuse a former incarnation of the coordinator: its process hung, or its store was copied back."""
         if self._stale != incarnation:
             self._stale = incarnation
             _LOG.warning(
-                "a former coordinator answers, and is not joined; was its store copied back without `restore`?",
+                "a former coordinator answers and is not joined; was its store copied back without `restore`?",
                 extra=fields(incarnation=incarnation, newest=self._newest),
             )
         if self._away_since is None:
@@ -229,10 +231,10 @@ class CoordinatorConnection:
         self._bus.call_later(STALE_PAUSE_S, GREET)
 
     def incarnation_heard(self, incarnation: int) -> None:
-        """Take in the incarnation of a placement: answers of a former coordinator to older greetings may still come.
+        """Record the incarnation of a placement: a former coordinator may still answer older greetings.
 
         Raises:
-            RemoteProtocolError: A former coordinator has sent the placement.
+            RemoteProtocolError: A former coordinator sent the placement.
         """
         if incarnation < self._newest:
             raise RemoteProtocolError(
@@ -243,14 +245,14 @@ class CoordinatorConnection:
             self._welcomes, self._newest = self._welcomes + 1, incarnation
 
     def _enquire(self) -> None:
-        """Ask whether the coordinator would accept us, which changes nothing."""
+        """Ask whether the coordinator would accept this worker, which changes nothing."""
         self._asked_at = self._bus.now()
         self._requests.ask(topics.HELLO, self._hello(), GREET_TIMEOUT_S, PendingRequest("enquiry"))
 
     def handle_enquiry(self, payload: bytes | None) -> None:
         """Handle the answer to an enquiry; None: none came.
 
-        An enquiry is sent when a greeting is not answered, and when the coordinator has been silent for long.
+        An enquiry is sent if a greeting is not answered, or if the coordinator was silent for a long time.
         """
         if payload is None:
             self._away_since = self._away_since if self._away_since is not None else self._asked_at
@@ -273,36 +275,36 @@ class CoordinatorConnection:
 
     @property
     def _wait_s(self) -> float:
-        """How long the coordinator may be away now."""
+        """The longest permitted absence of the coordinator now."""
         if self._given_wait_s is not None:
             return self._given_wait_s
         return START_S if self.welcome is None else RETURN_S
 
     def coordinator_heard(self) -> None:
-        """Take in that a message of the coordinator came."""
+        """Record that a message of the coordinator came."""
         self._heard_at = self._bus.now()
 
     def link_lost(self) -> None:
-        """Start to count the coordinator's absence."""
+        """Start measuring the coordinator's absence."""
         self._away_since = self._bus.now()
         _LOG.warning("connection to the coordinator lost; waiting for it")
 
     def check_absence(self) -> None:
-        """End the worker if the coordinator has been away too long; send an enquiry if it has been silent for long."""
+        """End the worker if the coordinator was away too long; send an enquiry if it was silent for a long time."""
         now = self._bus.now()
         pause_s = QUIET_S if self._away_since is None else GREET_TIMEOUT_S
         if self.welcome is not None and now - max(self._heard_at, self._asked_at) >= pause_s:
             self._enquire()
         absence = now - self._away_since if self._away_since is not None else 0.0
         if self.is_draining and absence > ALONE_S:
-            self.exit_code = 0  # no coordinator can take the islands, and what was committed is not lost
+            self.exit_code = 0  # no coordinator can take the islands, and committed epochs are not lost
         elif absence > self._wait_s:
             self.fail(UnreachableError(self._absence_sentence()))
 
     # ------------------------------------------------------------------------------------------ drain
 
     def drain(self) -> bool:
-        """Start to drain, or end at once before a welcome or without a grace.
+        """Start to drain; end at once before a welcome or without a grace period.
 
         Returns whether the coordinator should get a heartbeat.
         """
@@ -317,15 +319,15 @@ class CoordinatorConnection:
         return True
 
     def grace_over(self) -> None:
-        """End although islands have not been handed over."""
+        """End although the islands have not been handed over."""
         _LOG.warning(
-            "not released in time; uncommitted epochs are computed again",
+            "not released in time; uncommitted epochs will be computed again",
             extra=fields(seconds=self._grace_s),
         )
         self.exit_code = 0
 
     def shut_down(self, body: Shutdown) -> None:
-        """End because the coordinator says so."""
+        """End because the coordinator ordered it."""
         if body.refused:
             self.fail(RefusedError(body.sentence))
         else:
@@ -351,7 +353,7 @@ class CoordinatorConnection:
         return encode(Greeting(body=hello))
 
     def _subscribe(self, cluster: str) -> None:
-        """Subscribe to, serve and announce all keys of a worker in a cluster."""
+        """Subscribe to, serve and announce all keys of this worker in a cluster."""
         self._clusters.add(cluster)
         self._bus.subscribe(topics.control(cluster))
         self._bus.subscribe(topics.control(cluster, self._name))
@@ -376,7 +378,7 @@ class CoordinatorConnection:
 
 
 def _welcome(payload: bytes) -> Welcome:
-    """Return the welcome in an answer to a greeting; raises RefusedError with the reason if it is a refusal."""
+    """Return the welcome from an answer to a greeting; raises RefusedError with the reason of a refusal."""
     try:
         answer = decode(payload, GreetingAnswer, MAX_MESSAGE).body
     except RemoteProtocolError as error:

@@ -1,7 +1,7 @@
 """Bytes that a worker fetches in chunks, by digest: downloads, a cache of them, and the datasets of jobs.
 
-Datasets and tasks say which bytes they want; `Downloads` has these, and no others, under way. A chunk that does not
-come is asked for again at the worker's next tick.
+Datasets and tasks say which bytes they need, and `Downloads` fetches exactly these. A chunk that does not arrive is
+requested again at the worker's next tick.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ from atoll_core.wire.messages.workers import JobAnnouncement
 from atoll_island_worker.compute.compute_thread import ComputeThread
 
 WINDOW: Final = 2
-"""Chunks asked for at the same time."""
+"""Most chunks requested at the same time."""
 
 MAX_CACHED: Final = 256 * 1024 * 1024
 """Bytes of inputs and contexts that a worker keeps for later tasks; the least recently used are dropped."""
@@ -33,14 +33,14 @@ class Download:
         self._under_way: set[int] = set()
 
     def take(self) -> list[int]:
-        """Return the chunks to ask for now; they are under way from then on."""
+        """Return the chunks to request now, and mark them as under way."""
         missing = (i for i in range(self._count) if i not in self._chunks and i not in self._under_way)
         taken = list(itertools.islice(missing, WINDOW - len(self._under_way)))
         self._under_way.update(taken)
         return taken
 
     def offer(self, index: int, data: bytes | None) -> bool:
-        """Take in chunk `index`; return False, and mark it as missing, if it did not come or has the wrong size."""
+        """Store chunk `index`; return False, and mark it as missing, if it did not arrive or has the wrong size."""
         self._under_way.discard(index)
         if data is None or len(data) != min(CHUNK_SIZE, self.size - index * CHUNK_SIZE):
             return False
@@ -48,7 +48,7 @@ class Download:
         return True
 
     def finish(self) -> bytes | None:
-        """Return all bytes once they are complete; None before. If the digest is wrong, start again and return None."""
+        """Return all bytes once they are complete, else None. If the digest is wrong, start again and return None."""
         if len(self._chunks) < self._count:
             return None
         data = b"".join(self._chunks[index] for index in range(self._count))
@@ -62,20 +62,23 @@ class Downloads:
     """The downloads of a worker, by digest."""
 
     def __init__(self, ask: Callable[[str, int], None], done: Callable[[str, bytes], None]) -> None:
-        """`ask` asks for a chunk of a digest; `done` takes the bytes of a digest once they have arrived."""
+        """`ask` requests a chunk of a digest; `done` receives the bytes of a digest once they have arrived."""
         self._ask = ask
         self._done = done
         self._open: dict[str, Download] = {}
 
     def fetch(self, wanted: Mapping[str, int]) -> None:
-        """Ask for the next missing chunks of the `wanted` bytes (digest to size), and forget all others."""
+        """Request the next missing chunks of the `wanted` bytes (digest to size), and forget all other downloads."""
         self._open = {digest: self._open.get(digest) or Download(digest, size) for digest, size in wanted.items()}
         for download in self._open.values():
             for index in download.take():
                 self._ask(download.digest, index)
 
     def chunk_came(self, digest: str, index: int, payload: bytes | None) -> bool:
-        """Handle the answer to a request for a chunk; return whether it was of use, so that more is fetched at once."""
+        """Handle the answer to a request for a chunk.
+
+        Return whether it was needed, so that more chunks are requested at once.
+        """
         download = self._open.get(digest)
         if download is None or not download.offer(index, payload):
             return False
@@ -87,7 +90,7 @@ class Downloads:
 
 
 class ByteCache:
-    """Bytes by digest, the most recently used, up to a total limit."""
+    """The most recently used bytes by digest, up to a total limit."""
 
     def __init__(self, limit: int = MAX_CACHED) -> None:
         self._limit = limit
@@ -110,7 +113,7 @@ class ByteCache:
         return data
 
     def add(self, digest: str, data: bytes) -> None:
-        """Add bytes, and drop the least recently used if the limit is exceeded."""
+        """Add bytes, and drop the least recently used bytes if the limit is exceeded."""
         if digest not in self._held:
             self._held[digest] = data
             self._total += len(data)
@@ -130,20 +133,20 @@ class Datasets:
         self._loading: dict[str, int] = {}
 
     def announced(self, announcement: JobAnnouncement) -> None:
-        """Want a job's dataset, once; a later announcement may change the job's share of the worker.
+        """Record that a job's dataset is needed; a later announcement may only change the job's share of the worker.
 
         Raises RemoteProtocolError for an invalid announcement.
         """
         job, size = announcement.job, announcement.size
         if announcement.chunks != chunk_count(size):
-            raise RemoteProtocolError(f"a dataset of {size} bytes cannot come in {announcement.chunks} chunks")
+            raise RemoteProtocolError(f"a dataset of {size} bytes cannot have {announcement.chunks} chunks")
         if job in self._here:
             self._share(announcement)
         else:
             self._announcements[job] = announcement
 
     def wanted(self) -> dict[str, int]:
-        """Return digests and sizes of the datasets that are missing."""
+        """Return digests and sizes of the missing datasets."""
         return {announcement.blob: announcement.size for announcement in self._announcements.values()}
 
     def arrived(self, digest: str, data: bytes) -> None:
@@ -160,7 +163,7 @@ class Datasets:
         self._compute.share(announcement.job, 2.0**announcement.priority, announcement.submitter or "")
 
     def finish_loading(self, job: str) -> bool:
-        """Return whether a dataset that was loaded is still the current one, and was not forgotten meanwhile."""
+        """Return whether a loaded dataset is still the current one, and was not forgotten meanwhile."""
         left = self._loading.pop(job, 1) - 1
         if left:
             self._loading[job] = left

@@ -1,7 +1,7 @@
 """Log lines for the coordinator: lines about a job, and warnings; limited in number.
 
 Lines are sent with heartbeats, in small batches. Lines that come faster than `RATE` are dropped and counted; the event
-log of the job shows their number.
+log of the job shows the number of dropped lines.
 """
 
 import logging
@@ -15,10 +15,10 @@ from atoll_core import logs
 from atoll_core.wire.messages.workers import MAX_LINES, LogLine, WorkerLog
 
 RATE: Final = 20.0
-"""Lines a second in the long run, of all jobs together."""
+"""Most lines per second on average, of all jobs together."""
 
 BURST: Final = 200
-"""Lines that may come at once, such as one for each island of many archipelagos; also the most that are kept."""
+"""Most lines that may come at once, such as one for each island of many archipelagos; also the most lines kept."""
 
 _PLACES: Final = ("variable", "island", "epoch", "term")
 _LEVELS: Final = {logging.INFO: "info", logging.WARNING: "warning", logging.ERROR: "error", logging.CRITICAL: "error"}
@@ -44,7 +44,7 @@ class JobLogs(logging.Handler):
             return
         try:
             line = line_of(record, fields)
-        except Exception:  # a faulty log line must not stop the work that it describes
+        except Exception:  # a faulty log line must not stop the work
             line = None
         with self._lines_lock:
             now = self._now()
@@ -67,7 +67,7 @@ class JobLogs(logging.Handler):
 
 
 def line_of(record: logging.LogRecord, fields: dict[str, object]) -> LogLine:
-    """Return a record as a message: its text, with all fields that the message has no field for."""
+    """Return a record as a message: its text includes all extra fields for which the message has no field."""
     rest = " ".join(f"{name}={value}" for name, value in fields.items() if name not in ("job", *_PLACES))
     trace = logs.trace_of(record)
     text = " ".join(part for part in (record.getMessage(), rest, trace or "") if part)

@@ -1,17 +1,18 @@
 """The processes of several workers on one machine: started, watched, restarted, ended.
 
 One process loads libraries and kernels once (`cli.load_ahead`) and forks the workers, so that they need not load them.
-Neither a bus nor a thread survives a fork: this process opens no bus and starts no thread before the last worker is
-forked, and every worker opens its own bus. Where a fork is not safe (macOS, Windows), workers are new interpreters.
+A bus and threads do not survive a fork. So this process opens no bus and starts no thread before the last worker is
+forked, and every worker opens its own bus. On systems where a fork is not safe (macOS, Windows), workers are new
+interpreters.
 
-`Supervisor` polls the children, because they are few and one thread must do everything: a fork may happen at any time.
-A child that dies is started again after a growing pause (`RestartPolicy`), unless it ended in order, was refused, or
-died too often. A child reports why it ends through a pipe (`ExitReasons`), and each is printed once, however many
-children report it.
+`Supervisor` polls the children: a restart may fork at any time, so this process must have one thread only, and the
+children are few. A child that dies is started again after a growing pause (`RestartPolicy`), unless it ended in order,
+was refused, or died too often. A child reports the reason of its end through a pipe (`ExitReasons`); the same reason of
+several children is printed once.
 
-No child outlives its parent. Children have sessions of their own, so that Ctrl-C on the terminal reaches only the
-parent, which then signals them. If the parent dies without a signal, the kernel (on Linux) and a watching thread end
-them.
+No child outlives its parent. Each child has its own session, so that Ctrl-C on the terminal reaches only the parent,
+which then signals the children. If the parent dies without a signal, the kernel (on Linux) and a watching thread end
+the children.
 """
 
 import contextlib
@@ -42,7 +43,7 @@ class Child(Protocol):
     pid: int
 
     def poll(self) -> int | None:
-        """Return its exit code, negative for a signal; None while it lives."""
+        """Return the child's exit code, negative for a signal; None while it runs."""
 
     def terminate(self) -> None:
         """Send SIGTERM."""
@@ -62,14 +63,14 @@ def can_fork() -> bool:
 
 
 class Forked:
-    """A fork of this process, with the methods of `subprocess.Popen` that end it."""
+    """A fork of this process, with those methods of `subprocess.Popen` that end a process."""
 
     def __init__(self, work: Callable[[], int]) -> None:
-        """Fork; the child does `work` in a session of its own and ends with the exit code that it returns."""
+        """Fork; the child runs `work` in its own session and ends with the exit code that `work` returns."""
         self._code: int | None = None
         sys.stdout.flush()
         sys.stderr.flush()
-        # No signal may arrive between fork and `forget_handlers`: the child would handle it in place of its parent.
+        # Signals are blocked between fork and `forget_handlers`: the child has its parent's handlers.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
         try:
             self.pid: int = os.fork()
@@ -80,10 +81,10 @@ class Forked:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         if self.pid == 0:
-            _live(work)
+            _run_child(work)
 
     def poll(self) -> int | None:
-        """Return the exit code, negative for a signal; None while it lives."""
+        """Return the exit code, negative for a signal; None while it runs."""
         if self._code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             self._code = os.waitstatus_to_exitcode(status) if pid else None
@@ -102,7 +103,7 @@ class Forked:
             os.kill(self.pid, number)
 
 
-def _live(work: Callable[[], int]) -> None:
+def _run_child(work: Callable[[], int]) -> None:
     code = 1
     try:
         os.setsid()  # Ctrl-C on the terminal is for the parent
@@ -112,14 +113,14 @@ def _live(work: Callable[[], int]) -> None:
         code = work()
         sys.stdout.flush()
         sys.stderr.flush()
-    except BaseException:  # must not reach the code of the parent, which follows in this process
+    except BaseException:  # the child must not continue with the code of its parent
         traceback.print_exc()
     finally:
         os._exit(code)
 
 
 def start_process(command: Sequence[str], exit_reasons: "ExitReasons") -> Child:
-    """Start a command whose process may write to `exit_reasons`; raises AtollError if the system starts no more."""
+    """Start a command whose process may write to `exit_reasons`; raises AtollError if the system starts no process."""
     try:
         return subprocess.Popen(
             command, stdin=subprocess.DEVNULL, start_new_session=True, pass_fds=(exit_reasons.writing_end,)
@@ -129,7 +130,7 @@ def start_process(command: Sequence[str], exit_reasons: "ExitReasons") -> Child:
 
 
 def end_with_parent(parent: int) -> None:
-    """End this process, by a SIGTERM to itself, as soon as `parent` is no longer its parent; if need be, forcibly."""
+    """End this process by a SIGTERM to itself (if necessary, forcibly) as soon as `parent` is no longer its parent."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -143,7 +144,7 @@ def end_with_parent(parent: int) -> None:
 
 
 def request_parent_death_signal() -> None:
-    """Ask the system to send this process SIGTERM when its parent dies; on Linux only, and not guaranteed."""
+    """Ask the system to send this process SIGTERM when its parent dies; works on Linux only, and is not guaranteed."""
     if sys.platform == "linux":
         pr_set_pdeathsig = 1
         ctypes.CDLL(None, use_errno=True).prctl(pr_set_pdeathsig, signal.SIGTERM)
@@ -155,16 +156,16 @@ REPEAT_S: Final = 60.0
 """After this time a reason may be printed again."""
 
 _MOST_BYTES: Final = 4000
-"""Length of a reason; a pipe keeps what is written at once in one piece up to 4096 bytes."""
+"""Longest reason in bytes; a pipe writes up to 4096 bytes in one piece."""
 
 
-def complain(sentence: str) -> None:
+def print_reason(sentence: str) -> None:
     """Print why a process ends."""
     sys.stderr.write(f"island-worker: {sentence}\n")
 
 
 class ExitReasons:
-    """A pipe from processes to the process that started them; a context manager. `writing_end` is theirs."""
+    """A pipe from child processes to the process that started them; a context manager. Children use `writing_end`."""
 
     def __init__(self) -> None:
         self._reading_end, self.writing_end = os.pipe()
@@ -182,12 +183,12 @@ class ExitReasons:
             os.close(end)
 
     def report(self, sentence: str) -> None:
-        """Make the first process print a sentence; called in a fork of it, which reads nothing here."""
+        """Make the first process print a sentence; called in its forks, which do not read from the pipe."""
         os.close(self._reading_end)
         report_to(self.writing_end, sentence)
 
     def print_new(self, now: float) -> None:
-        """Print the sentences that were reported, except those printed within the last `REPEAT_S`."""
+        """Print the reported sentences, except sentences printed within the last `REPEAT_S`."""
         data = self._rest
         with contextlib.suppress(BlockingIOError):
             while True:
@@ -196,16 +197,16 @@ class ExitReasons:
         for sentence in (line.decode("utf-8", "replace") for line in lines):
             if now - self._printed_at.get(sentence, -REPEAT_S) >= REPEAT_S:
                 self._printed_at[sentence] = now
-                complain(sentence)
+                print_reason(sentence)
 
 
 def report_to(writing_end: int, sentence: str) -> None:
-    """Make the process at the other end print a sentence; if that process is gone, print it here."""
+    """Make the process at the other end of the pipe print a sentence; if that process is gone, print it here."""
     line = " ".join(sentence.split()).encode()[:_MOST_BYTES] + b"\n"
     try:
         os.write(writing_end, line)
     except OSError:
-        complain(sentence)
+        print_reason(sentence)
 
 
 # -------------------------------------------------------------------------------------------- restarts
@@ -213,16 +214,16 @@ def report_to(writing_end: int, sentence: str) -> None:
 FIRST_PAUSE_S: Final = 1.0
 MOST_PAUSE_S: Final = 30.0
 STEADY_S: Final = 60.0
-"""After a process has run this long, its next pause is the first one again."""
+"""After a process has run for this time, its next pause is again the shortest pause."""
 
 MOST_DEATHS: Final = 5
 """After this many deaths within `STEADY_S` a process is not started again."""
 
 ENDS: Final = frozenset({0, 3, 130})
-"""Exit codes of processes that end in order, or for a reason that would also end a new process."""
+"""Exit codes after which a process is not restarted: it ended in order, or a new process would also end."""
 
 REFUSED: Final = 2
-"""Exit code of a process that is refused; after a first start it may only mean that the name is not free yet."""
+"""Exit code of a refused process. After a first start it may only mean that the name is not free yet."""
 
 
 class RestartPolicy:
@@ -240,7 +241,7 @@ class RestartPolicy:
 
     @property
     def is_given_up(self) -> bool:
-        """Whether it dies too often to be started again."""
+        """Whether the process dies too often to be started again."""
         return self.state == "ended" and len(self.deaths) >= MOST_DEATHS
 
     def begin(self, now: float) -> None:
@@ -252,8 +253,8 @@ class RestartPolicy:
     def end(self, code: int, now: float) -> float | None:
         """Record an end; return the seconds until the next start.
 
-        None: there is no next start: the process ended in order or dies too often, or all processes were signalled to
-            end.
+        None: there is no next start, because the process ended in order or dies too often, or because all processes
+        were signalled to end.
         """
         self.code = code
         is_final = self._is_stopped or code in ENDS or (code == REFUSED and self.number == 1)
@@ -277,13 +278,13 @@ class RestartPolicy:
 
 
 def worst(codes: Sequence[int]) -> int:
-    """Return the worst of some exit codes; death by a signal counts as failure."""
+    """Return the worst of several exit codes; death by a signal counts as a failure."""
     return max((1 if code < 0 else code for code in codes), default=0)
 
 
 @dataclass(slots=True)
 class _Process:
-    """One worker's process, as often as it is started."""
+    """The process of one worker, including its restarts."""
 
     name: str
     start: Start
@@ -301,10 +302,10 @@ class Supervisor:
         """Set up; nothing is started yet.
 
         Args:
-            starts: starts each worker's process, as often as it is called.
-            exit_reasons: where the children report why they end.
-            grace_s: seconds in which children may hand over their islands after a SIGTERM.
-            clock: seconds; `sleep` lets some pass.
+            starts: functions by worker name; each call starts the worker's process.
+            exit_reasons: the pipe through which children report the reasons of their ends.
+            grace_s: seconds that children have to hand over their islands after a SIGTERM.
+            clock: returns seconds; `sleep` waits for some seconds.
         """
         self._processes = [_Process(name, start) for name, start in starts.items()]
         self._exit_reasons = exit_reasons
@@ -318,8 +319,9 @@ class Supervisor:
     def run(self, parent: int | None = None) -> int:
         """Watch the children until all have ended for good; return the worst exit code, or 130 after a Ctrl-C.
 
-        SIGTERM and Ctrl-C are passed on as SIGTERM. Children that have not ended `_STOP_LIMIT_S` later (after a SIGTERM
-        `grace_s` more), or at a second signal, are killed. The death of the process `parent` counts as a signal.
+        SIGTERM and Ctrl-C are passed on as SIGTERM. Children that have not ended after `_STOP_LIMIT_S` (plus `grace_s`
+        after a SIGTERM) are killed; a second signal kills them at once. The death of the process `parent` counts as a
+        signal.
         """
 
         def on_signal(number: int, frame: FrameType | None) -> None:
@@ -334,7 +336,7 @@ class Supervisor:
                 self._kill()
                 self._exit_reasons.print_new(self._clock())
         codes = [process.policy.code for process in self._processes]
-        if self._deadline is not None:  # a child that got SIGTERM before it could handle it has ended in order
+        if self._deadline is not None:  # a child that got SIGTERM before its handler was installed has ended in order
             codes = [0 if code == -signal.SIGTERM else code for code in codes]
         return INTERRUPTED if signal.SIGINT in self._signals else worst(codes)
 
@@ -361,14 +363,17 @@ class Supervisor:
             self._handle_end(process, code, now)
 
     def _begin(self, process: _Process, now: float) -> None:
-        """Start a process. If the system starts no more, everything fails at first; later it counts as a death."""
+        """Start a process.
+
+        If the system starts none, the first start of a worker raises the error; later it counts as a death.
+        """
         process.policy.begin(now)
         try:
             process.child = process.start()
         except AtollError as error:
             if process.policy.number == 1:
                 raise
-            complain(str(error))
+            print_reason(str(error))
             self._handle_end(process, error.exit_code, now)
 
     def _handle_end(self, process: _Process, code: int, now: float) -> None:
@@ -377,11 +382,11 @@ class Supervisor:
         pause_s = process.policy.end(code, now)
         ending = f"was ended by signal {-code}" if code < 0 else f"has ended with exit code {code}"
         if pause_s is not None:
-            complain(f"{subject} {ending}; it is started again in {pause_s:g} s")
+            print_reason(f"{subject} {ending}; it is started again in {pause_s:g} s")
         elif process.policy.is_given_up:
             others = sum(process.policy.state != "ended" for process in self._processes)
             left = f"{others} {'other process runs' if others == 1 else 'other processes run'} on" if others else ""
-            complain(
+            print_reason(
                 f"{subject} {ending}, {len(process.policy.deaths)} deaths within a minute, and is not started again "
                 f"({left or 'no other process is left'}); read its last messages, and check that this machine has "
                 "enough memory"
@@ -404,5 +409,5 @@ class Supervisor:
 def supervise(
     starts: Mapping[str, Start], exit_reasons: ExitReasons, parent: int | None = None, grace_s: float = 0.0
 ) -> int:
-    """Start workers' processes, by name, and watch over them; see `Supervisor.run`."""
+    """Start and supervise the processes of workers, by name; see `Supervisor.run`."""
     return Supervisor(starts, exit_reasons, grace_s).run(parent)

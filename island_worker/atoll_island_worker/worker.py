@@ -1,8 +1,8 @@
-"""The loop of a worker: events of the bus go to the session, its actions to the bus and the compute thread.
+"""The loop of a worker: passes events from the bus to the session, and its actions to bus and compute thread.
 
-`Worker.step` handles one event and never blocks; `Worker.run` is the thin loop around `Bus.receive`; `run_worker` is
-what the command line calls. All decisions are made in `session`, `connection`, `tasks` and `downloads`, each of which
-owns its state; this module connects them, and no other module knows all of them.
+`Worker.step` handles one event and never blocks; `Worker.run` is the loop around `Bus.receive`; the command line calls
+`run_worker`. All decisions are made in `session`, `connection`, `tasks` and `downloads`. Each of them owns its state;
+this module is the only one that imports all of them and connects them.
 """
 
 import logging
@@ -47,7 +47,7 @@ _TICK: Final = "tick"
 
 
 class Worker:
-    """One worker process on one bus. Owned by the bus's owner thread."""
+    """One worker process on one bus. Only the thread that owns the bus may call its methods."""
 
     def __init__(  # noqa: PLR0913  # one caller, which hands on the options of the command line
         self,
@@ -60,7 +60,7 @@ class Worker:
         task_process: TaskProcess | None = None,
         logs: JobLogs | None = None,
     ) -> None:
-        """Set up a worker whose `compute` warms up elsewhere; for the times see `CoordinatorConnection`.
+        """Set up a worker; its caller warms up `compute`. The times are as in `CoordinatorConnection`.
 
         `task_process` runs tasks; by default it starts a new interpreter. `logs` has the log lines for the coordinator.
         """
@@ -82,12 +82,12 @@ class Worker:
 
     @property
     def exit_code(self) -> int | None:
-        """The exit code once this worker ends; None before."""
+        """The exit code when this worker ends; None while it runs."""
         return self._connection.exit_code
 
     @property
     def error(self) -> AtollError | None:
-        """The error with which it ends, if any."""
+        """The error with which this worker ends, if any."""
         return self._connection.error
 
     # ------------------------------------------------------------------------------------------- loop
@@ -105,7 +105,7 @@ class Worker:
         self._is_drain_requested = True
 
     def run(self) -> int:
-        """Work until the coordinator ends, refuses us or stays away; return the exit code."""
+        """Work until the coordinator ends, refuses this worker or is away too long; return the exit code."""
         self.start()
         try:
             while self.exit_code is None:
@@ -158,7 +158,7 @@ class Worker:
             case ComputeFailed():
                 self._connection.fail(AtollError(item.sentence))
             case ProcessMessage():
-                if self._tasks.process_said(item):
+                if self._tasks.handle_process_message(item):
                     self._send_heartbeat()
             case io.JobReady() | io.LoadFailed():
                 if self._datasets.finish_loading(item.job):
@@ -199,7 +199,7 @@ class Worker:
         if not isinstance(key, topics.ControlKey):
             raise RemoteProtocolError(f"nothing is expected on key {event.key}")
         if key.cluster != self._requests.cluster:
-            raise RemoteProtocolError(f"a message of cluster {key.cluster} came, which is not ours")
+            raise RemoteProtocolError(f"a message of cluster {key.cluster} came, but this worker is not in it")
         self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
 
     def _on_query(self, event: Query) -> None:
@@ -229,7 +229,7 @@ class Worker:
             case PendingRequest("batch"):
                 self._tasks.batch_came(request.subject, payload)
             case PendingRequest("pull", pull=io.Ask() as asked):
-                body: object = None  # without an answer it is asked again
+                body: object = None  # without an answer the request is repeated
                 try:
                     body = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
                 finally:
@@ -237,7 +237,7 @@ class Worker:
                     self._handle(io.PullEnded(asked, answer))
 
     def _fetch(self) -> None:
-        """Ask for missing chunks of datasets and inputs of tasks."""
+        """Request missing chunks of datasets and of inputs of tasks."""
         self._downloads.fetch({**self._datasets.wanted(), **self._tasks.wanted()})
 
     def _bytes_came(self, digest: str, data: bytes) -> None:
@@ -279,7 +279,7 @@ class Worker:
         if reset is not None:
             self._handle(reset)
             if not reset.incarnation:
-                self._tasks.reset()  # another store: the leases are void, too
+                self._tasks.reset()  # with another store, the leases are also void
             for job in self._datasets.jobs():
                 if not self.session.wants(job):
                     self._datasets.forget(job)
@@ -287,14 +287,14 @@ class Worker:
             self._send_heartbeat()
 
     def _drain(self) -> None:
-        """End this worker once the coordinator says that no work remains here, or after a while."""
+        """End this worker as soon as the coordinator confirms that no work remains here, or after the grace period."""
         if self._connection.drain():
             self._send_heartbeat()
 
     # ---------------------------------------------------------------------------------------- session
 
     def _send_heartbeat(self) -> None:
-        """Report to the coordinator, once it has welcomed us: holdings, computations, failures and costs."""
+        """Report holdings, computations, failures and costs to the coordinator, once it has welcomed this worker."""
         connection, session, task = self._connection, self.session, self._compute.current
         if connection.welcome is None:
             return
@@ -338,7 +338,7 @@ class Worker:
             self._requests.publish("log", log)
 
     def _handle(self, event: io.SessionEvent) -> None:
-        """Give the session an event, and carry out its actions."""
+        """Pass an event to the session, and carry out the session's actions."""
         now = self._bus.now()
         self.session.elapse(now - self._last_event_at)
         self._last_event_at = now
@@ -363,10 +363,10 @@ def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of th
     connect: str | Destination, name: str, wait_s: float | None, lifetime_s: float | None, grace_s: float,
     on_signal: OnSignal, show: Callable[[str], None] | None = None, tasks: Starter | None = None,
 ) -> int:  # fmt: skip
-    """Connect to the coordinator at `connect` as worker `name` and work until it ends or lets us go.
+    """Connect to the coordinator at `connect` as worker `name`, and work until it ends or releases this worker.
 
-    Kernels are made ready while the connection is being opened. `wait_s` limits both the first connection and
-    any later absence of the coordinator (None: `START_S`, then `RETURN_S`). `on_signal` makes a function be called when
+    Kernels are made ready while the connection is being opened. `wait_s` limits both the first connection and any later
+    absence of the coordinator (None: `START_S`, then `RETURN_S`). `on_signal` registers a function that is called when
     this process gets a signal to end; `show` is called with each sentence of the warm-up. `tasks` starts processes for
     tasks, by default new interpreters.
 
@@ -374,7 +374,7 @@ def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of th
         The exit code.
 
     Raises:
-        UnreachableError: The coordinator was not there, or stayed away.
+        UnreachableError: The coordinator could not be reached, or was away too long.
         RefusedError: the coordinator refused this worker, for instance because of its version or its certificate.
         AtollError: The kernels cannot be made ready, or the compute thread failed.
     """

@@ -21,7 +21,7 @@ from atoll_coordinator.data.reading.files import columns_of, read_table, table_o
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.reading.reshaping import TIME
 from atoll_coordinator.data.reading.typed_formats import table_of_document, table_of_rows
-from atoll_coordinator.data.roles.columns import TIME_NAMES, split_unit
+from atoll_coordinator.data.roles.names_and_options import TIME_NAMES, split_unit
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray, FloatArray
 from atoll_core.data.frames import plain_array

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from atoll.model.simulation import MOST_NUMBERS, Inputs
 from atoll_coordinator.data.differentiation.inputs import InputCurve
-from atoll_coordinator.data.roles.columns import TRAJECTORY_NAME
+from atoll_coordinator.data.roles.names_and_options import TRAJECTORY_NAME
 from atoll_coordinator.data.trajectories.measurements import RADIANS_PER_DEGREE, unwrap
 from atoll_coordinator.result.base import Number
 from atoll_coordinator.result.listed_trajectories import Recorded, Simulated

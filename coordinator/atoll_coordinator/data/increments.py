@@ -1,15 +1,20 @@
-"""From measurements of a stochastic process to regression problems for its drift and its diffusion. Pure.
+"""Regression problems for the drift and the diffusion of a stochastic process, made from its measurements. Pure.
 
 1. `take_steps`: `Measurements` -> `Steps`: the increments of the states from row to row. Nothing is smoothed.
-2. `noise_shares`, `is_driven`: whether a state has noise of its own, follows states that have, or is smooth.
-3. `bin_moments`: mean and products of steps in bins of neighbouring rows; measurement noise and correlated noises are
-   found by tests.
+2. `noise_shares`, `is_driven`: whether a state has noise of its own, only follows noisy states, or is smooth.
+3. `bin_moments`: means and products of increments in bins of neighbouring points. Significance tests decide whether
+   there is measurement noise, and whether the noises of two states are correlated.
 4. `assemble_process`: all of these -> `Preparation`: one target for each drift and for each component of the diffusion.
 
-High differences of a path remove smooth motion almost completely and keep the noise: a divided difference over k steps
-is a weighted sum of their increments. The data of the search are computed with + - * / and square roots alone, with
-exactly rounded sums: equal bits on every machine. Letters: S states, N steps, V variables, W windows of
-neighbouring steps, M bins.
+Differences of high order remove smooth motion almost completely and keep the noise. A divided difference over k steps
+is a weighted sum of the k increments. The data of the search are computed only with + - * /, square roots and correctly
+rounded sums, so that every machine gets the same bits.
+
+The targets are doubtful for long steps: moments are divided by the length h of a step, and terms of order h are
+neglected. Models are later fitted and judged by the likelihood of single steps, which includes these terms
+(`atoll_coordinator.stochastic.moments`).
+
+Letters: S states, N steps, V variables, W windows of neighbouring steps, M bins.
 """
 
 import math
@@ -33,7 +38,7 @@ Pair = tuple[int, int]
 Rows = npt.NDArray[np.intp]
 LIMITS = SETTINGS.selection
 _DEPENDENT: Final = 1e-9
-"""Guard: a pivot that is smaller than this share of its diagonal is rounding."""
+"""Guard: a pivot that is smaller than this share of its diagonal element is a rounding error."""
 
 # ------------------------------------------------------------------------------------------------- steps and windows
 
@@ -42,9 +47,9 @@ _DEPENDENT: Final = 1e-9
 class Steps:
     """N steps of S states, one trajectory after another.
 
-    `points` (V, N) are where they begin, states first, then inputs, each the mean of its values at both ends; `lengths`
-    (N,) are in the unit of time, `increments` (S, N) the changes of the states. `follows` (N,) is true for a step that
-    begins where the step before it ends.
+    `points` (V, N) has the states at the beginning of each step, then the inputs, each averaged over both ends of the
+    step; `lengths` (N,) are in the unit of time, `increments` (S, N) are the changes of the states. `follows` (N,) is
+    true for a step that begins where the step before it ends.
     """
 
     points: FloatArray
@@ -54,13 +59,13 @@ class Steps:
 
     @cached_property
     def least_variances(self) -> FloatArray:
-        """The variances (S,) below which the residuals of a state's steps do not count as noise."""
+        """Return the variances (S,) below which the residuals of a state's steps do not count as noise."""
         sizes = np.median(np.abs(self.increments), axis=1)
         return np.asarray((LIMITS.least_noise * sizes) ** 2)
 
 
 def take_steps(process: ProcessRecording, *, held_out: bool = False) -> Steps:
-    """Return the steps of the trajectories that take part in fits, or of the held-out trajectories."""
+    """Return the steps of the trajectories that are used in fits, or of the held-out trajectories."""
     states, inputs = len(process.states), len(process.inputs)
     parts = [(np.zeros((states + inputs, 0)), np.zeros(0), np.zeros((states, 0)), np.zeros(0, np.bool_))]
     for path in process.paths:
@@ -74,7 +79,7 @@ def take_steps(process: ProcessRecording, *, held_out: bool = False) -> Steps:
 
 @dataclass(frozen=True, eq=False)
 class StepWindows:
-    """Runs of `count` moves that follow each other, each of `lag` steps: the `first` steps (W,) of all."""
+    """Windows of `count` consecutive moves of `lag` steps each; `first` (W,) are the indices of their first steps."""
 
     steps: Steps
     first: Rows
@@ -82,7 +87,7 @@ class StepWindows:
     lag: int = 1
 
     def differences(self, state: int) -> FloatArray:
-        """Return divided differences of one state (W,), scaled to variance 1 for Brownian motion of rate one."""
+        """Return divided differences of one state (W,), scaled so that Brownian motion of rate 1 gives variance 1."""
         differences, variance = np.zeros(len(self.first)), np.zeros(len(self.first))
         lengths = self._moves(self.steps.lengths)
         moves = self._moves(self.steps.increments[state])
@@ -107,7 +112,7 @@ class StepWindows:
 
 
 def all_windows(steps: Steps, count: int, lag: int = 1) -> StepWindows:
-    """Return the windows that begin with any step, as far as a trajectory goes on."""
+    """Return the windows that begin at every step, except windows that would pass the end of a trajectory."""
     span = count * lag
     is_within = np.ones(max(len(steps.lengths) - span + 1, 0), dtype=np.bool_)
     for k in range(1, span):
@@ -116,7 +121,7 @@ def all_windows(steps: Steps, count: int, lag: int = 1) -> StepWindows:
 
 
 def separate_windows(steps: Steps, count: int) -> StepWindows:
-    """Return windows that have no step in common, one after another from the beginning of each trajectory."""
+    """Return windows without common steps, placed one after another from the beginning of each trajectory."""
     windows = all_windows(steps, count)
     begins = np.flatnonzero(~steps.follows)
     place = windows.first - begins[np.searchsorted(begins, windows.first, side="right") - 1]
@@ -126,15 +131,17 @@ def separate_windows(steps: Steps, count: int) -> StepWindows:
 # --------------------------------------------------------------------------------------------- is a state rough at all?
 
 _ROUGHNESS_STEPS: Final = 7
-"""Steps of one difference, which is of the seventh order in the rows at their ends."""
+"""Number of steps of one divided difference, which combines eight rows and has order seven."""
 _OWN: Final = 2.0
-"""Growth of the rate with the lag doubled, as a factor: 1 for noise of a state's own, 4 if it follows a noisy one."""
+"""If the noise rate grows by more than this factor when the lag is doubled, the state has no noise of its own: the
+factor is 1 with noise of its own, and 4 for a state that follows a noisy one."""
 _SMOOTH: Final = 2.0**10
-"""The rate of smooth motion grows by 2^13, the rate of noise integrated four times by 2^8."""
+"""If the rate grows by more than this factor when the lag is doubled, the state is smooth: the factor is 2^13 for
+smooth motion, and 2^8 for noise that is integrated four times."""
 
 
 def noise_shares(steps: Steps) -> FloatArray:
-    """Return the approximate size of the noise relative to the median step, for each state (S,)."""
+    """Return for each state (S,) the approximate size of the noise relative to the median increment."""
     shares = np.zeros(len(steps.increments))
     for state, increments in enumerate(steps.increments):
         step, rate = float(np.median(np.abs(increments))), noise_rate(steps, state)
@@ -145,18 +152,19 @@ def noise_shares(steps: Steps) -> FloatArray:
 def is_driven(steps: Steps, state: int) -> bool:
     """Tell whether a state has no noise of its own but follows a state with noise.
 
-    A state that only follows noisy states is an integral of their noise: its increments over a step h vary as h^3 (h^5
-    if it follows such a state, and so on), so that its rate grows fourfold with the lag doubled; the rate of a state
-    with noise of its own stays.
+    A state that only follows noisy states is an integral of their noise. The variance of its increments over a step h
+    grows as h^3 (as h^5 if it follows such a state, and so on), so that its rate grows fourfold when the lag is
+    doubled. The rate of a state with noise of its own stays the same.
     """
     rate = noise_rate(steps, state)
     return _OWN * rate < noise_rate(steps, state, lag=2) < _SMOOTH * rate
 
 
 def noise_rate(steps: Steps, state: int, lag: int = 1) -> float:
-    """Return the approximate variance that noise adds to a state per time, from rows `lag` apart; infinite if none.
+    """Return the approximate variance that noise adds to a state per unit of time, from rows `lag` apart.
 
-    For a path with noise of its own it is about 0.45 of that: the median of the square of a normal number.
+    The result is infinite if there are no windows. For a state with noise of its own the result is about 0.45 of this
+    variance: 0.45 is the median of the square of a standard normal number.
     """
     differences = all_windows(steps, _ROUGHNESS_STEPS, lag).differences(state)
     return float(np.median(differences * differences)) if len(differences) else math.inf
@@ -165,25 +173,26 @@ def noise_rate(steps: Steps, state: int, lag: int = 1) -> float:
 # --------------------------------------------------------------------------------------------------- correlated noises
 
 _WINDOW_STEPS: Final = 3
-"""Steps of a window: the fewest whose difference removes most of the drift of a step as long as processes allow."""
+"""Steps of a window: the smallest number for which the difference removes most of the drift, even if steps are as long
+as processes allow."""
 _TESTS: Final = 2
-"""Tests of each pair: of a correlation over all steps, and of correlations of either sign in turns."""
+"""Tests of each pair: one for a correlation over all steps, one for correlations whose sign changes from bin to bin."""
 _DOUBLED: Final = 1.28
-"""Growth of the square of a normal limit when its probability, 0.0027 or less, is halved (1.25 to 1.28)."""
+"""Growth of the squared limit of a normal score when its probability, 0.0027 or less, is halved (1.25 to 1.28)."""
 
 
 def correlated_pairs(steps: Steps, bins: Sequence[Rows]) -> list[Pair]:
-    """Return the pairs of states with noise of their own whose noises are correlated, over all or by turns in bins.
+    """Return the pairs of states whose noises are correlated: overall, or with different signs in different bins.
 
-    While a step lasts, the drift carries the noise of one state into the other, and both share the drift that bins do
-    not resolve. High differences of the path remove both: weights w of its increments whose sum is zero leave nothing
-    of the carried noise, J B h^2 (sum w)^2 / 2, and next to nothing of smooth motion. In windows without a common step,
-    the product p of two states' differences has either sign with equal probability where their noises are not
-    correlated. Whatever its sizes, the sum of p over the root of the sum of its squares then has mean zero and variance
-    one (Efron 1969), and is normal for many windows.
+    Only states with noise of their own are tested. Two effects look like correlated noise: during a step, the drift
+    carries the noise of one state into the other, and both states share the part of the drift that bins do not resolve.
+    Differences of high order remove both. They weight the increments by weights w whose sum is zero, so that the
+    carried noise, J B h^2 (sum w)^2 / 2, vanishes and smooth motion almost vanishes. Let p be the product of two
+    states' differences, in windows without a common step. If the noises are not correlated, both signs of p are equally
+    probable. Then sum(p) / sqrt(sum(p^2)) has mean 0 and variance 1 for any sizes of p (Efron 1969), and is normal for
+    many windows.
 
-    All tests together have the false positive rate of one test by `ProcessSettings.significant` does
-    (Bonferroni).
+    All tests together have the false positive rate of one test at `significant` (Bonferroni).
     """
     rough = [state for state in range(len(steps.increments)) if not is_driven(steps, state)]
     pairs = [*combinations(rough, 2)]
@@ -196,9 +205,10 @@ def correlated_pairs(steps: Steps, bins: Sequence[Rows]) -> list[Pair]:
 
 
 def correlation_scores(products: FloatArray, bins: Sequence[Rows]) -> tuple[float, float]:
-    """Return the scores of both tests for products (W,) in bins: about normal where signs are independent.
+    """Return the scores of both tests for products (W,) in bins.
 
-    The second, a sum over bins that is about chi-square, is made normal by its cube root (Wilson & Hilferty 1931).
+    They are about standard normal if signs are independent. The second score comes from a sum over bins that is about
+    chi-square; its cube root is about normal (Wilson & Hilferty 1931).
     """
     sums = [total(products[rows]) for rows in bins]
     squares = [total(products[rows] * products[rows]) for rows in bins]
@@ -218,15 +228,15 @@ def correlation_scores(products: FloatArray, bins: Sequence[Rows]) -> tuple[floa
 
 
 def total(values: FloatArray) -> float:
-    """Return the sum, correctly rounded."""
+    """Return the correctly rounded sum."""
     return math.fsum(values.tolist())
 
 
 def split_into_bins(positions: FloatArray, most: int) -> list[Rows]:
     """Return the rows of `positions` (V, N) in at most `most` bins of nearly equal numbers of rows, a power of two.
 
-    Bins are the leaves of a k-d tree (Bentley 1975): halved at the median of the variable along which they are widest,
-    as a share of its whole range.
+    Bins are the leaves of a k-d tree (Bentley 1975). Each node is halved at the median of the variable along which it
+    is widest, relative to the variable's whole range.
     """
     ranges = np.max(positions, axis=1) - np.min(positions, axis=1)
     bins: list[Rows] = [np.arange(positions.shape[1])]
@@ -244,12 +254,12 @@ def split_into_bins(positions: FloatArray, most: int) -> list[Rows]:
 
 @dataclass(frozen=True, eq=False)
 class BinnedMoments:
-    """Moments of steps over their length, in bins.
+    """Moments of increments per unit of time, in bins.
 
-    `points` (V, M) are the means of where steps begin, `drift` (S, M) the means of increments over their time,
-    `products` has for each pair of states the mean products of the residuals of increments, over the time (M,);
-    `errors` (one for each of `drift`, then for each of `products`) are their mean standard errors. `noise` (S,) is the
-    variance of measurement errors, 0 if none is found.
+    `points` (V, M) are the mean points at which steps begin; `drift` (S, M) are the fitted mean increments per unit of
+    time. `products` has for each pair of states (M,) the mean products of the residuals of increments per unit of time.
+    `errors` are the mean standard errors, one for each row of `drift`, then one for each of `products`. `noise` (S,) is
+    the variance of measurement errors, 0 if none is found.
     """
 
     points: FloatArray
@@ -260,9 +270,10 @@ class BinnedMoments:
 
 
 def bin_moments(steps: Steps) -> BinnedMoments:
-    """Return the moments of the steps; where there is measurement noise, positions are positions one step before.
+    """Return the moments of the steps; with measurement noise, each step is assigned the position one step before it.
 
-    A position's own errors are errors of the increment as well, with the other sign.
+    The measurement error of a step's own position is also, with opposite sign, an error of its increment; the earlier
+    position is free of it.
     """
     bins, drift, residuals, factors = _drift(steps)
     noise = measurement_noise(residuals, steps)
@@ -284,11 +295,11 @@ def bin_moments(steps: Steps) -> BinnedMoments:
 
 
 def _drift(steps: Steps) -> tuple[list[Rows], FloatArray, FloatArray, list[float]]:
-    """Return bins, drifts in the middle of each (S, M), residuals of increments about lines (S, N), and factors.
+    """Return bins, drifts at the centre of each bin (S, M), residuals of increments about lines (S, N), and factors.
 
-    There are at most twice the root of the rows as many bins, with enough rows to judge the lines in each. In each bin
-    the drift is a linear function of where steps begin. The factors, one for each bin, correct products of residuals
-    for the fitted coefficients.
+    In each bin the drift is fitted by a linear function of the position where steps begin. The number of bins is at
+    most twice the square root of the number of rows, with enough rows in each bin to judge the lines. The factors, one
+    for each bin, correct products of residuals for the number of fitted coefficients.
     """
     rows_in_all, variables = len(steps.lengths), len(steps.points)
     most = max(min(2 * math.isqrt(rows_in_all), rows_in_all // (2 * (variables + 1))), 1)
@@ -314,9 +325,9 @@ def _drift(steps: Steps) -> tuple[list[Rows], FloatArray, FloatArray, list[float
 
 
 def _solved(normal: list[list[float]], sides: list[list[float]]) -> tuple[list[list[float]], int]:
-    """Return the solutions X (K, S) of normal X = sides, and the rank; unknowns that are not determined are 0.
+    """Return the solutions X (K, S) of ``normal @ X = sides``, and the rank; undetermined unknowns are 0.
 
-    Elimination without exchange of rows, which a positive matrix does not need.
+    Gaussian elimination without pivoting: a positive semidefinite matrix does not need it.
     """
     size = len(normal)
     matrix = [[*row, *side] for row, side in zip(normal, sides, strict=True)]
@@ -336,7 +347,7 @@ def _solved(normal: list[list[float]], sides: list[list[float]]) -> tuple[list[l
 
 
 def lagged(steps: Steps) -> Steps:
-    """Return the steps that follow another step, with the positions where that step begins."""
+    """Return the steps that follow another step, each with the position at the beginning of the previous step."""
     rows = np.flatnonzero(steps.follows)
     follows = steps.follows[rows - 1]
     points = np.ascontiguousarray(steps.points[:, rows - 1])
@@ -344,10 +355,11 @@ def lagged(steps: Steps) -> Steps:
 
 
 def measurement_noise(residuals: FloatArray, steps: Steps) -> FloatArray:
-    """Return the variance of measurement errors of each state (S,), 0 where products of neighbours may be chance.
+    """Return the variance of measurement errors of each state (S,).
 
-    The residuals r of increments about the drift are independent from step to step; errors e of measurement are not: a
-    step that ends too high begins the next one too high, so that E r_k r_k+1 = - var e (Roll 1984).
+    It is 0 if products of neighbouring residuals are not significant. Process noise makes the residuals r of increments
+    about the drift independent from step to step. Measurement errors e do not: if a row is too high, one increment is
+    too large and the next too small. So E r_k r_k+1 = - var e (Roll 1984).
     """
     variances = np.zeros(len(residuals))
     rows = np.flatnonzero(steps.follows)
@@ -360,9 +372,10 @@ def measurement_noise(residuals: FloatArray, steps: Steps) -> FloatArray:
 
 
 def products(residuals: FloatArray, steps: Steps, pair: Pair, *, corrected: bool) -> FloatArray:
-    """Return the products of two states' residuals (N,); `corrected` for measurement noise by products of neighbours.
+    """Return the products of two states' residuals (N,); if `corrected`, without the contribution of measurement noise.
 
-    E r_k^2 = B h + 2 var e and E r_k r_k+1 = - var e, so that the sum of the first and both neighbours is B h.
+    E r_k^2 = B h + 2 var e and E r_k r_k+1 = - var e. So r_k^2 plus the products with both neighbours has expectation B
+    h.
     """
     one, other = residuals[pair[0]], residuals[pair[1]]
     product = one * other
@@ -388,9 +401,9 @@ def _mean_error(values: FloatArray, lengths: FloatArray, bins: Sequence[Rows]) -
 
 
 def assemble_process(measurements: Measurements, equations: Collection[str], symbols: Mapping[str, str]) -> Preparation:
-    """Return the problems of the `equations`, as far as the data show them, and the recording of a process.
+    """Return the problems of the `equations` that the data can determine, and the recording of a process.
 
-    `symbols` has by column name the name in expressions. Raises DataError for too few steps, or a state without noise.
+    `symbols` maps column names to names in expressions. Raises DataError for too few steps, or a state without noise.
     """
     process = _record(measurements, symbols)
     steps = take_steps(process)
@@ -415,8 +428,8 @@ def assemble_process(measurements: Measurements, equations: Collection[str], sym
     groups = f"{moments.points.shape[1]} groups of neighbouring rows"
     warnings = [f"The search sees means over {groups}; models are judged by all {len(steps.lengths)} steps."]
     warnings += [
-        f"Steps of '{state}' undo part of the steps before them: besides the noise of the process there are errors of "
-        f"measurement of about {variance**0.5:.2g}."
+        f"Consecutive steps of '{state}' are anticorrelated: besides the noise of the process there are measurement "
+        f"errors of about {variance**0.5:.2g}."
         for state, variance in zip(process.states, moments.noise.tolist(), strict=True)
         if variance > 0.0
     ]

@@ -35,7 +35,7 @@ class EquationOutline:
 
 @dataclass(frozen=True)
 class Outline:
-    """What a job would search in a table: names of `files`, how they were read, number of rows, equations, settings.
+    """The planned search: names of `files`, how they were read, number of rows, equations, settings.
 
     `roles` are the roles of the columns, `warnings` the findings of their examination.
     """
@@ -51,7 +51,7 @@ class Outline:
     warnings: tuple[str, ...] = ()
 
     def as_text(self) -> str:
-        """Return lines on what would be searched, and when the search would end."""
+        """Return lines that list the equations to be searched, and when the search would end."""
         searched = sum(equation.known is None for equation in self.equations)
         sought = "1 equation" if searched == 1 else f"{searched} equations"
         config, budget = self.config, self.config.budget
@@ -65,7 +65,10 @@ class Outline:
         return "\n".join([*lines, effort, f"the search ends {', '.join(ends)}", "dry run: nothing was started"])
 
     def as_dict(self) -> dict[str, object]:
-        """Return the outline for other programs; `config` are the settings that are not defaults, as in a job file."""
+        """Return the outline for other programs.
+
+        `config` has the settings that differ from the defaults, as in a job file.
+        """
         return {
             "files": list(self.files),
             "read_as": self.read_as,
@@ -84,7 +87,7 @@ class Outline:
 def outline(table: Table, config: JobConfig) -> Outline:
     """Return the equations that a job would search, and its settings.
 
-    Raises UsageError where options or prior knowledge cannot be used, DataError where the columns cannot.
+    Raises UsageError if options or prior knowledge cannot be used, DataError if the columns cannot be used.
     """
     examination, resolved, names, units = _resolved(table, config)
     roles = examination.roles
@@ -107,9 +110,9 @@ def outline(table: Table, config: JobConfig) -> Outline:
 def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> str:
     """Return lines on files, how they were read, trajectories, rows, time, columns and prior knowledge.
 
-    Where it `has_warnings`, the findings of the columns follow.
+    With `has_warnings`, the findings about the columns follow.
 
-    Raises UsageError where options or prior knowledge cannot be used, DataError where the measurements cannot.
+    Raises UsageError if options or prior knowledge cannot be used, DataError if the measurements cannot be used.
     """
     examination, resolved, _, units = _resolved(table, config)
     roles, measurements = examination.roles, examination.measurements
@@ -120,7 +123,7 @@ def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> s
     files = ", ".join(table.files) if len(table.files) <= 3 else f"{len(table.files)} files"
     count = len(measurements.ranges)
     trajectories = f"{count} trajectories, " if count > 1 else ""
-    used = f" ({measurements.row_count} that can be used)" if measurements.row_count < table.rows else ""
+    used = f" ({measurements.row_count} usable)" if measurements.row_count < table.rows else ""
     lines = [f"{files}: {trajectories}{table.rows} rows{used}"]
     if table.read_as:
         lines.append(f"read as {table.read_as}")

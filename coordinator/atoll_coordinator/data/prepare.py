@@ -1,11 +1,11 @@
 """From a raw table to the regression problems of a job: the stages of preparation, in order. Pure.
 
 1. Roles of columns, trajectories, and checks of the columns (`examine`).
-2. Smoothing and differentiation; again where gaps in the times split trajectories, and again where there are far more
-   rows than the states' time scales need, which are then averaged.
+2. Smoothing and differentiation. They are repeated if gaps in the times split trajectories, and repeated on averaged
+   rows if rows are far denser than the states' time scales need.
 3. Selection of rows, the `Dataset` of the search and the recording.
 
-A stochastic process is not smoothed, and given left-hand sides are not differentiated.
+Stochastic processes are not smoothed. Left-hand sides that the table contains are not differentiated.
 """
 
 import math
@@ -51,8 +51,8 @@ from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 
 _MOST_OUTLIERS: Final = 0.1
-"""Share of the rows beyond which outliers are hardly errors of measurement."""
-_MANY_OUTLIERS: Final = "; so many suggest that rows are too far apart for --robust, not that they are wrong"
+"""Share of the rows above which outliers are probably not measurement errors."""
+_MANY_OUTLIERS: Final = "; so many outliers suggest that rows are too far apart for --robust, not that they are wrong"
 
 
 def assemble_given(
@@ -64,15 +64,15 @@ def assemble_given(
 ) -> Preparation:
     """Return the problems of a table that contains the left-hand sides: labels or derivatives, treated as exact.
 
-    Problems are made of the `equations`, over the rows `selected`; fits use every row that is not held out. `weights`
-    (R,) are 1 on average, None: all are 1; `symbols` has by column name the name in expressions.
+    The `equations` become problems over the rows `selected`; fits use every row that is not held out. `weights` (R,)
+    are 1 on average, None: all are 1; `symbols` maps column names to names in expressions.
     """
     roles, warnings = measurements.roles, measurements.warnings
     searched = measurements.searched_rows
     if len(selected) < len(searched):
         count = f"{len(searched) - len(selected)} of {len(searched)} rows"
         warnings = (
-            *warnings, f"{count} have little weight and are left out of the search; fits count them by their weight."
+            *warnings, f"{count} have little weight and are left out of the search; fits use them with their weight."
         )  # fmt: skip
     targets = []
     for name, column in zip(roles.equations, roles.derivatives or roles.equations, strict=True):
@@ -101,8 +101,8 @@ def assemble_differentiated(
 ) -> Preparation:
     """Return the problems and the recording of smoothed and differentiated states.
 
-    The `measurements` have trajectories, `weights` (R,) are the weights of all rows, and there is one of the
-    `estimates` for each state. Raises DataError where too few rows are selected, or a derivative cannot be a target.
+    The `measurements` have trajectories, `weights` (R,) are the weights of all rows, and `estimates` has one estimate
+    for each state. Raises DataError if too few rows are selected, or if a derivative cannot be a target.
     """
     roles = measurements.roles
     warnings = [*measurements.warnings, *selected.warnings, *_remarks(measurements, estimates, selected)]
@@ -118,7 +118,7 @@ def assemble_differentiated(
     error, noise = recording.input_error, max(part.relative_noise for part in recording.smoothing)
     if error > max(noise, SETTINGS.selection.least_noise):
         of_inputs = f"Between rows, inputs ({', '.join(recording.inputs)}) are uncertain by {100.0 * error:.2g} %"
-        more = "equations that differ by less are not told apart; sample inputs more often"
+        more = "equations that differ by less cannot be distinguished; sample inputs more often"
         warnings.append(f"{of_inputs} of their standard deviation, more than the noise of the states: {more}.")
     names, groups = tuple(symbols.values()), measurements.group_of_row
     whole = Dataset(names, np.array(values), sought, dict(symbols), tuple(warnings), groups)
@@ -136,19 +136,19 @@ def _take_rows(dataset: Dataset, rows: list[int]) -> Dataset:
 def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Target:
     """Return the target over all rows, with the uncertainty and the standard deviation of the selected rows.
 
-    A derivative without noise that differs from row to row by no more than its uncertainty may be constant, and is
-    judged by its size: relative to such a small standard deviation any equation would seem uncertain, and the search
-    would not end.
+    A noise-free derivative that changes from row to row by no more than its uncertainty may be constant. Its size then
+    replaces its standard deviation: relative to so small a standard deviation any equation would seem uncertain, and
+    the search would not end.
     """
     values = np.ascontiguousarray(estimate.derivative[rows])
     scale = derivative_standard_deviation(name, values)
     uncertainty, _ = moments(np.ascontiguousarray(estimate.uncertainty[rows] / scale))
     if not math.isfinite(uncertainty):
-        raise DataError(f"the uncertainty of the derivative of '{name}' cannot be told; sample more often")
+        raise DataError(f"the uncertainty of the derivative of '{name}' cannot be estimated; sample more often")
     mean, deviation = moments(values)
     if not estimate.target_noise and uncertainty >= 1.0 and uncertainty * scale < CLEAN_UNCERTAINTY * abs(mean):
         uncertainty, scale = uncertainty * scale / abs(mean), abs(mean)
-    if deviation < scale:  # constant except for rounding, which a comparison of two orders shows only in part
+    if deviation < scale:  # constant except for rounding errors, which the comparison of two orders shows only in part
         uncertainty = max(uncertainty, deviation / scale)
     return Target(name, lhs, estimate.derivative, uncertainty, scale, estimate.target_noise)
 
@@ -166,9 +166,9 @@ def _remarks(measurements: Measurements, estimates: Sequence[StateEstimate], sel
             remarks.append(f"State '{state}' has {count}{'' if is_likely else _MANY_OUTLIERS}.")
     tailed = ", ".join(state for state, estimate in zip(states, estimates, strict=True) if estimate.has_heavy_tails)
     if tailed:
-        remarks.append(f"Some measurements of {tailed} look like outliers; --robust takes their weight away.")
+        remarks.append(f"Some measurements of {tailed} look like outliers; --robust removes their weight.")
     if any(measurements.held_out) and not selected.held_out:
-        remarks.append("No row that was held out can be differentiated well; equations are not judged by them.")
+        remarks.append("No held-out row can be differentiated well; equations are not judged by held-out rows.")
     return remarks
 
 
@@ -241,7 +241,7 @@ def _trajectories(
     nothing = [None] * len(ranges)
 
     def parts(columns: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return columns (R,) of all rows as the rows of one array, for each trajectory, in C order."""
+        """Return for each trajectory the columns (R,) as the rows of one array in C order."""
         stacked = np.array(columns, dtype=np.float64).reshape(len(columns), measurements.row_count)
         return [np.ascontiguousarray(stacked[:, slice(*place)]) for place in ranges]
 
@@ -274,9 +274,9 @@ def _trajectories(
 
 
 def prepare(table: Table, config: JobConfig) -> Preparation:
-    """Return the regression problems that `table` holds under `config`, and the recording that they come from.
+    """Return the regression problems of `table` under `config`, and the recording from which they were made.
 
-    Raises UsageError where options contradict each other, DataError where the measurements cannot be used.
+    Raises UsageError if options contradict each other, DataError if the measurements cannot be used.
     """
     examination = examine(table, config)
     roles, options = examination.roles, examination.options

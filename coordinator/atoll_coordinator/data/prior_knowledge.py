@@ -1,8 +1,9 @@
-"""Prior knowledge in terms of the data: guesses, known equations, bounds, what an equation may be made of. Pure.
+"""Prior knowledge in terms of the data: guesses, known equations, bounds, allowed and required symbols. Pure.
 
-Left-hand sides are accepted as people write them: the equation of ``x`` is called ``x``, ``dx``, ``dx/dt`` or ``x'``,
-for order 2 ``d2x``, ``d2x/dt2`` or ``x''``; columns by their name or by their symbol. A column that is called ``dx``
-itself comes before the derivative of ``x``. Unusable prior knowledge is refused in one sentence before a search.
+Several forms of left-hand sides are accepted. The equation of ``x`` may be called ``x``, ``dx``, ``dx/dt`` or ``x'``,
+for order 2 ``d2x``, ``d2x/dt2`` or ``x''``. Columns may be called by their name or by their symbol. If a column is
+itself called ``dx``, this name means the column and not the derivative of ``x``. Unusable prior knowledge is refused
+before a search, with one sentence for the user.
 """
 
 import re
@@ -12,7 +13,7 @@ from itertools import chain, combinations, combinations_with_replacement
 from typing import Final, TypeVar
 
 from atoll_coordinator.data.recording import component_name
-from atoll_coordinator.data.roles.columns import split_unit
+from atoll_coordinator.data.roles.names_and_options import split_unit
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset
@@ -29,15 +30,15 @@ from atoll_core.quoting import did_you_mean
 Value = TypeVar("Value")
 
 _INDIVIDUALS_PER_GUESS: Final = 4
-"""At most one in this number of individuals begins as a guess; more guesses are refused."""
+"""At most one individual in this many begins as a guess; more guesses are refused."""
 _FORMS: Final = {1: r"d{0}(/d\w+)?|{0}'", 2: r"d2{0}(/d\w+?(\^|\*\*)?2)?|{0}''"}
-"""Forms of left-hand sides by the order of the derivative, {0} being the escaped name."""
+"""Regular expressions of left-hand sides by the order of the derivative; {0} is the escaped name."""
 _ORDINALS: Final = {1: "first", 2: "second"}
 
 
 @dataclass(frozen=True)
 class LeftSides:
-    """The equations of a job: `variables` are their names; `order` is None where nothing is differentiated.
+    """The equations of a job: `variables` are their names; `order` is None if no state is differentiated.
 
     `symbols` has the symbol of each column that expressions may use, in the order of the dataset's rows.
     """
@@ -49,7 +50,7 @@ class LeftSides:
     def several(self, option: str, by_side: Mapping[str, Value]) -> dict[str, tuple[Value, ...]]:
         """Return the values in `by_side` for each variable, in the order of the variables.
 
-        Raises UsageError, naming `option`, where a left-hand side belongs to no variable.
+        Raises UsageError, which names `option`, if a left-hand side belongs to no variable.
         """
         pairs = [(self.variable(option, text), value) for text, value in by_side.items()]
         named = {name for name, _ in pairs}
@@ -58,7 +59,10 @@ class LeftSides:
         }
 
     def single(self, option: str, by_side: Mapping[str, Value]) -> dict[str, Value]:
-        """Return the value in `by_side` for each variable; raises UsageError like `several`, or for one named twice."""
+        """Return the value in `by_side` for each variable.
+
+        Raises UsageError as `several` does, and for a variable named twice.
+        """
         several = self.several(option, by_side)
         twice = next((name for name, values in several.items() if len(values) > 1), None)
         if twice is not None:
@@ -66,7 +70,7 @@ class LeftSides:
         return {name: value for name, (value,) in several.items()}
 
     def variable(self, option: str, text: str) -> str:
-        """Return the variable that the left-hand side `text` belongs to; raises UsageError, naming `option`."""
+        """Return the variable that the left-hand side `text` belongs to; raises UsageError, which names `option`."""
         text = text.strip()
         for name in (text, split_unit(text)[0]):
             if name in self.variables:
@@ -75,20 +79,20 @@ class LeftSides:
         fitting = named or [name for name in self.variables if self._is_derivative(text, name, self.order)]
         if fitting:
             return fitting[0]
-        sought = f"equations are sought for {', '.join(self.variables)}{did_you_mean(text, self.variables)}"
+        sought = f"equations are searched for {', '.join(self.variables)}{did_you_mean(text, self.variables)}"
         for order in _FORMS:
             if not any(self._is_derivative(text, name, order) for name in self.variables):
                 continue
-            sought = f"{', '.join(self.variables)} is sought as it stands; name it so"
+            sought = f"{', '.join(self.variables)} is the left-hand side itself, not a derivative; use this name"
             if self.order is not None:
                 other = "leave --order 2 out" if self.order == 2 else "add --order 2"
                 form = f"d{'2' * (self.order == 2)}x=…"
-                sought = f"{_ORDINALS[self.order]} derivatives are sought; write {form}, or {other}"
+                sought = f"{_ORDINALS[self.order]} derivatives are searched; write {form}, or {other}"
             raise UsageError(f"{option} names '{text}', a {_ORDINALS[order]} derivative, but {sought}")
         raise UsageError(f"{option} names '{text}', but {sought}")
 
     def symbols_of(self, option: str, texts: Sequence[str]) -> tuple[str, ...]:
-        """Return the symbols of variables named by column or symbol; raises UsageError, naming `option`."""
+        """Return the symbols of variables named by column or symbol; raises UsageError, which names `option`."""
         known = ", ".join(self.symbols)
         if not texts:
             raise UsageError(f"{option} names no variable for an equation; name at least one of {known}")
@@ -111,8 +115,9 @@ class LeftSides:
 def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str]) -> tuple[JobConfig, tuple[str, ...]]:
     """Return the resolved configuration (see `resolve_prior`) and the equations of the job, in order.
 
-    These are the searched equations (all unless ``--only`` names some) and known equations; for a stochastic process
-    also every component of its diffusion, some of which the data may not show. Raises UsageError.
+    These are the searched equations (all unless ``--only`` names some) and the known equations. For a stochastic
+    process every component of its diffusion is included, although the data may not determine all of them. Raises
+    UsageError.
     """
     names = roles.equations
     if config.data.stochastic:
@@ -124,11 +129,11 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
 
 
 def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, str]) -> JobConfig:
-    """Return `config` with prior knowledge by variable, and allowed variables by symbol; all is checked.
+    """Return `config` with checked prior knowledge: keys are variables, allowed variables are symbols.
 
     Args:
-        config: as submitted; a resolved one stays as it is.
-        variables: names of the job's equations, of known ones as well.
+        config: as submitted; a resolved configuration is returned unchanged.
+        variables: names of the job's equations, including known equations.
         symbols: symbol of each column that expressions may use, in the order of the dataset's rows.
 
     Raises:
@@ -176,7 +181,7 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
 
 
 def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
-    """Return the programs of the known equations by variable, in the order of the dataset, which has them as targets.
+    """Return the programs of the known equations by variable, in the order in which they are targets of the dataset.
 
     `config` is resolved. Raises UsageError if an equation is not an expression over the dataset's symbols.
     """
@@ -210,12 +215,12 @@ def _resolved_bounds(
 ) -> dict[str, tuple[str, ...]]:
     """Return the bounds by variable, with the bounds on all equations.
 
-    Raises UsageError, also where two bounds on the same numbers of an equation leave none of them.
+    Raises UsageError, also if two bounds on the same number of an equation exclude every value.
     """
     general = tuple(bounds.get(ALL_EQUATIONS, ()))
     own = _texts(sides, "--bound", {side: texts for side, texts in bounds.items() if side != ALL_EQUATIONS})
     if general and not sought:
-        raise UsageError(f"--bound {general[0]!r} is about equations that are sought, but all are known; leave it out")
+        raise UsageError(f"--bound {general[0]!r} restricts searched equations, but all are known; leave it out")
     names = tuple(sides.symbols.values())
     whole = {name: (*general, *own.get(name, ())) for name in dict.fromkeys((*sought, *own))}
     for name, texts in whole.items():
@@ -261,7 +266,7 @@ def _check_guesses(config: JobConfig, variable: str, texts: Sequence[str], names
 
 
 def _objection(space: SpaceConfig, variable: str, text: str, program: Program, names: Sequence[str]) -> str | None:
-    """Return why a guess cannot stand in the populations of `variable`, without its subject; None when it can."""
+    """Return why a guess cannot be in the populations of `variable`, as a clause without subject; None if it can."""
     columns = space.columns_for(variable, names)
     used = set(program.left[program.operators == VARIABLE].tolist())
     excluded = [names[index] for index in sorted(used.difference(columns))]

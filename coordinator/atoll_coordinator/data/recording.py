@@ -1,7 +1,7 @@
-"""The measurements of a job, trajectory by trajectory, and how they were smoothed: models are judged by them.
+"""The measurements of a job, trajectory by trajectory, and how they were smoothed.
 
-The search sees a `atoll_core.data.dataset.Dataset` of smoothed rows; everything after it uses the states as they were
-measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
+The search uses a `atoll_core.data.dataset.Dataset` of smoothed rows. Later stages fit and judge models by the measured
+states recorded here. Pure data. Letters: R rows of one trajectory, S states, U inputs.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,21 +15,23 @@ from atoll_core.data.dataset import Dataset, FloatArray
 
 Method = Literal["interpolation", "loess", "robust loess"]
 InputKind = Literal["smooth", "shape-preserving", "held"]
-"""An input between rows: a curve with continuous second derivatives (de Boor 1978, chapter IV); a curve that does not
-overshoot where the input is switched (Fritsch & Butland 1984); its value until the next row (zero-order hold)."""
+"""Kinds of an input between rows. Smooth: a curve with continuous second derivatives (de Boor 1978, chapter IV);
+shape-preserving: a curve without overshoot where the input is switched (Fritsch & Butland 1984); held: the value of a
+row until the next row (zero-order hold)."""
 Reason = Literal["end", "gap", "jump", "outlier", "missing"]
 """Why a row is not used: near an end of its trajectory, near a gap in the times, where the state changes too fast for
 the sampling or for the smoother, an outlier, or a missing value that the other rows do not determine."""
 STENCIL_ROWS: Final = 15
-"""Rows of the widest stencil of an interpolation; here, so that modules that count rows need not load kernels."""
+"""Rows of the widest stencil of an interpolation. It is defined here so that modules that count rows need not load
+kernels."""
 
 
 @dataclass(frozen=True)
 class Quantisation:
-    """How a state was rounded: the `kind`, the `step` (of the largest values, where it depends on these), the `error`.
+    """How a state was rounded: the `kind`, the `step` (for the largest values, if it varies), the `error`.
 
-    The kinds are rounded to a decimal place, to significant digits, to float32, or multiples of a step, as of an
-    encoder. `error` is the root mean square of the rounding errors, in the state's unit.
+    Values may be rounded to a decimal place, to significant digits, to float32, or to multiples of a step, as an
+    encoder does. `error` is the root mean square of the rounding errors, in the state's unit.
     """
 
     kind: Literal["decimals", "digits", "single precision", "steps"]
@@ -39,7 +41,7 @@ class Quantisation:
 
 @dataclass(frozen=True)
 class ExcludedRow:
-    """A row that is not used because of one state: the place of its `trajectory` and its `row` in there."""
+    """A row that is not used because of one state: the index of its `trajectory`, and its `row` in this trajectory."""
 
     trajectory: int
     row: int
@@ -50,16 +52,18 @@ class ExcludedRow:
 class Trajectory:
     """One continuous measurement; arrays in C order.
 
-    `name` is its number from 1, or the value of the trajectory column. `times` (R,) ascend
-    strictly, centred over all trajectories; `measured`, `smoothed` and `slopes` are (S, R), angles unwrapped and in
-    radians; `slopes` are first derivatives. `inputs` and `input_slopes` are (U, R): an input between rows is the cubic
-    with these values and slopes, NaN where it is held at its value until the next row. `held_out` trajectories were
-    kept from the search and from every fit.
+    `name` is its number from 1, or the value of the trajectory column. `times` (R,) ascend strictly, centred over all
+    trajectories; `measured`, `smoothed` and `slopes` are (S, R), angles unwrapped and in radians; `slopes` are first
+    derivatives. `inputs` and `input_slopes` are (U, R): an input between rows is the cubic with these values and
+    slopes; slopes are NaN for an input that is held at its value until the next row. `held_out` trajectories are not
+    used in the search or in any fit.
+
     `measured` is NaN where a value is missing; `is_known` (S, R) tells where `smoothed` is known, None: everywhere.
     `robustness_weights` (S, R), from 0 (an outlier) to 1, reduce the weight of single measurements; None: all are 1.
     `weights` (R,) divide the variance of the errors of each row and are 1 on average over all rows; None: all are 1.
-    `rates` and `rate_errors` (S, R) are the derivatives sought and their standard errors, with the estimated bias;
-    infinite where nothing is known. None: they were not kept. `group` is one of the recording's, if it has any.
+    `rates` and `rate_errors` (S, R) are the derivatives (the targets of the search) and their standard errors including
+    the estimated bias, infinite where the state is not known; None: they were not kept. `group` is one of the groups of
+    the recording, if it has any.
     """
 
     name: str
@@ -82,14 +86,14 @@ class Trajectory:
 class Smoothing:
     """How one state was smoothed.
 
-    `noise` is the estimated standard deviation of its measurement errors, in its unit and in rows of weight 1 (where it
-    was interpolated, an upper estimate, often of rounding alone), and `relative_noise` the noise over the state's
-    pooled standard deviation; `span` (rows) and `degree` belong to loess, None where it was interpolated.
-    `uncertain_rows` counts the rows whose derivative is too uncertain to be used, `outliers` the rows of robustness
-    weight 0. `excluded_rows` are the rows, in order, that are not used because of this state, of trajectories that are
-    not held out. `narrower_noise` is the noise by loess of the same degree with the `narrower_span` (rows): `span` was
-    chosen for small residuals, which makes `noise` a little too small. `quantisation` is how the state was rounded,
-    None where its digits show nothing; `noise` is at least its error.
+    `noise` is the estimated standard deviation of its measurement errors, in its unit and in rows of weight 1 (for an
+    interpolated state an upper estimate, often of rounding errors only), and `relative_noise` is the noise over the
+    state's pooled standard deviation; `span` (rows) and `degree` are the parameters of loess, None for an interpolated
+    state. `uncertain_rows` counts the rows whose derivative is too uncertain to be used, `outliers` the rows of
+    robustness weight 0. `excluded_rows` are the rows, in order, that are not used because of this state; held-out
+    trajectories have none. `narrower_noise` is the noise by loess of the same degree with the `narrower_span` (rows):
+    `span` was chosen for small residuals, so that `noise` is slightly too small. `quantisation` tells how the state was
+    rounded, None if its digits show no rounding; `noise` is at least its error.
     """
 
     state: str
@@ -111,12 +115,12 @@ class Recording:
     """All trajectories of a job.
 
     `states` and `inputs` are column names, `state_symbols` and `input_symbols` the names in expressions, in the order
-    of the arrays' rows; `offsets` are states measured up to an offset of each trajectory. With `order` 2 the variables
-    of expressions are the states, then `velocity_symbols`, then the inputs. `offset` was subtracted from the times of
-    the file to centre them. `groups` are the names of groups of trajectories that have constants of their own; none:
-    all share them. A row is the mean of about `rows_of_mean` rows of the file. `input_kinds` are the curves of the
-    inputs between rows; empty: not known. `input_error` is the largest error of these curves over the standard
-    deviations of the inputs.
+    of the arrays' rows; `offsets` are the states that are measured up to an unknown offset in each trajectory. With
+    `order` 2 the variables of expressions are the states, then `velocity_symbols`, then the inputs. `offset` was
+    subtracted from the times of the file to centre them. `groups` are the names of groups of trajectories with
+    constants of their own; empty: all trajectories share the constants. A row is the mean of about `rows_of_mean` rows
+    of the file. `input_kinds` has the kind of each input between rows; empty: not known. `input_error` is the largest
+    error of these curves over the standard deviations of the inputs.
     """
 
     states: tuple[str, ...]
@@ -140,7 +144,7 @@ class SampledPath:
     """One trajectory of a stochastic process; arrays in C order.
 
     `name` and `times` (R,) are as in `Trajectory`; `states` (S, R) and `inputs` (U, R) are as they were measured, all
-    finite. `held_out` paths were kept from the search and from every fit.
+    finite. `held_out` paths are not used in the search or in any fit.
     """
 
     name: str
@@ -157,11 +161,11 @@ def component_name(one: str, other: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class ProcessRecording:
-    """All trajectories of a job whose noise is part of the law: dx = f dt + g dW.
+    """All trajectories of a stochastic process: dx = f dt + g dW.
 
-    Names and `offset` are as in `Recording`. `noise` (S,) is a first estimate of the variance of errors of measurement,
-    0 where none are seen; `pairs` are the components of the diffusion g g' that are sought: two indices of states, the
-    first not above the second.
+    Names and `offset` are as in `Recording`. `noise` (S,) is a first estimate of the variance of measurement errors, 0
+    if none are detected; `pairs` are the components of the diffusion g g' that are searched, as pairs (i, j) of indices
+    of states, i <= j.
     """
 
     states: tuple[str, ...]
@@ -181,11 +185,11 @@ class ProcessRecording:
 
 @dataclass(frozen=True)
 class Source:
-    """The table that a preparation was made of, and what its columns are; column names without units.
+    """The table of a preparation, and the roles of its columns; column names are without units.
 
-    `digest` is the hex sha256 of the table as it is uploaded, `units` are the units in its header by column (none: left
-    out); `read_as` says how its files were read. `states` have an equation of `order`, unless a `target` has one;
-    `velocities` are variables for order 2.
+    `digest` is the hex sha256 of the uploaded table, `units` are the units in its header by column (columns without a
+    unit are left out); `read_as` says how its files were read. The `states` have equations of `order`, unless there is
+    a `target`: then only the target has one. `velocities` are variables for order 2.
     """
 
     digest: str
@@ -205,12 +209,14 @@ class Source:
 class Preparation:
     """The result of preparing a table.
 
-    `dataset` is for the search; `recording` is None where the left-hand sides were given, and for a stochastic
-    process, whose trajectories are in `process` (else None); `held_out` has the same targets over rows of held-out
-    trajectories, with uncertainty, standard deviation and noise of `dataset`, None where there are none. Where the
-    left-hand sides were given, `counted` has the rows that fits use, also rows with too little weight for the search,
-    which counts its rows alike; None: the rows of `dataset`. `weights` are the weights of these rows; None: all are 1.
-    `source` is the table; None: not known.
+    `dataset` is for the search. `recording` has the trajectories of differentiated states; it is None if the left-hand
+    sides were given, and for a stochastic process, whose trajectories are in `process` (else None). `held_out` has the
+    same targets over rows of held-out trajectories, with uncertainty, standard deviation and noise of `dataset`; None
+    if no trajectory is held out.
+
+    If the left-hand sides were given, `counted` has the rows that fits use, with the `weights`. It includes rows whose
+    weight is too small for the search, which gives all its rows equal weight. `counted` None: the rows of `dataset`;
+    `weights` None: all are 1. `source` is the table; None: not known.
     """
 
     dataset: Dataset
@@ -223,7 +229,7 @@ class Preparation:
 
 
 def by_group(preparation: Preparation) -> Iterator[Preparation]:
-    """Yield the preparation of each group of trajectories that may have constants of its own."""
+    """Yield a preparation for each group of trajectories that may have constants of its own."""
     dataset, recording = preparation.dataset, preparation.recording
     if recording is None:
         return

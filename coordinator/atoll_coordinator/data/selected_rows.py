@@ -1,12 +1,13 @@
-"""Selects the rows of the search: certain derivatives or enough weight, not too many; reasons for excluded rows. Pure.
+"""Selects the rows of the search by the uncertainty of derivatives, or by weight; reasons for excluded rows. Pure.
 
-Interpolated states: not the ends of trajectories, and not rows of very uncertain derivatives, which are jumps and
-passages by a singularity that the sampling does not resolve. Smoothed states: not rows whose total uncertainty,
-standard error and estimated bias together, is far above the typical one.
+For interpolated states, two kinds of rows are excluded: the ends of trajectories, and rows with very uncertain
+derivatives (jumps, and passages near a singularity that the sampling does not resolve). For smoothed states, rows are
+excluded if their total uncertainty (standard error and estimated bias) is far above the median.
 
-Rows that follow one another faster than the states change are averaged first, to as many as the time scales need. Fits,
-pieces and libraries count rows: sampled ten times as fast, the same motion would be compared in pieces a tenth as long,
-along which a line describes any curve. Independent errors of a mean of n rows are smaller by the square root of n.
+Oversampled rows are averaged first: means replace rows, as many as the states' time scales need. The reason is that
+lengths of segments, pieces and windows are numbers of rows. At a sampling rate ten times as high, a piece would be a
+tenth as long, and along so short a piece a line describes any curve. The independent error of a mean of n rows is
+smaller by sqrt(n).
 
 Letters: R rows of one trajectory, B blocks of rows, S states.
 """
@@ -33,17 +34,17 @@ from atoll_core.data.notes import Note
 LIMITS = SETTINGS.rows
 FAR_OUT = LIMITS.over_median_uncertainty
 _GAP_STEPS: Final = 3.0
-"""A step of the times this many times as long as the median step of its trajectory counts as a gap."""
+"""A time step counts as a gap if it is this many times as long as the median time step of its trajectory."""
 _END_SHARE: Final = 0.25
-"""Rows within this share of a span from the end of a trajectory have neighbours on one side, mostly."""
+"""Rows closer to the end of a trajectory than this share of a span have most neighbours on one side."""
 
 
 @dataclass(frozen=True)
 class SelectedRows:
-    """The rows that remain of trajectories `searched` and of trajectories `held_out`.
+    """The selected rows: `searched` for the search, `held_out` of held-out trajectories.
 
-    For each state, `uncertain` has the rows of searched trajectories that are too uncertain because of it, and
-    `excluded` the rows that are not used because of it, with the reasons; `warnings` are sentences for the user.
+    For each state, `uncertain` has the rows of searched trajectories whose derivative of this state is too uncertain,
+    and `excluded` the rows that are not used because of it, with the reasons; `warnings` are sentences for the user.
     """
 
     searched: list[int]
@@ -54,7 +55,7 @@ class SelectedRows:
 
 
 def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], *, paper: bool) -> SelectedRows:
-    """Return the rows that all targets use, all of them for `paper`; to rows held out the same limits apply."""
+    """Return the rows that all targets use (all rows for `paper`); the same limits apply to held-out rows."""
     assert measurements.trajectories is not None
     times = measurements.trajectories.times
     is_known = np.all([estimate.is_known for estimate in estimates], axis=0)
@@ -80,11 +81,11 @@ def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], 
             warnings.append(Note(f"Data without noise are interpolated, not smoothed; {rows} are left out."))
         if len(certain) < len(inner):
             count = f"{len(inner) - len(certain)} of {len(inner)} rows"
-            warnings.append(f"{count} change too fast for the sampling step and are left out.")
+            warnings.append(f"{count} change too fast for the sampling interval and are left out.")
         if len(selected) < len(certain):
             count = f"{len(certain) - len(selected)} of {len(certain)} rows"
             at = "(at ends and jumps)"
-            warnings.append(f"{count} have doubtful derivatives {at} and are left out of the search.")
+            warnings.append(f"{count} have uncertain derivatives {at} and are left out of the search.")
     excluded = [
         explain_excluded_rows(times, estimate, own, frozenset(every))
         for estimate, own in zip(estimates, uncertain, strict=True)
@@ -93,12 +94,12 @@ def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], 
 
 
 def _certain_interpolated(estimates: Sequence[StateEstimate], inner: list[int]) -> list[int]:
-    """Return the rows of `inner` whose relative uncertainty, the worst of all states, is small enough.
+    """Return the rows of `inner` whose relative uncertainty is small enough for every state.
 
-    The uncertainty of a target is the mean over its rows, yet equations are compared by mean squared error: where a few
-    rows are far more uncertain than the others, their errors exceed it, and a wrong term that fits them pays. So the
-    most uncertain rows are left out until, for every state, the root mean square is at most `most_uneven` times the
-    mean.
+    The uncertainty of a target is the mean over its rows, but equations are compared by mean squared error. If a few
+    rows are far more uncertain than the others, their errors dominate the squares, and a wrong term that fits these
+    errors looks like an improvement. So the most uncertain rows are left out until, for every state, the root mean
+    square of the uncertainty is at most `most_uneven` times its mean.
     """
     if not estimates or not inner:
         return inner
@@ -127,7 +128,7 @@ def _certain_interpolated(estimates: Sequence[StateEstimate], inner: list[int]) 
 
 
 def _certain_smoothed(estimates: Sequence[StateEstimate], rows: list[int]) -> list[int]:
-    """Return the rows whose total uncertainty, over its median, the worst of all states, is small enough."""
+    """Return the rows whose total uncertainty, relative to its median, is small enough for every state."""
     worst = np.zeros(len(rows))
     for estimate in estimates:
         uncertainty = estimate.total_uncertainty[rows]
@@ -143,10 +144,10 @@ def _certain_smoothed(estimates: Sequence[StateEstimate], rows: list[int]) -> li
 def explain_excluded_rows(
     times: Sequence[FloatArray], estimate: StateEstimate, uncertain: Collection[int], searched: Collection[int]
 ) -> tuple[ExcludedRow, ...]:
-    """Return the rows of one state that the search does not see because of it, and its outliers, in order.
+    """Return the rows that the search does not see because of one state, and its outliers, in order.
 
-    Rows are counted through all trajectories, one after the other, with their `times`. Derivatives are too uncertain at
-    the rows `uncertain`; rows `searched` belong to trajectories that are not held out.
+    Row numbers and `times` run through all trajectories, one after the other. Derivatives are too uncertain at the rows
+    `uncertain`; the rows `searched` belong to trajectories that are not held out.
     """
     lengths = [len(part) for part in times]
     cut_off = mark_ends(lengths) if estimate.is_interpolated else np.zeros(sum(lengths))
@@ -180,17 +181,17 @@ def explain_excluded_rows(
 
 
 def thin_searched_rows(selected: SelectedRows, states: Sequence[FloatArray], most: int = LIMITS.most) -> SelectedRows:
-    """Return the selection with about `most` rows for the search, if there were more; `states` are (R,) each.
+    """Return the selection, reduced to about `most` rows for the search if it has more; `states` are (R,) each.
 
-    Derivatives of neighbouring rows come from the same measurements. Rows are spread evenly over the rows and over the
-    path length of each state, so that a quick passage keeps rows.
+    Derivatives of neighbouring rows come from the same measurements, so little information is lost. The kept rows are
+    spread evenly over the row numbers and over the path length of each state, so that fast motion keeps enough rows.
     """
     rows = selected.searched
     if len(rows) <= most:
         return selected
     place = evenly = np.arange(len(rows)) / (len(rows) - 1)
     for state in states:
-        way = np.cumsum(np.abs(np.diff(state[rows], prepend=state[rows[0]])))  # one after another: no pairwise sums
+        way = np.cumsum(np.abs(np.diff(state[rows], prepend=state[rows[0]])))  # summed one after another, not in pairs
         place = place + (way / way[-1] if way[-1] > 0.0 else evenly)
     numbers = np.floor(place * ((most - 1) / (len(states) + 1)))
     is_kept = np.diff(numbers, prepend=-1.0) > 0.0
@@ -200,7 +201,7 @@ def thin_searched_rows(selected: SelectedRows, states: Sequence[FloatArray], mos
 
 
 def normalize_weights(weights: FloatArray | None) -> FloatArray | None:
-    """Return positive weights (inverse variances) over their mean; None when there are none, or all are equal."""
+    """Return positive weights (inverse variances) over their mean; None if there are none, or if all are equal."""
     if weights is None:
         return None
     scaled = weights / float(np.max(weights))
@@ -209,9 +210,9 @@ def normalize_weights(weights: FloatArray | None) -> FloatArray | None:
 
 
 def select_weighty_rows(weights: FloatArray | None, rows: list[int]) -> list[int]:
-    """Return the `rows` whose weight is not far below the median weight, most of them in any case.
+    """Return the `rows` whose weight is not far below the median weight; at least a fixed share of the rows is kept.
 
-    The search counts all rows alike (ADR 0027), so that rows with far larger errors are left out of it.
+    The search gives all rows equal weight (ADR 0027), so rows with far larger errors have to be left out of it.
     """
     if weights is None:
         return rows
@@ -222,17 +223,17 @@ def select_weighty_rows(weights: FloatArray | None, rows: list[int]) -> list[int
 
 
 _LEAST_BLOCKS: Final = SETTINGS.smoothing.bins // 2
-"""Means of a trajectory, at least, if it has as many rows: loess needs some."""
+"""Fewest means of a trajectory, if it has that many rows: loess needs some."""
 _SCANNED: Final = 2 * LIMITS.most
-"""Rows of a trajectory, about, by which its correlation length is found: enough for a thousandth of it."""
+"""Approximate number of rows from which a correlation length is found: enough for a thousandth of a trajectory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Parts of the rows of one trajectory, each of which becomes one row.
+    """Blocks of rows of one trajectory; each block becomes one row.
 
-    `ranges` (B, 2) are half-open and cover all rows; `is_whole` (B,) is false for the parts of a block that had to be
-    divided, because an input changes fast in it.
+    `ranges` (B, 2) are half-open and cover all rows; `is_whole` (B,) is false for parts of a block that was divided
+    because an input changes fast within it.
     """
 
     ranges: IntArray
@@ -245,12 +246,12 @@ class Blocks:
 
     @property
     def sizes(self) -> IntArray:
-        """How many rows each block has (B,)."""
+        """Number of rows of each block (B,)."""
         return np.asarray(self.ranges[:, 1] - self.ranges[:, 0])
 
     @property
     def divided_rows(self) -> int:
-        """How many rows are in divided blocks."""
+        """Number of rows in divided blocks."""
         return int(self.sizes[~self.is_whole].sum())
 
     def means(self, values: FloatArray) -> FloatArray:
@@ -258,7 +259,7 @@ class Blocks:
         return np.array([moments(values[first:end])[0] for first, end in self.ranges.tolist()])
 
     def divided(self, is_divided: npt.NDArray[np.bool_]) -> "Blocks":
-        """Return the blocks with some of them (B,) in two halves each."""
+        """Return the blocks; each marked block (B,) is divided into two halves."""
         ranges: list[tuple[int, int]] = []
         is_whole: list[bool] = []
         for (first, end), is_here, whole in zip(self.ranges.tolist(), is_divided, self.is_whole.tolist(), strict=True):
@@ -269,13 +270,13 @@ class Blocks:
 
 
 def average_oversampled_rows(measurements: Measurements, estimates: Sequence[StateEstimate]) -> Measurements:
-    """Return `measurements` with means in place of rows where there are far more than the states' time scales need.
+    """Return `measurements` with means in place of rows if there are far more rows than the states' time scales need.
 
-    The same object otherwise, and where the noise of all states is negligible: then each row is as good as a mean. The
-    mean of a state is the mean of its residuals, added to the smoothed value in the middle: so it has no bias by
-    curvature. Where an input changes so fast that its means would move the states by more than their noise, as where it
-    is switched, blocks are divided, down to single rows, and the states count as not measured there. Rows of inputs
-    that are held between rows stay as they are: a mean over a switch is held by no row.
+    Otherwise the same object is returned, also if the noise of all states is negligible: then a row is as good as a
+    mean. The mean of a state is the mean of its residuals plus the smoothed value at the centre, so that curvature
+    causes no bias. If an input changes so fast that its means would move the states by more than their noise, for
+    instance at a switch, blocks are divided, down to single rows, and states count as not measured there. Rows of
+    inputs that are held between rows stay unchanged, because no row holds the mean over a switch.
     """
     count = 1 if measurements.roles.held else rows_of_mean(measurements, estimates)
     most = SETTINGS.inference.part * measurements.row_count
@@ -288,7 +289,7 @@ def average_oversampled_rows(measurements: Measurements, estimates: Sequence[Sta
 
 
 def estimates_of_means(estimates: Sequence[StateEstimate], of_rows: Sequence[StateEstimate]) -> list[StateEstimate]:
-    """Return the `estimates` of means with the outliers, which only rows show."""
+    """Return the `estimates` of means with the outliers of the rows: means do not show outliers."""
     return [
         replace(
             one,
@@ -300,17 +301,17 @@ def estimates_of_means(estimates: Sequence[StateEstimate], of_rows: Sequence[Sta
 
 
 def rows_of_mean(measurements: Measurements, estimates: Sequence[StateEstimate]) -> int:
-    """Return the number of rows of a mean; 1 where rows are to stay as they are.
+    """Return the number of rows of a mean; 1 if rows are not averaged.
 
-    The states' fastest correlation length gets as many rows as the shortest segments have, or more where so few rows
-    are needed neither for a comparison of all of them nor for pieces that are whole trajectories.
+    The shortest correlation length of the states gets as many rows as the shortest segments have. Means are not coarser
+    than two purposes need: comparing all rows, and pieces that are whole trajectories.
     """
     lengths = [last - first for (first, last), out in zip(measurements.ranges, measurements.held_out, strict=True)
                if not out]  # fmt: skip
     longest, piece = max(lengths), SETTINGS.shooting.piece
     of_whole = 1 if longest <= piece else math.ceil(longest / (piece * (1.0 - SETTINGS.inference.part)))
     most = min(max(sum(lengths) // SETTINGS.selection.compared_rows, of_whole), longest // _LEAST_BLOCKS)
-    least = SETTINGS.selection.least_noise  # below it errors are systematic, and means are no better
+    least = SETTINGS.selection.least_noise  # below this noise errors are systematic, and means are no better
     if most < 2 or all(estimate.is_interpolated or estimate.relative_noise < least for estimate in estimates):
         return 1
     fewest = SETTINGS.shooting.lengths[0]
@@ -318,9 +319,9 @@ def rows_of_mean(measurements: Measurements, estimates: Sequence[StateEstimate])
 
 
 def correlation_length(measurements: Measurements, estimate: StateEstimate) -> int:
-    """Return after how many rows the autocorrelation of a state's steps from row to row falls below 1/e.
+    """Return the number of rows after which the autocorrelation of a state's increments falls below 1/e.
 
-    For a sinusoid that is 0.19 of its period. Held-out trajectories are not looked at; sums run in order.
+    For a sinusoid this is 0.19 of its period. Held-out trajectories are not used; sums run in order.
     """
     ranges = [place for place, out in zip(measurements.ranges, measurements.held_out, strict=True) if not out]
     stride = max(1, max(last - first for first, last in ranges) // _SCANNED)
@@ -342,11 +343,12 @@ def correlation_length(measurements: Measurements, estimate: StateEstimate) -> i
 def _blocks(
     measurements: Measurements, estimates: Sequence[StateEstimate], count: int, most_divided: float
 ) -> list[Blocks]:
-    """Return the blocks of each trajectory for means of `count` rows, divided where inputs need it.
+    """Return the blocks of each trajectory for means of `count` rows, divided where inputs change fast.
 
-    An input may err by its standard deviation for as long as the noise hides the motion that this causes. Inputs make a
-    state's rate vary by no more than its standard deviation. The errors of the blocks of a correlation length add up as
-    independent ones, to no more than the noise of a mean.
+    The limit for the error of an input's integral follows from three assumptions. An error of the input of one standard
+    deviation is tolerated as long as the noise hides the motion that it causes. Inputs change a state's rate by no more
+    than the rate's standard deviation. The errors of the blocks within a correlation length are independent, and their
+    sum stays below the noise of a mean.
     """
     assert measurements.trajectories is not None
     blocks = [even_blocks(last - first, count) for first, last in measurements.ranges]
@@ -372,10 +374,10 @@ def even_blocks(rows: int, count: int) -> Blocks:
 def divided_blocks(
     blocks: Blocks, times: FloatArray, values: FloatArray, limit: float, most: float = math.inf
 ) -> Blocks:
-    """Return the blocks so divided that the integral of an input, from their rows, errs by no more than `limit`.
+    """Return blocks divided so that the integral of an input, computed from the means, is wrong by at most `limit`.
 
-    Errors count from the beginning of a block to any of its rows. Dividing ends once more than `most` rows are in
-    divided blocks.
+    The error of the integral from the beginning of a block to each of its rows counts. Dividing stops once more than
+    `most` rows are in divided blocks.
     """
     while True:
         wanted = interpolated(times[blocks.centres], input_means(blocks, times, values), times)
@@ -390,10 +392,10 @@ def divided_blocks(
 
 
 def input_means(blocks: Blocks, times: FloatArray, values: FloatArray) -> FloatArray:
-    """Return an input (B,) at the centres of blocks: of the parabola that fits the rows of each block best.
+    """Return an input (B,) at the centres of blocks, from a least-squares parabola through the rows of each block.
 
-    Each block counts for itself, so that nothing is carried over a switch of the input. With three rows and fewer the
-    parabola passes through the row in the middle.
+    Each block is fitted separately, so that no value is carried over a switch of the input. With three rows or fewer
+    the parabola passes through the middle row.
     """
     centres = blocks.centres
     ages = times - np.repeat(times[centres], blocks.sizes)
@@ -408,9 +410,9 @@ def input_means(blocks: Blocks, times: FloatArray, values: FloatArray) -> FloatA
 
 
 def interpolated(times: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Return the cubics through `values` (R,), three or more, at the times `wanted`.
+    """Return the piecewise cubic through `values` (R,), R >= 3, at the times `wanted`.
 
-    The slope at each row is the slope of the parabola through it and its neighbours.
+    The slope at each row is the slope of the parabola through the row and its two neighbours.
     """
     steps = np.diff(times)
     rises = np.diff(values) / steps
@@ -470,7 +472,10 @@ def _averaged(
 def _state_means(
     blocks: Blocks, values: FloatArray, estimate: StateEstimate, weights: FloatArray, place: slice
 ) -> FloatArray:
-    """Return a state (B,) along the rows at one `place`: NaN in divided blocks and where most rows are missing."""
+    """Return the means (B,) of a state along trajectory `place`.
+
+    They are NaN in divided blocks and where most rows are missing.
+    """
     if estimate.is_interpolated:
         return np.asarray(values[blocks.centres])
     smoothed, is_measured = estimate.values[place], np.isfinite(values)

@@ -6,7 +6,7 @@
    (regression/equation.py). The steps below do not apply.
 4. With trajectories, equations of noise-free targets that converged are fitted to these first: they are candidates.
 5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model. The table
-   in selection/stages.py lists the order of proposals and the conditions under which no more are made.
+   in selection/stages.py lists the order of proposals and the conditions under which no more are refinement.
 6. The model is compared with its alternatives, gets errors of its constants, is simulated and judged
    (inference/conclusion.py).
 
@@ -23,13 +23,13 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.batches import Batches, spreading
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import conclude
-from atoll_coordinator.model.inference.remarks import stochastic_remarks, unexplained_remarks
+from atoll_coordinator.model.inference.remarks import warn_of_random_walk, warn_of_residual_pattern
 from atoll_coordinator.model.inference.target_checks import TargetChecks
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.pools import LawsByGroup, Member, Pools
 from atoll_coordinator.model.refinement import Refined, Refinement
-from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation
-from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.regression.equation import WeightedRows, fit_equation
+from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.shortcut import add_laws, laws_at_noise_level
 from atoll_coordinator.model.selection.stages import operator_remarks, select_model
@@ -135,7 +135,7 @@ def _refine(
         time = "t" if preparation.source is None else preparation.source.time or "t"
         remarks = (
             *operator_remarks(selected, shown),
-            *unexplained_remarks(preparation.recording, model.equations, time),
+            *warn_of_residual_pattern(preparation.recording, model.equations, time),
         )
         left_out = {name: programs for name, programs in candidates.items() if name not in model.equations}
         alone = _fit_by_regression(preparation, config, left_out, deadline)
@@ -148,7 +148,7 @@ def _refine(
     rest = _fit_by_regression(preparation, config, unsettled, deadline)
     if deadline.has_cut_short:
         rest |= _fit_laws(task, [name for name in unsettled if name not in task.known])
-    warnings = (NOT_SIMULATED, *stochastic_remarks(preparation.recording))
+    warnings = (NOT_SIMULATED, *warn_of_random_walk(preparation.recording))
     return Refinement({**settled, **rest}, warnings=warnings)
 
 
@@ -171,7 +171,8 @@ def _fit_laws(task: ModellingTask, names: Sequence[str]) -> dict[str, Refined]:
     for name in names:
         problem, loss = task.dataset.problem(name), task.config.evolution.loss
         members = [
-            Member(law.program, *errors_on(problem, law.program, loss)) for law in laws_at_noise_level(task, name)[:1]
+            Member(law.program, *measure_errors(problem, law.program, loss))
+            for law in laws_at_noise_level(task, name)[:1]
         ]
         equation = fit_equation(problem, task.config, members, deadline=task.deadline)
         if equation is not None:
@@ -196,7 +197,7 @@ def _fit_by_regression(
             preparation.dataset.problem(name),
             config,
             candidate_set.front,
-            WeighedRows(counted.problem(name), weights),
+            WeightedRows(counted.problem(name), weights),
             deadline,
             has_intervals=is_given,
         )

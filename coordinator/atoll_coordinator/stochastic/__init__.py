@@ -1,7 +1,7 @@
-"""Stochastic processes dx = f dt + g dW: the moments of a step, and paths drawn with them.
+"""Stochastic processes dx = f dt + g dW: the moments of a step, and random paths with these moments.
 
 - `moments`: mean and covariance of a step
-- `paths`: paths, ensembles of them, and the density that they settle into
+- `paths`: random paths, ensembles of paths, and the stationary density
 
 The reasons and figures: ADR 0044.
 """
@@ -9,4 +9,4 @@ The reasons and figures: ADR 0044.
 from typing import Literal
 
 Discretisation = Literal["local linearisation", "Euler-Maruyama"]
-"""What a step is: a step of the process in time, or of the numerical method with this name."""
+"""Meaning of a step between rows: a time step of the process, or a step of the numerical method with this name."""

@@ -1,22 +1,24 @@
-"""Mean and covariance of one step of a process, to second order in the step and beyond where the process is linear.
+"""Mean and covariance of one step of a process, to second order in the step; to higher order for linear processes.
 
 For dx = f dt + g dW with B = g g', the generator of the process is L = f . grad + 1/2 B : grad grad. In a step h from x
 
-    mean        h f + h^2/2 L f + ... , the motion by f alone of order h^4
-    covariance  integral over s from 0 to h of E(h - s) (B + s L B) E(h - s)'
+    mean        h f + h^2/2 L f + ... , the motion by f alone of order h^4 covariance  integral over s from 0 to h of
+    E(h - s) (B + s L B) E(h - s)'
 
 with J the Jacobian of f and E(s) = I + s J + s^2/2 J J + s^3/6 J J J. These are the expansion of moments in powers of h
 (Kessler 1997, section 2; Florens-Zmirou 1989), written as a local linearisation (Shoji & Ozaki 1998), so that the
-covariance is positive wherever B + s L B is; the integral is that of Gauss.
+covariance is positive wherever B + s L B is; the integral is computed by Gauss's quadrature rule.
 
-A state without noise of its own is moved by the noise of the states it follows: over a step its variance is of the
-third order, J B J' h^3 / 3, or of the fifth where it follows such a state. This is small and not zero (hypoelliptic
-processes: Ditlevsen & Samson 2019, who expand to these orders; Melnykova 2020, by the linearisation used here). So
-small a variance needs an accurate mean: the motion by the drift alone is a step of Runge and Kutta, of fourth order.
+A state without noise of its own is moved by the noise of the states that it follows (hypoelliptic process). Its
+variance over a step is of third order, J B J' h^3 / 3, or of fifth order if it follows such a state. Ditlevsen & Samson
+2019 expand to these orders; Melnykova 2020 uses the linearisation used here. The variance is small but not zero, and a
+small variance needs an accurate mean: the motion by the drift alone is a fourth-order Runge-Kutta step.
 
-A table may also be the output of Euler and Maruyama's method, a row for each of its steps. Then mean and covariance of
-a step are h f and h B, and nothing else: noise of one state does not reach another one within the step.
-Letters: S states, V variables, R rows.
+A table may also be the output of the Euler-Maruyama method, with one row for each of its steps. Then mean and
+covariance of a step are exactly h f and h B: the noise of one state does not reach another state within the step.
+
+The expansion is doubtful for long steps: if the drift changes much within a step, the truncated moments are wrong, and
+constants are biased. Letters: S states, V variables, R rows.
 """
 
 import math
@@ -34,20 +36,20 @@ from atoll_core.expression.evaluation import NUMPY, function_of, values_of
 from atoll_core.expression.program import Program, constant_places, structure
 
 Pair = tuple[int, int]
-"""Two states by their index, the first not above the second: a component of the diffusion."""
+"""A component of the diffusion: the indices (i, j) of two states, i <= j."""
 
 _NODES: Final = ((0.5 - 0.5 / math.sqrt(3.0), 0.5), (0.5 + 0.5 / math.sqrt(3.0), 0.5))
 _MORE_NODES: Final = ((0.5 - math.sqrt(0.15), 5.0 / 18.0), (0.5, 4.0 / 9.0), (0.5 + math.sqrt(0.15), 5.0 / 18.0))
-"""Nodes of Gauss's rule on [0, 1] and their weights; with two, the covariance that two states
-give a third would be singular."""
+"""Nodes of Gauss's rule on [0, 1] and their weights. Two nodes are too few: the covariance of a third state that
+follows two noisy states would be singular."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepMoments:
     """The moments of a step: `mean` (S, R), `covariance` (S, S, R), and the `jacobian` (S, S, R) of x + mean.
 
-    The covariance is NaN where the diffusion of a state is negative, even where the covariance of the step is positive:
-    noise of other states may outweigh it.
+    The covariance is NaN where the diffusion of a state is negative, even if the covariance of the step is positive
+    because of the noise of other states.
     """
 
     mean: FloatArray
@@ -66,10 +68,11 @@ def step_moments(
 
     Args:
         drift: S programs, f.
-        diffusion: B, component by component; those that are missing are zero.
-        points: (V, R), where steps begin; states first, then inputs, which stay as they are in a step.
-        steps: (R,), their lengths.
-        discretisation: what a step is.
+        diffusion: B by component; missing components are zero.
+        points: (V, R), the values at the beginning of each step; states first, then inputs, which are constant in a
+            step.
+        steps: (R,), the lengths of the steps.
+        discretisation: the meaning of a step.
     """
     states = len(drift)
     with np.errstate(all="ignore"):
@@ -92,7 +95,7 @@ def step_moments(
 
 
 def factors_of(covariance: FloatArray) -> FloatArray:
-    """Return the factors L of Cholesky (S, S, R) of covariances L L': zero for no noise, NaN for negative variances."""
+    """Return the Cholesky factors L (S, S, R) of covariances L L': zero for no noise, NaN for negative variances."""
     factor = np.zeros_like(covariance)
     with np.errstate(all="ignore"):
         for i in range(len(covariance)):
@@ -103,7 +106,7 @@ def factors_of(covariance: FloatArray) -> FloatArray:
 
 
 def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return how far the drift, whose `value` at `points` is known, moves the states in a step: Runge and Kutta."""
+    """Return the motion of the states by the drift alone in a step (Runge-Kutta); `value` is the drift at `points`."""
     slopes = [value]
     for share in (0.5, 0.5, 1.0):
         moved = np.concatenate([points[: len(drift)] + share * steps * slopes[-1], points[len(drift) :]])
@@ -112,10 +115,10 @@ def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps
 
 
 def _propagator(powers: tuple[FloatArray, FloatArray, FloatArray], steps: FloatArray) -> FloatArray:
-    """Return E(s) of the first three powers of the Jacobian.
+    """Return E(s) up to the third power of the Jacobian.
 
-    The variance of a state two equations away from noise needs the term next to the leading one in the third power:
-    the part that other states do not explain is a thirty-sixth of the leading one.
+    The third power is needed for a state two equations away from the noise: the part of its variance that other states
+    do not explain is only 1/36 of the leading term, so that the next term matters.
     """
     one, two, three = powers
     return np.asarray(np.eye(len(one))[:, :, None] + steps * (one + 0.5 * steps * (two + steps / 3.0 * three)))
@@ -124,7 +127,7 @@ def _propagator(powers: tuple[FloatArray, FloatArray, FloatArray], steps: FloatA
 def _expanded(
     programs: Sequence[Program], points: FloatArray, states: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return values (N, R), gradients (N, S, R) and Hessians (N, S, S, R) of N programs by the states."""
+    """Return values (N, R), gradients (N, S, R) and Hessians (N, S, S, R) of N programs with respect to the states."""
     count, (variables, rows) = len(programs), points.shape
     values, gradients = np.zeros((count, rows)), np.zeros((count, states, rows))
     hessians = np.zeros((count, states, states, rows))
@@ -142,7 +145,7 @@ def _expanded(
 
 @dataclass(frozen=True)
 class _Structure:
-    """A program, equal to others that differ from it in the values of constants only."""
+    """A program that is equal to all programs that differ only in the values of constants."""
 
     program: Program = field(compare=False)
     key: bytes
@@ -150,7 +153,10 @@ class _Structure:
 
 @lru_cache(maxsize=256)
 def _expansion(of: _Structure, variables: int, states: int) -> Callable[..., Sequence[FloatArray]]:
-    """Return a function of variables and constants: the value, and by states the slope and its slopes up to there."""
+    """Return a function of variables and constants.
+
+    Its results are the value, then for each state i the slope by i and the slopes of this slope by states 0 to i.
+    """
     program = with_variables(of.program, variables)
     parts = [program]
     for i in range(states):

@@ -1,7 +1,7 @@
-"""Paths of a process, ensembles of them, and the density that they settle into.
+"""Random paths of a process, ensembles of paths, and the stationary density.
 
-Steps are normal with the mean and the covariance of `moments`, by which constants are fitted, too.
-Letters: S states, U inputs, N steps or times, P paths, B bins.
+Steps are normal with the mean and the covariance of `moments`; fits of constants use the same moments. Letters: S
+states, U inputs, N steps or times, P paths, B bins.
 """
 
 import csv
@@ -23,23 +23,24 @@ if TYPE_CHECKING:
     import polars
 
 PATHS: Final = 256
-"""Paths of an ensemble: means are known to a sixteenth of the spread of the paths."""
+"""Number of paths of an ensemble: the error of a mean is 1/16 of the standard deviation of the paths."""
 SHARES: Final = (0.05, 0.5, 0.95)
-"""Shares of the paths that lie below `lower`, `median` and `upper`."""
+"""Shares of the paths below `lower`, `median` and `upper`."""
 _SLACK: Final = 1e-9
-"""Share of a step by which rounding may make a gap between two times longer."""
+"""Share of a step by which a gap between two times may be longer because of rounding errors."""
 STEPS: Final = 500
-"""Steps in which paths settle, and as many more over which their density is taken; settling may take twice as long."""
+"""Number of steps for paths to settle, and of further steps for their density. If paths have not settled, twice as many
+steps are used."""
 _LONGER: Final = 1
 BINS: Final = 40
-"""Bins of a density that is shown."""
+"""Number of bins of a displayed density."""
 _LEVEL: Final = 0.01
-"""Largest probability with which the test rejects settled paths; they are tested once more."""
+"""Largest probability with which the test rejects settled paths. After a rejection they are tested once more."""
 
 
 @dataclass(frozen=True, eq=False)
 class Simulator:
-    """Draws paths of the process whose steps of given lengths (P,) from points (S + U, P) have these `moments`."""
+    """Draws random paths; `moments` returns the moments of steps from points (S + U, P) with lengths (P,)."""
 
     moments: Callable[[FloatArray, FloatArray], StepMoments]
     random: np.random.Generator
@@ -51,22 +52,22 @@ class Simulator:
         lengths: FloatArray,
         is_kept: npt.NDArray[np.bool_] | None = None,
     ) -> FloatArray:
-        """Return paths (M + 1, S, P) from `starts` (S, P) over N steps; NaN from where one has no finite step.
+        """Return paths (M + 1, S, P) from `starts` (S, P) over N steps; a path is NaN after a step that is not finite.
 
         Args:
             starts: initial states.
-            inputs: (U, N), held in each step.
-            lengths: of the steps (N,).
-            is_kept: after which steps (N,) states are returned; None: after each.
+            inputs: (U, N), constant in each step.
+            lengths: lengths of the steps (N,).
+            is_kept: marks the steps (N,) after which states are returned; None: after each step.
         """
         rows, states = [starts], starts
         for step, length in enumerate(lengths.tolist()):
-            states = self._moved(states, inputs[:, step], length)
+            states = self._take_step(states, inputs[:, step], length)
             if is_kept is None or is_kept[step]:
                 rows.append(states)
         return np.array(rows)
 
-    def _moved(self, states: FloatArray, inputs: FloatArray, length: float) -> FloatArray:
+    def _take_step(self, states: FloatArray, inputs: FloatArray, length: float) -> FloatArray:
         count = states.shape[1]
         points = np.concatenate([states, np.repeat(inputs[:, None], count, axis=1)])
         moments = self.moments(points, np.full(count, length))
@@ -80,7 +81,7 @@ class Simulator:
 class Ensemble:
     """Paths of a process from one initial state.
 
-    `t` (N,) are the times, `x` (P, N, S) the `states` of each path, NaN from where a path has no finite step.
+    `t` (N,) are the times, `x` (P, N, S) are the `states` of each path; a path is NaN after a step that is not finite.
     """
 
     states: tuple[str, ...]
@@ -99,29 +100,32 @@ class Ensemble:
         return f"<Ensemble of {', '.join(self.states)}: {times}; {self.message}>"
 
     def band(self, state: str) -> tuple[FloatArray, FloatArray]:
-        """Return the bounds (N,) that 5 % of the paths lie below and above, of a state by name; raises KeyError."""
+        """Return the 5 % and the 95 % quantile (N,) of the paths of a state, by its name; raises KeyError."""
         if state not in self.states:
             raise KeyError(state)
         place = self.states.index(state)
         return self.lower[:, place], self.upper[:, place]
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
-        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing."""
+        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``.
+
+        Raises UsageError if the library is not installed.
+        """
         return frame_of(self.columns(), library)
 
     @cached_property
     def finite(self) -> FloatArray:
-        """The paths (K, N, S) with finite states to the end, by which the mean and the bounds are computed."""
+        """The paths (K, N, S) that are finite to the end; the mean and the quantiles are computed from them."""
         return np.asarray(self.x[np.isfinite(self.x[:, -1]).all(axis=1)])
 
     @cached_property
     def mean(self) -> FloatArray:
         """The mean (N, S); NaN where no path is finite."""
-        return self._over(lambda paths: np.mean(paths, axis=0))
+        return self._statistics_of_paths(lambda paths: np.mean(paths, axis=0))
 
     @property
     def lower(self) -> FloatArray:
-        """The bound (N, S) that 5 % of the paths lie below."""
+        """The 5 % quantile (N, S)."""
         return np.asarray(self._quantiles[0])
 
     @property
@@ -131,25 +135,25 @@ class Ensemble:
 
     @property
     def upper(self) -> FloatArray:
-        """The bound (N, S) that 5 % of the paths lie above."""
+        """The 95 % quantile (N, S)."""
         return np.asarray(self._quantiles[2])
 
     @cached_property
     def _quantiles(self) -> FloatArray:
-        return self._over(lambda paths: np.quantile(paths, SHARES, axis=0), len(SHARES))
+        return self._statistics_of_paths(lambda paths: np.quantile(paths, SHARES, axis=0), len(SHARES))
 
-    def _over(self, function: Callable[[FloatArray], FloatArray], *shape: int) -> FloatArray:
+    def _statistics_of_paths(self, function: Callable[[FloatArray], FloatArray], *shape: int) -> FloatArray:
         values = function(self.finite) if len(self.finite) else np.full((*shape, *self.x.shape[1:]), np.nan)
         return np.asarray(values)
 
     @property
     def message(self) -> str:
-        """How many paths there are, and how many of them end early, in a sentence."""
+        """A sentence with the number of paths, and the number of paths that end early."""
         lost = len(self.x) - len(self.finite)
-        return f"{len(self.x)} paths" + (f", {lost} of which have no finite state to the end" if lost else "")
+        return f"{len(self.x)} paths" + (f", {lost} not finite to the end" if lost else "")
 
     def columns(self) -> dict[str, FloatArray]:
-        """Return the time and, of each state, mean, median and bounds (N,), by column name."""
+        """Return the time, and mean, median and quantiles of each state, (N,) each, by column name."""
         columns = {self.time: self.t}
         for place, name in enumerate(self.states):
             for kind in ("mean", "lower", "median", "upper"):
@@ -157,14 +161,14 @@ class Ensemble:
         return columns
 
     def rows_of_paths(self) -> Iterator[list[str | int]]:
-        """Yield the lines of a table of all paths, the header first, in the format that data are read in."""
+        """Yield the lines of a table of all paths, the header first, in a format that Atoll reads."""
         yield ["trajectory", self.time, *self.states]
         for number, path in enumerate(self.x, start=1):
             for at, states in zip(self.t.tolist(), path.tolist(), strict=True):
                 yield [number, repr(at), *map(repr, states)]
 
     def to_csv(self, *, has_paths: bool = False) -> str:
-        """Return the columns as CSV, numbers with all their digits; or the paths, as rows with a column trajectory."""
+        """Return the columns as CSV with all digits; or the paths, as rows with a column ``trajectory``."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         if has_paths:
@@ -188,14 +192,14 @@ class Ensemble:
 
 
 def step_counts(times: FloatArray, longest: float) -> FloatArray:
-    """Return into how many equal steps, no longer than `longest`, gaps between ascending times are divided."""
+    """Return the number of equal steps, not longer than `longest`, in each gap between ascending times."""
     return np.maximum(np.ceil(np.diff(times) / longest - _SLACK), 1.0)
 
 
 def divided(times: FloatArray, longest: float) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Return where steps begin (N,), their lengths, and which of them end at one of the ascending `times`.
+    """Return the times at which steps begin (N,), their lengths, and whether each ends at one of the ascending `times`.
 
-    Gaps between times are divided into equal steps that are no longer than `longest`.
+    Gaps between times are divided into equal steps that are not longer than `longest`.
     """
     begins, lengths, ends = [], [], []
     counts = step_counts(times, longest).astype(int).tolist()
@@ -213,7 +217,7 @@ def _plain(values: FloatArray) -> list[float | None]:
 
 @dataclass(frozen=True, eq=False)
 class StationaryDensity:
-    """The density of each of the `states` that a process settles into.
+    """The stationary density of each of the `states` of a process.
 
     `edges` (S, B + 1) bound the bins of `density` (S, B); `mean` and `sd` (S,) are moments of the states.
     """
@@ -238,10 +242,10 @@ class StationaryDensity:
 
 
 def settled_paths(simulator: Simulator, starts: FloatArray, inputs: FloatArray, length: float) -> FloatArray | None:
-    """Return settled paths (N, S, P), from `starts` (S, P) in steps of one length; None where they do not settle.
+    """Return settled paths (N, S, P), from `starts` (S, P) in steps of one length; None if they do not settle.
 
-    They have settled when the means of states and of their squares no longer change from one half to the other by more
-    than by chance, for which two paths at least are needed. `inputs` (U,) are held.
+    They have settled if the means of the states and of their squares do not differ significantly between both halves of
+    the steps. The test needs at least two paths. `inputs` (U,) are constant.
     """
     lengths, held = np.full(STEPS, length), np.repeat(inputs[:, None], STEPS, axis=1)
     states = simulator.paths(starts, held, lengths)[-1]
@@ -257,7 +261,7 @@ def settled_paths(simulator: Simulator, starts: FloatArray, inputs: FloatArray, 
 
 
 def density_of(states: tuple[str, ...], paths: FloatArray, within: FloatArray | None = None) -> StationaryDensity:
-    """Return the density of settled paths (N, S, P); bins are over their range, and that of `within` (S, R)."""
+    """Return the density of settled paths (N, S, P); the bins cover their range and the range of `within` (S, R)."""
     samples = [np.concatenate([values.ravel(), [] if within is None else within[place]])
             for place, values in enumerate(paths.transpose(1, 0, 2))]  # fmt: skip
     edges = np.array([np.linspace(values.min(), values.max(), BINS + 1) for values in samples])
@@ -273,10 +277,10 @@ def histograms(values: FloatArray, edges: FloatArray) -> FloatArray:
 
 
 def _is_settled(paths: FloatArray) -> bool:
-    """Tell whether two halves of paths (N, S, P) agree in the means of states and of their squares.
+    """Tell whether both halves of paths (N, S, P) agree in the means of states and of their squares.
 
-    Each of the 2 S changes has Student's distribution over its error from P paths, one by one; the level is divided
-    among them (Bonferroni), and among both signs.
+    Each of the 2 S changes over its standard error, estimated from the P paths, has Student's distribution. The
+    significance level is divided by the number of changes (Bonferroni) and by 2, for both signs.
     """
     from scipy import special  # not needed by processes that only read results
 

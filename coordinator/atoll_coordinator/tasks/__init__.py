@@ -1,4 +1,4 @@
-"""The tasks of a search, from bytes to bytes: ``preparing`` a table and ``refining`` a job.
+"""The tasks of a search, functions from bytes to bytes: ``preparing`` a table and ``refining`` a job.
 
-`atoll.tasks` runs them; ``defaults`` fills in what a configuration leaves open until the data are known.
+`atoll.tasks` runs them. ``defaults`` fills in the fields of a configuration that depend on the data.
 """

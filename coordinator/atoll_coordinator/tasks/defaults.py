@@ -1,4 +1,4 @@
-"""Fields of a configuration that are left open until the data are known."""
+"""Fills in the fields of a configuration that depend on the data."""
 
 from typing import Final
 
@@ -13,9 +13,9 @@ RUNNERS_UP_NOISY: Final = 8
 
 
 def resolve(config: JobConfig, dataset: Dataset) -> JobConfig:
-    """Return `config` with all filled in that workers need: rows of a predictor, terminals, runners-up.
+    """Return `config` with all fields that workers need: rows of a predictor, terminals, runners-up.
 
-    Left-hand sides that people wrote become the names of their variables; raises UsageError where that cannot be.
+    Left-hand sides as users write them become names of variables; raises UsageError for unknown left-hand sides.
     """
     config = resolve_prior(config, dataset.variables, dataset.symbols)
     is_noisy = any(target.is_noisy for target in dataset.targets)
@@ -33,7 +33,7 @@ def resolve(config: JobConfig, dataset: Dataset) -> JobConfig:
 
 
 def with_units(config: JobConfig, source: Source | None) -> JobConfig:
-    """Return `config` with the units of all columns: those that were given, and those of the file's header."""
+    """Return `config` with the units of all columns, from the options and from the file's header."""
     if source is None or not source.units:
         return config
     return config.model_copy(update={"data": config.data.model_copy(update={"units": dict(source.units)})})

@@ -1,4 +1,4 @@
-"""Preparing a job as a task: its table and configuration in, what the search and refining need out."""
+"""Preparing a job as a task: from its table and configuration to the inputs of the search and of refining."""
 
 import hashlib
 import logging
@@ -23,11 +23,11 @@ the user."""
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size.
+    """The preparation, the resolved configuration, and digest and size of the dataset's bytes.
 
-    `known` has the known equations by variable, as members of fronts of their own; `settled` are the variables
-    that have laws by regression (`atoll_coordinator.model.sparse.laws.settled_variables`), `laws` those among
-    many variables, which refining takes over (None: it seeks them itself).
+    `known` has the known equations by variable, each as a member of its own front. `settled` are the variables with
+    laws by regression (`atoll_coordinator.model.sparse.laws.settled_variables`). `laws` are laws of equations with many
+    variables, which refining uses (None: refining searches for them itself).
     """
 
     preparation: Preparation
@@ -45,15 +45,15 @@ class Prepared:
 
     @property
     def dataset(self) -> Dataset:
-        """What the search sees."""
+        """The dataset of the search."""
         return self.preparation.dataset
 
 
 @dataclass(frozen=True, slots=True)
 class PreparationOutcome:
-    """The result of the task: what was `prepared`, with its dataset's bytes, or a sentence on why the data cannot be.
+    """The result of the task: the `prepared` job with its dataset's bytes, or a sentence on why preparing failed.
 
-    `blob` and `data` are those of `prepared`; the rest of it, which refining takes as an input, is `encoded`.
+    `blob` and `data` belong to `prepared`; `encoded` is the rest of it, which is an input of refining.
     """
 
     encoded: bytes = b""
@@ -67,7 +67,7 @@ class PreparationOutcome:
 
     @property
     def prepared(self) -> Prepared:
-        """What was prepared; raises RemoteProtocolError where nothing was."""
+        """The prepared job; raises RemoteProtocolError if preparing failed."""
         return decode_value(self.encoded, Prepared)
 
 
@@ -77,7 +77,7 @@ def prepare_table(table: bytes, config: JobConfig) -> Preparation:
     Raises:
         DataError: The measurements cannot be used as they are.
         UsageError: Options contradict each other or name columns that are not there.
-        RemoteProtocolError: The bytes are not those of a table.
+        RemoteProtocolError: The bytes are not a table.
     """
     from atoll_coordinator.data.prepare import prepare
     from atoll_core.data.table import Table
@@ -96,8 +96,8 @@ def prepare(table: bytes, specification: bytes, preparer: Preparer = prepare_tab
 
 
 def prepare_job(table: bytes, config: JobConfig, preparer: Preparer = prepare_table) -> tuple[Prepared, bytes]:
-    """Return what a table gives, and the bytes of its dataset; raises what `prepare_table` does."""
-    from atoll_coordinator.model.result.known import known_entries, with_remarks
+    """Return the prepared job and the bytes of its dataset; raises the errors of `prepare_table`."""
+    from atoll_coordinator.model.result.known_equations import known_entries, warn_of_missing_values
     from atoll_coordinator.model.sparse.laws import (  # loads kernels
         find_laws_among_many,
         screen_variables,
@@ -110,7 +110,7 @@ def prepare_job(table: bytes, config: JobConfig, preparer: Preparer = prepare_ta
     blob = hashlib.sha256(data).hexdigest()
     resolved = screen_variables(preparation, resolve(config, preparation.dataset))
     known = known_entries(preparation.dataset, resolved)
-    preparation = with_remarks(preparation, resolved)
+    preparation = warn_of_missing_values(preparation, resolved)
     resolved = with_units(resolved, preparation.source)
     laws = find_laws_among_many(preparation, resolved)
     settled = settled_variables(preparation, resolved, laws)

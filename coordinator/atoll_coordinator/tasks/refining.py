@@ -1,4 +1,4 @@
-"""Refining a job as a task: what preparing gave and what the search found in, the job's result as JSON out."""
+"""Refining a job as a task: from the prepared job and the pools of the search to the job's result as JSON."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ from atoll_core.config import JobConfig
 from atoll_core.wire.values import decode_value, encode_value
 
 Refiner = Callable[[Preparation, JobConfig, Pools, Deadline, LawsByGroup | None], Refinement]
-"""Makes the equations that are shown from the search's pools; see `atoll_coordinator.model.pipeline.refine_all`."""
+"""Makes the displayed equations from the search's pools; see `atoll_coordinator.model.pipeline.refine_all`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """How the searches of a job ended, in the order of its dataset; known equations are among them."""
+    """The ends of a job's searches, in the order of its dataset, including known equations."""
 
     job: str
     outcomes: tuple[VariableOutcome, ...]
 
     @property
     def pools(self) -> Pools:
-        """What the searches hand on, by variable."""
+        """The pools of the searches, by variable."""
         return {one.variable: Pool(one.front, one.runners_up) for one in self.outcomes if one.why != KNOWN}
 
     def to_bytes(self) -> bytes:
@@ -35,9 +35,9 @@ class Searched:
 
 
 def refine(prepared: bytes, searched: bytes, seconds: float | None, refiner: Refiner) -> bytes:
-    """Return the result, as JSON in UTF-8, of a job that is refined in so many seconds (None: any time).
+    """Return the result, as JSON in UTF-8, of a job that is refined in a number of seconds (None: no limit).
 
-    How long the whole job took is left open: `atoll_coordinator.result.result.timed` fills it in.
+    The duration of the whole job is missing; `atoll_coordinator.result.result.timed` fills it in.
     """
     job, search = decode_value(prepared, Prepared), decode_value(searched, Searched)
     refinement = refiner(job.preparation, job.config, search.pools, Deadline(seconds), job.laws)

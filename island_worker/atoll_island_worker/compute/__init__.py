@@ -1,2 +1,4 @@
-"""The compute thread of a worker: ``compute_thread`` takes commands and posts results; ``run_queue`` decides whose turn
-it is, slice by slice (pure)."""
+"""The compute thread of a worker: ``compute_thread`` takes commands and posts results.
+
+``run_queue`` decides which island is computed next, slice by slice (pure).
+"""

@@ -1,8 +1,8 @@
 """The thread that computes islands: it takes commands, runs the queue of tasks slice by slice, and posts results.
 
 It never touches the bus. Commands are functions in a queue, so that every change of `RunQueue` and `Engine` happens on
-this thread, between two slices. `ComputeThread.progress` rises with every slice, so that heartbeats distinguish slow
-work from a hung process.
+this thread, between two slices. `ComputeThread.progress` increases with every slice, so that the coordinator can
+distinguish slow work from a hung process by heartbeats.
 """
 
 import logging
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from atoll_island_worker.evolution.island import Island
 
 _MOST: Final = 10
-"""Generations at a time, however long a slice is; in between the thread looks for commands."""
+"""Most generations between two checks for commands; longer slices are divided."""
 
 
 class Engine:
@@ -93,7 +93,7 @@ class Epoch:
         return self._is_over
 
     def computed(self) -> io.EpochComputed:
-        """See `RunningEpoch.computed`. There are emigrants after a whole epoch that is not the last."""
+        """See `RunningEpoch.computed`. The result has emigrants after a whole epoch that is not the last."""
         key, report = self._task.key, self._island.report()
         if not self._is_over or report.hit is not None or self._task.is_last:
             return io.EpochComputed(key, report, {}, frozenset())
@@ -113,7 +113,7 @@ class WarmUpNote:
 
 @dataclass(frozen=True, slots=True)
 class WarmedUp:
-    """The kernels are loaded and have run, in `seconds`. `fingerprint` is a digest of their sources."""
+    """The kernels were loaded and run within `seconds`. `fingerprint` is a digest of their sources."""
 
     seconds: float
     fingerprint: str
@@ -133,7 +133,7 @@ Result = WarmUpNote | WarmedUp | ComputeFailed | io.JobReady | io.LoadFailed | i
 class ComputeThread:
     """Computes the islands of one worker, one slice at a time. Methods return at once; results are posted later.
 
-    `progress` rises while work makes progress.
+    `progress` increases while work makes progress.
     """
 
     def __init__(self, show: Callable[[str], None] | None = None) -> None:
@@ -157,11 +157,11 @@ class ComputeThread:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Seconds for which islands were computed, by user."""
+        """Seconds of computing islands, by user."""
         return self._queue.seconds.copy()
 
     def attach(self, post: Callable[[object], None]) -> None:
-        """Post every result, also earlier ones, through `post`."""
+        """Post every result through `post`, including earlier results."""
         with self._lock:
             self._post = post
             for result in self._unposted:
@@ -169,7 +169,7 @@ class ComputeThread:
             self._unposted.clear()
 
     def warm_up(self) -> None:
-        """Load or compile the kernels: any number of WarmUpNote follow, then WarmedUp or ComputeFailed."""
+        """Load or compile the kernels. Any number of WarmUpNote follow, then WarmedUp or ComputeFailed."""
         self._commands.put(self._warm_up)
 
     def share(self, job: str, weight: float, user: str) -> None:
@@ -177,13 +177,13 @@ class ComputeThread:
         self._commands.put(lambda: self._queue.share(job, weight, user))
 
     def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
-        """Load a job's configuration and encoded dataset: JobReady or LoadFailed."""
+        """Load a job's configuration and encoded dataset. JobReady or LoadFailed follows."""
         self._commands.put(lambda: self._post_all([self._engine.load(job, config, dataset)]))
 
     def run(self, task: io.EpochTask) -> None:
-        """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
+        """Compute one epoch of one island. Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
 
-        If a Snapshot is wanted, it comes first; at a barrier nothing else follows. Tasks take turns.
+        If the task includes a Snapshot, it comes first; at a barrier no other result follows. Tasks take turns.
         """
         self._commands.put(lambda: self._post_all(self._queue.add(task)))
 
@@ -192,7 +192,7 @@ class ComputeThread:
         self._commands.put(lambda: self._post_all(self._queue.stop_at(shard, hit, commit_order)))
 
     def discard(self, shard: io.ShardKey) -> None:
-        """Forget the islands of an archipelago under one term, also those in progress."""
+        """Forget the islands of an archipelago under one term, including islands in progress."""
 
         def discard() -> None:
             self._queue.discard(shard)
@@ -210,7 +210,10 @@ class ComputeThread:
         self._commands.put(discard)
 
     def close(self) -> None:
-        """Stop. Waits a little for the thread, which is a daemon and keeps no process alive. Repeatable."""
+        """Stop the thread and wait briefly for it.
+
+        It is a daemon, so it keeps no process alive. May be called again.
+        """
         self._closed = True
         self._commands.put(lambda: None)  # the thread may be waiting for a command
         self._thread.join(_JOIN_LIMIT_S)
@@ -244,7 +247,7 @@ class ComputeThread:
             from atoll_island_worker.compute.warmup import warm_up
 
             warm_up(self._report)
-        except Exception as error:  # it is reported, and the worker ends
+        except Exception as error:  # the error is reported, and the worker ends
             _LOG.exception("warm-up failed")
             self._post_all([ComputeFailed(f"the kernels cannot be made ready on this machine: {brief(error)}")])
         else:

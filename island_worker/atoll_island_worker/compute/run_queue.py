@@ -1,10 +1,10 @@
 """The order in which a worker's compute thread works on its tasks, slice by slice. Pure; time comes from a clock.
 
-Islands take turns of one slice. The next turn goes to the user who was charged least, among this user's jobs to the one
-that was charged least in relation to its weight, and in this job to the first slice in the commit order
-(`atoll_core.search.commit_order`). So users have equal shares of a worker, for any number and priority of jobs, and
-weights divide the share of one user. When the target is met, tasks that are not needed any more are dropped at once,
-and tasks that have gone far enough are reported.
+Islands take turns of one slice; users and jobs are charged with the seconds of their turns. The next turn goes to the
+user with the least charge, then to the job of this user with the least charge per weight, then to the first slice of
+this job in the commit order (`atoll_core.search.commit_order`). So users have equal shares of a worker, for any number
+and priority of jobs, and the weights divide the share of one user. When the target is met, tasks that are no longer
+needed are dropped at once, and tasks that have reached the hit are reported.
 """
 
 from collections.abc import Callable, Iterable
@@ -21,12 +21,12 @@ class RunningEpoch(Protocol):
 
     @property
     def generation(self) -> int:
-        """Generations of the epoch that have passed."""
+        """Number of computed generations of the epoch."""
         ...
 
     @property
     def snapshot(self) -> bytes | None:
-        """The island's state before generation 0, if the task wants it."""
+        """The island's state before generation 0, if the task includes a snapshot."""
 
     def advance(self) -> bool:
         """Compute one slice, or part of a long one; return True when the epoch is over or the target was met.
@@ -36,7 +36,7 @@ class RunningEpoch(Protocol):
         ...
 
     def computed(self) -> io.EpochComputed:
-        """Return the result so far."""
+        """Return the result up to now."""
         ...
 
 
@@ -60,9 +60,11 @@ class RunQueue:
     """The tasks of one worker that are not done yet."""
 
     def __init__(self, begin: Begin, clock: Callable[[], float]) -> None:
-        """`clock` gives seconds, by which users and jobs are charged for turns; `current` is the task of the last turn.
+        """`clock` returns seconds, by which users and jobs are charged for turns.
 
-        `seconds` has the total time of turns by user.
+        `current` is the task of the last turn.
+
+        `seconds` is the total time of turns, by user.
         """
         self._begin = begin
         self._clock = clock
@@ -77,7 +79,7 @@ class RunQueue:
 
     @property
     def is_idle(self) -> bool:
-        """Whether there is nothing to compute."""
+        """Whether there is no task to compute."""
         return not self._open
 
     def share(self, job: str, weight: float, user: str) -> None:
@@ -86,7 +88,7 @@ class RunQueue:
         self._users[job] = user
 
     def add(self, task: io.EpochTask) -> list[io.Outcome]:
-        """Add a task; return its Abandoned if it is not needed."""
+        """Add a task; return an Abandoned if it is not needed."""
         self._enter(task.key.job)
         self._open[task.key] = _Open(task)
         return self._settle([task.key])
@@ -97,7 +99,10 @@ class RunQueue:
         return self._settle([key for key in self._open if key.shard == shard])
 
     def turn(self) -> list[io.Snapshot | io.Outcome]:
-        """Compute one slice of the task whose turn it is; return its snapshot, and outcomes of tasks that it ends."""
+        """Compute one slice of the task whose turn it is.
+
+        Return its snapshot, and outcomes of tasks that the slice ends.
+        """
         key = min(self._open, key=self._rank)
         open_task = self._open[key]
         task = open_task.task
@@ -146,7 +151,7 @@ class RunQueue:
             self._charged_users.pop(user, None)
 
     def _enter(self, job: str) -> None:
-        """Start a job, and its user, at the least charge of those that have tasks: being idle earns no credit."""
+        """Start a job, and its user, at the least charge of jobs and users with tasks: idle time gives no credit."""
         user, open_jobs = self._users.get(job, ""), {key.job for key in self._open}
         if job not in open_jobs:
             own = [self._charged[other] for other in open_jobs if self._users.get(other, "") == user]
@@ -170,7 +175,7 @@ class RunQueue:
         return (of_user, self._charged[key.job], epoch, group, generation, key.job, key.variable, island)
 
     def _settle(self, keys: Iterable[io.TaskKey]) -> list[io.Outcome]:
-        """Close the tasks among these that need no more computation, and return their outcomes."""
+        """Close those of the given tasks that need no more computation, and return their outcomes."""
         outcomes: list[io.Outcome] = []
         for key in keys:
             open_task, hit = self._open[key], self._hits.get(key.shard)

@@ -1,4 +1,4 @@
-"""Prepares the kernels of the search before work arrives: compiled once per machine, loaded everywhere else."""
+"""Prepares the kernels of the search before work arrives: compiled once per machine, loaded afterwards."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -46,7 +46,7 @@ def run_small_epochs() -> None:
 
 
 def _small_problem() -> "Problem":
-    """Return a problem that no equation solves, over two variables and enough rows for predictors to be used."""
+    """Return a problem without an exact solution, over two variables and enough rows for predictors."""
     import numpy as np
 
     from atoll_core.data.dataset import Problem, Target

@@ -38,9 +38,9 @@ class TaskKey:
 class EpochTask:
     """Begin epoch `key.epoch` with the immigrants `blocks`, and finish it.
 
-    `blocks` are by source island; None at the first epoch of a term. Emigrants are wanted unless the epoch `is_last`.
-    The `commit_order` ranks its slices. `state` is the island's state when its term begins at a checkpoint. At a
-    checkpoint a snapshot is wanted; an epoch that `is_at_barrier` is begun for the snapshot alone.
+    `blocks` are by source island; None in the first epoch of a term. The task returns emigrants unless the epoch
+    `is_last`. The `commit_order` ranks its slices. `state` is the island's state if its term begins at a checkpoint. At
+    a checkpoint the task returns a snapshot; an epoch that `is_at_barrier` is begun only for the snapshot.
     """
 
     key: TaskKey
@@ -72,7 +72,7 @@ class LoadFailed:
 
 @dataclass(frozen=True, slots=True)
 class PullAsked:
-    """Another worker or the coordinator asks for migrants, reports or states; the answer refers to `handle`."""
+    """Another worker or the coordinator requests migrants, reports or states; the answer refers to `handle`."""
 
     handle: Query
     body: epochs.PullMigrants | epochs.PullReports | epochs.PullStates
@@ -80,7 +80,7 @@ class PullAsked:
 
 @dataclass(frozen=True, slots=True)
 class PullEnded:
-    """A pull that we `asked` has ended, with an answer or (None) without one."""
+    """A pull of this worker, `asked`, has ended with an answer, or without one (None)."""
 
     asked: "Ask"
     body: epochs.Migrants | epochs.States | None
@@ -88,7 +88,7 @@ class PullEnded:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The state of an island before generation 0 of an epoch; at a barrier nothing else is computed."""
+    """The state of an island before generation 0 of an epoch; at a barrier it is the only result."""
 
     key: TaskKey
     data: bytes
@@ -97,9 +97,9 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class EpochComputed:
-    """An island finished an epoch, or the part of it that is needed.
+    """An island finished an epoch, or the needed part of it.
 
-    `emigrants`: blocks by destination island, its own included (only after a whole epoch that is not the last);
+    `emigrants`: blocks by destination island, including itself (only after a whole epoch that is not the last);
     `senders`: the other islands whose blocks it needs to begin the next epoch.
     """
 
@@ -111,7 +111,7 @@ class EpochComputed:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """An island refused its immigrants' blocks as malformed, and is unchanged."""
+    """An island rejected the blocks of its immigrants as malformed, and is unchanged."""
 
     key: TaskKey
     sentence: str
@@ -127,25 +127,25 @@ class Broken:
 
 @dataclass(frozen=True, slots=True)
 class Abandoned:
-    """Nothing of a task is needed, because the target was met before."""
+    """No part of a task is needed, because the target was met before."""
 
     key: TaskKey
 
 
 Outcome = EpochComputed | Rejected | Broken | Abandoned
-"""The end of a task that is not at a barrier."""
+"""The possible ends of a task that is not at a barrier."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Time has passed: what is missing and not under way is asked for again."""
+    """Time has passed: missing messages that are not under way are requested again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reset:
-    """Another coordinator, or another incarnation of ours, has taken over: placements by others are void.
+    """Another coordinator, or another incarnation of this one, has taken over: placements by others are void.
 
-    Placements by `incarnation`, of our coordinator, are kept; 0: none are.
+    Placements by `incarnation` of the present coordinator are kept; 0: none are kept.
     """
 
     incarnation: int = 0
@@ -197,7 +197,7 @@ class SendReport:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Pull migrants from worker `peer`, or states of a checkpoint from the coordinator (None); PullEnded follows."""
+    """Pull migrants from worker `peer`, or states of a checkpoint from the coordinator (None). A PullEnded follows."""
 
     peer: str | None
     body: epochs.PullMigrants | epochs.PullStates

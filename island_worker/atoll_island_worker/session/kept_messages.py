@@ -13,11 +13,11 @@ from atoll_core.wire.messages.workers import Placement
 from atoll_core.wire.state_pieces import IslandState, split_states
 
 ADDITIONS_PER_ANSWER: Final = 20_000
-"""An answer with reports ends after this many additions to the front; the rest is asked for again."""
+"""An answer with reports ends after this many additions to the front; the coordinator requests the rest again."""
 
 
 class RetransmitBuffer:
-    """Emigrants, reports and snapshots of the islands `islands` of one worker under one term."""
+    """Emigrants, reports and snapshots of the `islands` of one worker under one term."""
 
     def __init__(self, placement: Placement, islands: Collection[int]) -> None:
         self._shard: dict[str, Any] = {"job": placement.job, "variable": placement.variable, "term": placement.term}
@@ -43,11 +43,11 @@ class RetransmitBuffer:
         return self._reports.get(epoch, {}).keys()
 
     def snapshots(self) -> tuple[int, ...]:
-        """Return the epochs of which every island has a snapshot."""
+        """Return the epochs for which every island has a snapshot."""
         return tuple(sorted(epoch for epoch, states in self._snapshots.items() if len(states) == len(self._islands)))
 
     def epochs_sent(self) -> Iterable[int]:
-        """Return the epochs of which emigrants are kept."""
+        """Return the epochs whose emigrants are kept."""
         return (epoch for epoch, _ in self._sent)
 
     def forget(self, reported: int, commit: int) -> None:
@@ -57,13 +57,13 @@ class RetransmitBuffer:
         self._snapshots = {epoch: states for epoch, states in self._snapshots.items() if epoch > commit}
 
     def report(self, epoch: int) -> epochs.EpochReport:
-        """Return the report of one epoch, islands in order."""
+        """Return the report of one epoch, with islands in order."""
         kept = self._reports[epoch]
         islands = tuple(kept[island] for island in sorted(kept))
         return epochs.EpochReport(**self._shard, epoch=epoch, islands=islands)
 
     def migrants(self, pull: epochs.PullMigrants) -> epochs.Migrants | None:
-        """Return the emigrants asked for, as many as fit one message; None: a source has not finished the epoch."""
+        """Return the requested emigrants that fit into one message; None: a source has not finished the epoch."""
         if not all((pull.epoch, source) in self._sent for source in pull.sources):
             return None
         blocks: list[epochs.Block] = []
@@ -78,7 +78,7 @@ class RetransmitBuffer:
         return epochs.Migrants(blocks=tuple(blocks))
 
     def answer_reports(self, pull: epochs.PullReports, reported: int) -> epochs.Reports | epochs.NotYet:
-        """Return the reports asked for, of epochs below `reported` that are kept, as many as fit one message."""
+        """Return the requested reports that are kept, of epochs below `reported`, as many as fit into one message."""
         reports: list[epochs.EpochReport] = []
         additions = 0
         for epoch in range(pull.first, min(pull.last, reported)):
@@ -88,7 +88,7 @@ class RetransmitBuffer:
         return epochs.Reports(reports=tuple(reports)) if reports else epochs.NotYet()
 
     def answer_states(self, pull: epochs.PullStates) -> epochs.States | epochs.NotYet:
-        """Return states of a checkpoint, as many as fit one message."""
+        """Return states of a checkpoint, as many as fit into one message."""
         states = self._snapshots.get(pull.epoch, {})
         if not states.keys() >= set(pull.islands) or pull.offset >= len(states[pull.islands[0]].data):
             return epochs.NotYet()

@@ -1,15 +1,15 @@
 """A shard: the islands of an archipelago that one worker computes under one term, and their migrants. Pure.
 
 An island waits for exactly the senders that the reshuffle of the last epoch names, and gets all immigrants together. So
-it computes the same bits regardless of the times and the order in which they arrive. They are pulled: when the first
-island here begins an epoch, every other worker is asked for the emigrants of that epoch, and answers when its islands
-have finished it. A pull that ends without them is repeated at a tick. A term that begins at a checkpoint begins with
-the states of its islands, which are pulled from the coordinator in the same way.
+the times and the order of arrivals do not change the computed bits. Migrants are pulled: when the first island here
+begins an epoch, this worker requests the emigrants of that epoch from every other worker, which answers when its
+islands have finished the epoch. A pull that ends without migrants is repeated at a tick. If a term begins at a
+checkpoint, the states of its islands are pulled from the coordinator in the same way.
 
-A hit ends the archipelago at one position in the commit order. Heartbeats tell the coordinator, its commits tell the
-other workers, and every shard stops computing after that position. Slices before it are still computed and reported,
-because they may contain an earlier hit. None of them needs emigrants of the epoch of the hit, so that nothing depends
-on when a worker learns of it.
+A hit (an island meets the target) ends the archipelago at one position in the commit order. Heartbeats report it to the
+coordinator, its commits report it to the other workers, and every shard stops computing after that position. Slices
+before the position are still computed and reported, because they may contain an earlier hit. They do not need emigrants
+of the epoch of the hit, so the result does not depend on the time when a worker learns of the hit.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -36,19 +36,23 @@ ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]
     "at barrier": {"end": "stopped"},
     "stopped": {},
 }
-"""State of one island -> event -> next state. `restoring`: its state is on its way; `computing`: it is in the run
-queue; `at barrier`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last epoch."""
+"""State of one island -> event -> next state. State `restoring`: the island's data are being pulled; `computing`: it is
+in the run queue; `at barrier`: it waits at a checkpoint for a placement. Event `end`: a hit here or elsewhere, or the
+last epoch."""
 
 MAX_HELD: Final = 4096
-"""Pulls of migrants that wait for their answers; further ones are answered at once, and repeated."""
+"""Most pulls of migrants that wait here for their answers; further pulls are answered at once without migrants, and
+their workers repeat them."""
 
 
 @dataclass(slots=True)
 class LocalIsland:
-    """One island computed here. `epoch` is the one it computes, or will begin; `needs` its sources while it waits.
+    """One island computed here.
 
-    `immigrants` have arrived, by epoch and source, and have not been handed over. Each is filed once, so that the order
-    in which answers arrive cannot matter.
+    `epoch` is the epoch that it computes or will begin; `needs` are its sources while it waits.
+
+    `immigrants` are the arrived blocks by epoch and source that the island has not received yet. Each block is stored
+    once, so the order of the answers has no influence.
     """
 
     index: int
@@ -59,11 +63,11 @@ class LocalIsland:
 
     @property
     def arrived(self) -> dict[int, bytes]:
-        """The immigrants of the epoch before `epoch` that have arrived, by source."""
+        """The arrived immigrants of the epoch before `epoch`, by source."""
         return self.immigrants.get(self.epoch - 1, {})
 
     def step(self, step: IslandStep) -> None:
-        """Go to the next state by the table; raises LocalProtocolError for a pair that is not in it."""
+        """Go to the next state by the table; raises LocalProtocolError if the table has no such transition."""
         following = ISLAND_TRANSITIONS[self.state].get(step)
         if following is None:
             raise LocalProtocolError(f"island {self.index} in epoch {self.epoch} cannot {step} while {self.state}")
@@ -81,7 +85,7 @@ class Shard:
         first, mine = placement.epoch, placement.islands_of(worker)
         self.islands = {island: LocalIsland(island, "restoring" if first else "ready", first) for island in mine}
         self.stop: Position | None = None
-        """The earliest known position at which the target was met; nothing after it is needed."""
+        """The earliest known position at which the target was met; slices after it are not needed."""
         self.commit = self.reported = first
         self.waited_s = 0.0
         self.duplicates = 0
@@ -94,7 +98,7 @@ class Shard:
 
     @property
     def stop_epoch(self) -> int:
-        """The last epoch that is needed at least in part, as far as known here."""
+        """The last epoch that is needed at least in part, according to the hits known here."""
         return self.placement.epochs - 1 if self.stop is None else self.stop.epoch
 
     def assignment_status(self) -> AssignmentStatus:
@@ -105,7 +109,7 @@ class Shard:
         )  # fmt: skip
 
     def elapse(self, seconds: float) -> None:
-        """Let time pass: it counts for every island here that waits for migrants."""
+        """Let time pass: it counts as waiting time for every island here that waits for migrants."""
         self.waited_s += seconds * sum(local.state == "waiting" for local in self.islands.values())
 
     def is_waiting(self) -> bool:
@@ -119,7 +123,7 @@ class Shard:
     # ---------------------------------------------------------------------------------- computations
 
     def runnable(self) -> Iterator[LocalIsland]:
-        """Yield the islands that may begin an epoch now, or take a snapshot: ready, and within the schedule."""
+        """Yield the islands that may begin an epoch or take a snapshot now: they are ready, and within the schedule."""
         return (
             local for local in self.islands.values() if local.state == "ready" and local.epoch <= self.schedule.last
         )
@@ -144,7 +148,7 @@ class Shard:
         )
 
     def file_snapshot(self, taken: io.Snapshot) -> bool:
-        """File the snapshot of an island; return whether the snapshots of all islands here are complete now."""
+        """Store the snapshot of an island; return whether all islands here now have their snapshots."""
         local = self.islands[taken.key.island]
         if taken.is_at_barrier:
             local.step("reach barrier")
@@ -156,7 +160,10 @@ class Shard:
         return taken.key.epoch in self._buffer.snapshots()
 
     def computed(self, done: io.EpochComputed) -> list[io.Action]:
-        """Store the outcome of an island for the report; return answers with its emigrants, and pulls for it."""
+        """Store the outcome of an island for the report.
+
+        Return answers with its emigrants, and pulls of its immigrants.
+        """
         local, key = self.islands[done.key.island], done.key
         local.immigrants.pop(key.epoch - 1, None)
         actions: list[io.Action] = []
@@ -182,18 +189,19 @@ class Shard:
         return actions
 
     def _answers(self) -> list[io.Respond]:
-        """Return the answers to held pulls of migrants whose sources have finished the epoch now."""
+        """Return the answers to waiting pulls of migrants whose sources have finished the epoch now."""
         answers = {pull: body for pull in self._held if (body := self._buffer.migrants(pull)) is not None}
         return [io.Respond(self._held.pop(pull), body) for pull, body in answers.items()]
 
     def abandoned(self, island: int) -> None:
-        """Take in that nothing of an island's epoch is needed."""
+        """Record that no part of an island's epoch is needed."""
         self.islands[island].step("end")
 
     def rejected(self, island: int) -> bool:
-        """Take in that an island refused its immigrants: forget the foreign blocks, so that they are pulled again.
+        """Record that an island rejected its immigrants.
 
-        Returns False if all blocks are our own: pulling again would not help.
+        Blocks of other workers are forgotten, so that they are pulled again. Returns False if all blocks are from this
+        worker: pulling again would not help.
         """
         local = self.islands[island]
         if local.epoch == self.placement.epoch or local.needs <= self.islands.keys():
@@ -206,7 +214,7 @@ class Shard:
         return True
 
     def due_reports(self) -> list[io.SendReport]:
-        """Return the reports of epochs that all islands here have finished, in order, each once."""
+        """Return, in order, the reports of epochs that all islands here have finished; each report is returned once."""
         due = []
         while reporters := self._buffer.reporters(self.reported):
             if not all(local.index in reporters or local.state == "stopped" for local in self.islands.values()):
@@ -218,8 +226,10 @@ class Shard:
     # ------------------------------------------------------------------------------------ coordinator
 
     def commit_at(self, commit: Commit) -> Position | None:
-        """Take in how far the archipelago is durable and reported, and forget messages that no process will request
-        again; return where the target was met, if that is earlier than known before.
+        """Record how far the archipelago is durable and reported.
+
+        Forget messages that no process will request again; return the position of a hit, if it is earlier than known
+        before.
 
         Raises:
             RemoteProtocolError: the epoch is later than the last one reported from here.
@@ -238,7 +248,7 @@ class Shard:
     def pull_asked(
         self, handle: Query, pull: epochs.PullMigrants | epochs.PullReports | epochs.PullStates
     ) -> list[io.Respond]:
-        """Answer a pull; hold a pull of migrants while a source has not finished the epoch."""
+        """Answer a pull; let a pull of migrants wait while a source has not finished the epoch."""
         match pull:
             case epochs.PullReports():
                 return [io.Respond(handle, self._buffer.answer_reports(pull, self.reported))]
@@ -246,18 +256,18 @@ class Shard:
                 return [io.Respond(handle, self._buffer.answer_states(pull))]
         if not self.islands.keys() >= set(pull.sources) or len(self._held) >= MAX_HELD:
             return [io.Respond(handle, epochs.NotYet())]
-        self._held[pull] = handle  # in place of the same pull, which has timed out
+        self._held[pull] = handle  # replaces the same pull, which has timed out
         return self._answers()
 
     def early_pulls(self, epoch: int) -> list[io.Ask]:
-        """Return pulls of all emigrants of an epoch that begins here, once."""
+        """Return pulls of all emigrants of an epoch that begins here; each is returned once."""
         if epoch <= self._pulled or epoch + 1 >= self.placement.epochs or epoch > self.schedule.limit:
             return []
         self._pulled = epoch
         return self._pulls(epoch, range(len(self.placement.workers)), self.islands)
 
     def due_pulls(self) -> list[io.Ask]:
-        """Return pulls of the states and migrants that are missing, except those that are under way."""
+        """Return pulls of missing states and migrants, except pulls that are under way."""
         pulls: list[io.Ask] = []
         first, wanted = self.placement.epoch, self._states.wanted
         if wanted and (None, first) not in self._under_way and self.stop_epoch >= first:
@@ -267,13 +277,13 @@ class Shard:
         return pulls + [pull for local in self.islands.values() for pull in self._missing(local)]
 
     def _missing(self, local: LocalIsland) -> list[io.Ask]:
-        """Return pulls of the migrants that an island waits for, except those that are under way."""
+        """Return pulls of the migrants that an island waits for, except pulls that are under way."""
         if local.state != "waiting":
             return []
         return self._pulls(local.epoch - 1, sorted(local.needs - local.arrived.keys()), (local.index,))
 
     def _pulls(self, epoch: int, sources: Iterable[int], destinations: Iterable[int]) -> list[io.Ask]:
-        """Return one pull for each other worker of these sources, except those that are under way."""
+        """Return one pull for each other worker with some of these sources, except pulls that are under way."""
         by_worker: dict[str, list[int]] = {}
         for source in sources:
             by_worker.setdefault(self.placement.workers[source], []).append(source)
@@ -290,10 +300,10 @@ class Shard:
         ]
 
     def pull_ended(self, asked: io.Ask, body: epochs.Migrants | epochs.States | None) -> list[io.Ask]:
-        """Take in the answer to a pull; return pulls for the rest if it contained a part.
+        """Process the answer to a pull; if it contained only a part, return pulls for the rest.
 
         Raises:
-            RemoteProtocolError: The answer contains what was not asked for, or a state was damaged on its way.
+            RemoteProtocolError: The answer contains blocks that were not requested, or a state was damaged in transit.
         """
         pull = asked.body
         self._under_way.discard((asked.peer, pull.epoch))
@@ -306,7 +316,7 @@ class Shard:
                 for block in blocks:
                     if block.source not in pull.sources or block.destination not in pull.destinations:
                         raise RemoteProtocolError(
-                            f"migrants of island {block.source} to {block.destination} came, which were not asked for"
+                            f"migrants of island {block.source} to {block.destination} came, which were not requested"
                         )
                 for block in blocks:
                     self._deliver(pull.epoch, block)
@@ -317,7 +327,7 @@ class Shard:
         return self.due_pulls()
 
     def _deliver(self, epoch: int, block: epochs.Block) -> None:
-        """File one block, once; a block that is no longer needed is dropped."""
+        """Store one block, once; a block that is no longer needed is dropped."""
         local = self.islands[block.destination]
         was_handed_over = local.state in ("restoring", "computing", "at barrier") or local.epoch == self.placement.epoch
         is_late = epoch < local.epoch - 1 or (epoch == local.epoch - 1 and was_handed_over)
@@ -334,7 +344,7 @@ class Shard:
             local.step("complete")
 
     def stop_at(self, hit: Position | None) -> Position | None:
-        """Take in where the target was met; return it if it is earlier than known before."""
+        """Record the position of a hit; return it if it is earlier than known before."""
         order = self.placement.commit_order
         if hit is None or (self.stop is not None and order.rank(self.stop) <= order.rank(hit)):
             return None

@@ -1,11 +1,13 @@
-"""A worker's session: decides what the worker computes, sends, keeps, asks and answers. A pure state machine.
+"""A worker's session: decides what the worker computes, sends, keeps, requests and answers. A pure state machine.
 
 Events go in, actions come out (both in `atoll_island_worker.session.interface`); there is no clock, I/O or thread.
-`Session.handle` is called by the worker's loop, by the simulation and by tests. It keeps the rules of docs/protocol.md.
+`Session.handle` is called by the worker's loop, by the simulation and by tests. It follows the rules of
+docs/protocol.md.
 
-Each archipelago that is placed here has a `Shard` of the newest term that this worker knows; pulls under other terms
-get nothing and are repeated, and heartbeats bring missing placements. So nothing depends on the order in which messages
-arrive, and a message that is lost costs time only: migrants, reports and states can all be asked for again.
+Each archipelago that is placed here has a `Shard` of the newest term that this worker knows. Pulls under other terms
+get empty answers and are repeated; the answers to heartbeats contain missing placements. So the result does not depend
+on the order in which messages arrive. A lost message only costs time, because migrants, reports and states can all be
+requested again.
 """
 
 from typing import Final
@@ -17,14 +19,14 @@ from atoll_island_worker.session import interface as io
 from atoll_island_worker.session.shard import Shard
 
 MAX_TERMS: Final = 1024
-"""The newest terms of this many archipelagos that are not computed here are remembered."""
+"""Number of archipelagos not computed here whose newest terms are remembered."""
 
 ArchipelagoKey = tuple[str, str]
 """Job and variable."""
 
 
 class Session:
-    """All shards of one worker. Not thread-safe; owned by the worker's loop."""
+    """All shards of one worker. Not thread-safe; only the worker's loop may call it."""
 
     def __init__(self, worker: str) -> None:
         self.worker = worker
@@ -42,11 +44,11 @@ class Session:
 
     @property
     def duplicates(self) -> int:
-        """Blocks of migrants that came again, or too late, and had no effect."""
+        """Number of blocks of migrants that came again, or too late, and had no effect."""
         return self._duplicates_before + sum(shard.duplicates for shard in self._shards.values())
 
     def elapse(self, seconds: float) -> None:
-        """Let time pass, before an event that came after it."""
+        """Let time pass until the next event."""
         for shard in self._shards.values():
             shard.elapse(seconds)
 
@@ -65,11 +67,11 @@ class Session:
         return tuple(self._failures)
 
     def jobs(self) -> tuple[str, ...]:
-        """Return the jobs whose configuration and dataset are loaded."""
+        """Return the jobs with loaded configuration and dataset."""
         return tuple(self._loaded)
 
     def wants(self, job: str) -> bool:
-        """Tell whether the job's dataset is still wanted."""
+        """Tell whether the job's dataset is still needed."""
         return any(name == job for name, _ in self._shards)
 
     def validate(self) -> None:
@@ -83,11 +85,11 @@ class Session:
         """Handle one event and return the actions, computations first.
 
         Raises:
-            RemoteProtocolError: A peer's message is invalid; nothing has changed.
-            LocalProtocolError: This side broke its own rules.
+            RemoteProtocolError: A peer's message is invalid; the state is unchanged.
+            LocalProtocolError: This worker broke the rules of the protocol.
         """
-        actions = self._on(event)
-        # All islands that can begin do; the compute thread decides about turns.
+        actions = self._handle_event(event)
+        # All islands that can begin an epoch do so; the compute thread decides about turns.
         runnable = [
             (shard, local.index)
             for (job, _), shard in self._shards.items()
@@ -98,7 +100,7 @@ class Session:
         early = [pull for shard, island in runnable for pull in shard.early_pulls(shard.islands[island].epoch)]
         return [*begun, *actions, *early]
 
-    def _on(self, event: io.SessionEvent) -> list[io.Action]:  # noqa: C901  # a table of events
+    def _handle_event(self, event: io.SessionEvent) -> list[io.Action]:  # noqa: C901  # a table of events
         match event:
             case workers.Placement():
                 return self._placed(event)
@@ -177,7 +179,7 @@ class Session:
             return []
         local = shard.islands.get(key.island)
         if local is None or (local.state, local.epoch) != ("computing", key.epoch):
-            raise LocalProtocolError(f"{key} was computed, but was not asked for")
+            raise LocalProtocolError(f"{key} was computed, but was not requested")
         actions: list[io.Action] = []
         match event:
             case io.Snapshot():
@@ -215,9 +217,11 @@ class Session:
         return [io.Discard(shard.key)] if shard is not None else []
 
     def _record_term(self, key: ArchipelagoKey, term: int) -> None:
-        """Remember the newest term of an archipelago; of archipelagos that are not computed here, `MAX_TERMS` terms.
+        """Remember the newest term of an archipelago.
 
-        A forgotten term does no harm: the answer to the next heartbeat corrects a worker that follows an older one.
+        Archipelagos that are not computed here have at most `MAX_TERMS` terms.
+
+        A forgotten term does no harm: the answer to the next heartbeat corrects a worker that follows an older term.
         """
         self._terms.pop(key, None)
         self._terms[key] = term

@@ -1,16 +1,17 @@
 """The task process of a worker: started when there is a task, kept for later ones, ended by a signal.
 
-One thread reads its messages from a pipe and posts them to the worker's loop. Another thread writes to it, so that the
-loop never waits for a process that does not read.
+One thread reads the messages of the process from a pipe and posts them to the worker's loop. Another thread writes to
+the pipe, so that the loop never waits for a process that does not read.
 
-Loading the modules for a task takes a second or two and tens of megabytes. So all workers of one command share a server
-(`TaskServer`) that has loaded it and forks task processes. The server has neither a thread nor a bus, so forking it is
-safe; it is itself forked before anything else is loaded. The workers inherit its socket, and it ends when they have all
-closed it. Where the system cannot fork, or the server is gone, a new interpreter is started.
+Loading the modules for a task takes one or two seconds and tens of megabytes. So all workers of one command share a
+server (`TaskServer`) that loads the modules once and forks task processes. The server has neither a thread nor a bus,
+so forking it is safe; it is itself forked before other modules are loaded. The workers inherit its socket, and the
+server ends when all workers have closed it. If the system cannot fork, or if the server is gone, a new interpreter is
+started.
 
-A process pool of a library was tried and is not smaller: while a task runs, its process exchanges batches with helpers
-through the worker, which needs this pipe and these threads next to the pool's own; and the fork server of
-multiprocessing belongs to one process, so that each worker would load everything again.
+A process pool of a library was tried and needs no less code. While a task runs, its process exchanges batches with
+helpers through the worker; this needs the pipe and the threads in addition to the pool. The fork server of
+multiprocessing belongs to one process, so each worker would load the modules again.
 """
 
 import contextlib
@@ -37,14 +38,15 @@ from atoll_core.task_frames import OTHER_VERSION, version
 from atoll_island_worker.processes import Forked, request_parent_death_signal
 
 END_LIMIT_S: Final = 2.0
-"""How long a process may take to end after it was killed, or has closed its pipe."""
+"""Time limit for the end of a process that was killed, or that has closed its pipe."""
 
 IDLE_S: Final = 120.0
-"""A process is ended, to free its memory, after this time without a task."""
+"""After this time without a task a process is ended to free its memory."""
 
 MAX_TASKS: Final = 100
 MAX_MEMORY: Final = 1 << 30
-"""After this number of tasks, or above this memory, a process runs no further task, because of leaks."""
+"""After this number of tasks, or above this memory in bytes, a process runs no further task, because of memory
+leaks."""
 
 _PROGRAM: Final = """
 import sys
@@ -58,21 +60,21 @@ class StartedProcess(Protocol):
     """A process that was started for tasks. Any thread may call its methods."""
 
     def set_pid(self, pid: int) -> None:
-        """Take in the process id, which the process itself sends."""
+        """Record the process id, which the process itself sends."""
 
     def kill(self) -> None:
         """End it."""
 
     def wait(self, timeout: float) -> int | None:
-        """Wait for its end; return its exit code, negative for a signal; None: unknown, or not in time."""
+        """Wait for the end of the process; return its exit code, negative for a signal, None if unknown or too late."""
 
     def close(self) -> None:
-        """Release its resources."""
+        """Release the resources of the process."""
 
 
 class _Interpreter(subprocess.Popen[bytes]):
     def set_pid(self, pid: int) -> None:
-        """Do nothing: its id is known."""
+        """Do nothing: the process id is known."""
 
     def wait(self, timeout: float | None = None) -> int | None:  # type: ignore[override]
         """See `StartedProcess.wait`."""
@@ -82,19 +84,19 @@ class _Interpreter(subprocess.Popen[bytes]):
             return None
 
     def close(self) -> None:
-        """Do nothing: `wait` has released it."""
+        """Do nothing: `wait` has released the process."""
 
 
 class Starter(Protocol):
     """Starts task processes."""
 
     def start(self, connection: "Connection[object, object]") -> StartedProcess:
-        """Start a process with one end of a pipe; raises AtollError if the system starts no more."""
+        """Start a process with one end of a pipe; raises AtollError if the system starts no more processes."""
         ...
 
 
 class Interpreters(Starter):
-    """Starts a new interpreter for each process, which takes a second or two to load the modules for a task."""
+    """Starts a new interpreter for each process; loading the modules for a task takes it one or two seconds."""
 
     def start(self, connection: "Connection[object, object]") -> StartedProcess:
         """See `start_process`."""
@@ -105,7 +107,7 @@ def start_process(connection: "Connection[object, object]") -> StartedProcess:
     """Start a new interpreter; raises AtollError if the system starts no more processes."""
     level = logging.getLogger().getEffectiveLevel()
     descriptor = connection.fileno()
-    words = [str(descriptor), str(level), version(), *sys.path]  # the same modules are found
+    words = [str(descriptor), str(level), version(), *sys.path]  # so that the same modules are found
     try:
         return _Interpreter(
             [sys.executable, "-P", "-c", _PROGRAM, *words],
@@ -119,7 +121,10 @@ def start_process(connection: "Connection[object, object]") -> StartedProcess:
 
 
 class TaskProcess:
-    """The process of one worker, restarted as needed. Methods return at once; messages of the process are posted."""
+    """The task process of one worker, restarted as needed.
+
+    Methods return at once; messages of the process are posted.
+    """
 
     def __init__(self, starter: Starter | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         """`starter` starts the process; by default a new interpreter."""
@@ -133,7 +138,7 @@ class TaskProcess:
         self._used_at = 0.0
 
     def attach(self, post: Callable[[object], None]) -> None:
-        """Post all messages of the process, as `Said`."""
+        """Post all messages of the process through `post`, as `ProcessMessage`."""
         self._post = post
 
     @property
@@ -142,7 +147,9 @@ class TaskProcess:
         return self._running is not None and self._running.is_alive
 
     def send(self, message: frames.ToProcess) -> int:
-        """Send a message to the process, which is started for a task or a batch if need be; return its `Said.life`.
+        """Send a message to the process, which is started for a task or a batch if necessary.
+
+        Return the number of its life, see `ProcessMessage`.
 
         If the system starts no more processes, `Ended` is posted.
         """
@@ -156,12 +163,12 @@ class TaskProcess:
         return self._life
 
     def load_next(self, function: str) -> None:
-        """Make a running process load the modules for tasks of this function."""
+        """Let a running process load the modules for tasks of this function."""
         if self.is_started:
             self.send(frames.Load(function))
 
     def stop(self) -> None:
-        """End the process and its task; its end is not posted."""
+        """End the process and its task; the end is not posted."""
         if self._running is not None:
             self._running.stop()
             self._running = None
@@ -197,7 +204,7 @@ class _Running:
     """One process, with the thread that reads from it and the thread that writes to it."""
 
     def __init__(self, starter: Starter, take: Callable[[frames.FromProcess], None]) -> None:
-        """Start them; raises AtollError if the system starts no more."""
+        """Start the process and both threads; raises AtollError if the system starts no more."""
         self._connection, theirs = Pipe()
         self._outgoing: queue.SimpleQueue[frames.ToProcess | None] = queue.SimpleQueue()
         self._take = take
@@ -237,7 +244,7 @@ class _Running:
             end.shutdown(socket.SHUT_RDWR)
 
     def _write(self) -> None:
-        with contextlib.suppress(OSError):  # it has ended, which the reading thread notices
+        with contextlib.suppress(OSError):  # the process has ended, which the reading thread notices
             while (message := self._outgoing.get()) is not None:
                 self._connection.send(message)
 
@@ -257,7 +264,7 @@ class _Running:
             self._take(frames.Ended(failure, why or sentence))
 
     def _read_all(self) -> str:
-        """Pass on messages until the process ends; return why a message could not be read, if so."""
+        """Pass on messages until the process ends; return the reason if a message could not be read, else ""."""
         try:
             while True:
                 message = self._connection.recv()
@@ -267,7 +274,7 @@ class _Running:
                     self._take(message)
         except (EOFError, OSError):
             return ""
-        except Exception as error:  # also a message that was cut off, or no memory left here
+        except Exception as error:  # also for a truncated message, or if this process is out of memory
             return f"its message could not be read: {type(error).__name__}: {error}"
 
 
@@ -276,7 +283,7 @@ def cause_of(code: int | None) -> tuple[frames.Failure, str]:
     if code is None:
         return "crash", "its process ended"
     if code == OTHER_VERSION:
-        return "crash", "its program is of another version than the worker, which must be started again"
+        return "crash", "its program and the worker have different versions; the worker must be started again"
     if code >= 0:
         return "crash", f"its process ended with exit code {code}"
     name = signal.Signals(-code).name if -code in set(signal.Signals) else "unknown"
@@ -287,13 +294,13 @@ def cause_of(code: int | None) -> tuple[frames.Failure, str]:
 
 LOAD_AFTER_S: Final = 2.0
 """After this time without a request the server also loads the modules for refining. By then the first refining process
-has loaded them for itself, and helpers that start later find them loaded."""
+has loaded them itself; helpers that start later inherit them from the server."""
 
 _MOST: Final = 256
 
 
 class TaskServer(Starter):
-    """The server as the workers see it, which inherit it."""
+    """The workers' end of the server; workers inherit it."""
 
     def __init__(self) -> None:
         """Fork the server; raises AtollError if the system starts no more processes."""
@@ -302,7 +309,7 @@ class TaskServer(Starter):
         theirs.close()
 
     def start(self, connection: "Connection[object, object]") -> StartedProcess:
-        """Have the server fork a process; if the server is gone, start an interpreter."""
+        """Let the server fork a process; if the server is gone, start an interpreter."""
         level = logging.getLogger().getEffectiveLevel()
         codes, theirs = Pipe(duplex=False)
         with theirs:
@@ -331,18 +338,21 @@ class _ForkedTask:
 
     def set_pid(self, pid: int) -> None:
         """See `StartedProcess.set_pid`."""
-        with contextlib.suppress(OSError, AttributeError):  # it has ended already, or the system has no pidfd
+        with contextlib.suppress(OSError, AttributeError):  # the process has ended already, or the system has no pidfd
             self._pidfd = os.pidfd_open(pid)
 
     def kill(self) -> None:
-        """End it; a process that has not sent its id yet ends when its pipe is closed."""
+        """End the process; a process that has not sent its id yet ends when its pipe is closed."""
         with self._closing, contextlib.suppress(OSError):
             if self._pidfd is not None:
                 signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
                 self._is_killed = True
 
     def wait(self, timeout: float) -> int | None:
-        """See `StartedProcess.wait`. After `kill` it does not wait: the server may be loading for a second."""
+        """See `StartedProcess.wait`.
+
+        After `kill` it does not wait, because the server may be busy loading for a second.
+        """
         if self._is_killed:
             timeout = 0.0
         with contextlib.suppress(OSError, EOFError):
@@ -360,8 +370,11 @@ class _ForkedTask:
 
 
 class _Server:
-    """The server itself. `_forks`: process id and channel for the exit code of each living fork, by the descriptor of a
-    pipe that becomes readable when the fork has ended."""
+    """The server itself.
+
+    `_forks` has the process id and the channel for the exit code of each running fork. Its keys are descriptors of
+    pipes that become readable when the fork ends.
+    """
 
     def __init__(self, requests: socket.socket) -> None:
         self._requests = requests

@@ -1,9 +1,9 @@
-"""The tasks leased to this worker: their inputs, their process, their results; and batches between workers.
+"""The tasks leased to this worker: inputs, process and results; also batches between workers.
 
-One task runs at a time: one of its own, or batches of another worker's task which this worker helps with. A result is
-pushed until the coordinator releases the task, so a lost message costs only time. A helper asks the worker that runs a
-task for batches; the question goes to the process of the task, which answers it when it has a batch, and the answer
-carries the helper's last result. Owned by the worker's loop.
+The worker does one thing at a time: it runs a leased task, or it helps another worker and computes batches of that
+worker's task. A result is pushed until the coordinator releases the task, so a lost message costs only time. A helper
+requests batches from the worker that runs the task, and sends its last result with the request. The request goes to the
+process of the task, which answers when it has a batch. Only the worker's loop may call this module.
 """
 
 import hashlib
@@ -24,7 +24,7 @@ from atoll_island_worker.downloads import ByteCache
 from atoll_island_worker.tasks.task_process import TaskProcess
 
 NEXT: Final = {"prepare": "refine"}
-"""Function of a task -> function of the most likely next task, whose modules the process loads in advance."""
+"""Function of a task -> function of the most likely next task; the process loads its modules in advance."""
 
 TaskStep = Literal["fetched", "begun", "finished", "failed", "release"]
 
@@ -36,15 +36,15 @@ TASK_TRANSITIONS: Final[dict[messages.TaskState, dict[TaskStep, messages.TaskSta
     "failed": {"release": None},
     "helping": {"release": None},
 }
-"""State of a task on its worker -> event -> next state; None: it is removed."""
+"""State of a task on its worker -> event -> next state; None: the task is removed."""
 
 
 @dataclass(slots=True)
 class _Leased:
-    """A task that is leased to this worker; `result` or `failed` once it has ended.
+    """A task that is leased to this worker; it has a `result`, or `failed`, once it has ended.
 
-    `inputs` are the inputs that have arrived, until it runs; `missing` the sizes of the others, by digest. `life` says
-    which process runs it.
+    `inputs` are the arrived inputs, until the task runs; `missing` has the sizes of the missing inputs, by digest.
+    `life` is the number of the process that runs it.
     """
 
     lease: messages.Lease
@@ -68,7 +68,7 @@ class _Leased:
 
 @dataclass(slots=True)
 class _Helped:
-    """A task of another worker; `batch` is the one that the process of that `life` computes here now."""
+    """A task of another worker; `batch` is the batch that the process with the number `life` computes here now."""
 
     help: messages.Help
     batch: int | None = None
@@ -82,7 +82,7 @@ class TaskRunner:
         self, requests: Requests, process: TaskProcess, reply: Callable[[Query, bytes | None], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
-        """`reply` answers a question of another worker, or (None) refuses it; `clock` gives seconds."""
+        """`reply` answers a request of another worker, or refuses it (None); `clock` returns seconds."""
         self._requests = requests
         self._process = process
         self._reply = reply
@@ -95,7 +95,7 @@ class TaskRunner:
 
     @property
     def is_idle(self) -> bool:
-        """Whether there is nothing to compute and no result that is still wanted."""
+        """Whether there is no task, and no result that the coordinator still needs."""
         return not self._leased and self._helped is None
 
     @property
@@ -124,7 +124,7 @@ class TaskRunner:
             case messages.Release():
                 self._release(body.task)
             case messages.Help():
-                # Until the task is done or released; own tasks first, one task at a time.
+                # Helping lasts until the task is done or released. Leased tasks come first.
                 is_known = self._helped is not None and self._helped.help.task == body.task
                 has_work = any(own.failed is None and own.state != "done" for own in self._leased.values())
                 if not is_known and not has_work:
@@ -134,7 +134,7 @@ class TaskRunner:
     def _lease(self, lease: messages.Lease) -> None:
         """Begin a task; if it has already ended, push its result again.
 
-        A failed task begins again if the term is new, which means that the coordinator retries it.
+        A failed task begins again if the term is new: then the coordinator retries it.
         """
         known = self._leased.get(lease.task)
         if known is not None and (known.failed is None or known.failed.term == lease.term):
@@ -169,11 +169,11 @@ class TaskRunner:
     # ------------------------------------------------------------------------------------------- inputs
 
     def wanted(self) -> dict[str, int]:
-        """Return digests and sizes of the inputs that are missing."""
+        """Return digests and sizes of the missing inputs."""
         return {digest: size for leased in self._leased.values() for digest, size in leased.missing.items()}
 
     def arrived(self, digest: str, data: bytes) -> None:
-        """Take in an input that has arrived."""
+        """Store an input that has arrived."""
         waiting = [leased for leased in self._leased.values() if leased.missing.pop(digest, None) is not None]
         if waiting:
             self._cache.add(digest, data)
@@ -200,17 +200,17 @@ class TaskRunner:
 
     # ------------------------------------------------------------------------------------------- process
 
-    def process_said(self, said: frames.ProcessMessage) -> bool:
+    def handle_process_message(self, report: frames.ProcessMessage) -> bool:
         """Handle a message of the process; return whether the coordinator should get a heartbeat at once."""
-        message = said.message
+        message = report.message
         match message:
             case frames.Begun() | frames.Progressed() | frames.TaskFinished() | frames.Failed():
                 leased = self._leased.get(message.task)
-                if leased is not None and leased.life == said.life:  # else a process that was stopped has sent it
+                if leased is not None and leased.life == report.life:  # else the message is from a stopped process
                     self._advance(leased, message)
                     return not isinstance(message, frames.Progressed)
             case frames.Ended():
-                return self._ended(said.life, message)
+                return self._ended(report.life, message)
             case frames.Give():
                 self._give(message)
             case frames.BatchComputed():
@@ -242,7 +242,7 @@ class TaskRunner:
                     self._process.load_next(following)
 
     def _ended(self, life: int, message: frames.Ended) -> bool:
-        """Handle the end of a process that this worker did not stop; return whether it had a task."""
+        """Handle the end of a process that this worker did not stop; return whether the process had a task."""
         if self._helped is not None and self._helped.batch is not None and self._helped.life == life:
             self._helped = None
         lost = [one for one in self._leased.values() if one.life == life and one.state in ("waiting", "running")]
@@ -259,7 +259,7 @@ class TaskRunner:
         self._answer_helpers(lease.task)
 
     def _push(self, leased: _Leased) -> None:
-        """Send the result of a task, if it has ended; the coordinator releases the task when it has all of it."""
+        """Send the result of a task that has ended; the coordinator releases the task when it has the whole result."""
         if leased.failed is not None:
             self._requests.publish("result", messages.TaskReport(body=leased.failed))
         elif leased.state == "done":
@@ -280,7 +280,7 @@ class TaskRunner:
         self._requests.ask_batch(helped.worker, messages.PullBatch(task=helped.task, result=result, contexts=contexts))
 
     def batch_came(self, task: str, payload: bytes | None) -> None:
-        """Handle the answer of the worker that has the task; without a batch or a task there, helping ends."""
+        """Handle the answer of the worker that has the task; if it has no batch or no such task, helping ends."""
         helped = self._helped
         if helped is None or helped.help.task != task:
             return
@@ -303,7 +303,7 @@ class TaskRunner:
     # ------------------------------------------------------------------ batches, as the owner of the task
 
     def batch_asked(self, query: Query, pull: messages.PullBatch) -> None:
-        """Handle a helper's question: pass its result on to the process, which answers when it has a batch."""
+        """Handle a helper's request: pass its result on to the process, which answers when it has a batch."""
         leased = self._leased.get(pull.task)
         if leased is None or leased.state != "running":
             self._reply(query, None)

@@ -171,7 +171,7 @@ def test_a_file_names_the_coordinator_and_comes_before_the_environment(
 
 
 def test_a_long_name_of_a_host_keeps_the_certificate_in_front_and_the_process_behind() -> None:
-    name = cli._name_for("n" * 48, None)
+    name = cli._worker_name("n" * 48, None)
     assert name.startswith("n" * 48 + "-")
     assert len(name) <= 58
     assert name.endswith(str(os.getpid())[-5:])

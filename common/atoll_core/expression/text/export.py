@@ -1,4 +1,4 @@
-"""Expressions for other programs: sympy objects, LaTeX and MathML. sympy is imported only when asked for.
+"""Expressions for other programs: sympy objects, LaTeX and MathML. sympy is imported only for sympy objects.
 
 LaTeX and MathML have the same order of terms and factors, signs, powers and brackets as the text.
 """
@@ -23,7 +23,7 @@ _LATEX_ESCAPES: Final = {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", 
 }
 
 _WORD: Final = re.compile(r"(?<![^\W\d_])(?<!\\)[^\W\d_]{2,}")
-"""Adjacent letters that are not a command."""
+"""Two or more adjacent letters that are not a command."""
 
 _LATEX_UNITS: Final = {" ": r"\ ", "°": r"{}^{\circ}", "µ": r"\mu ", "μ": r"\mu ", "Ω": r"\Omega "}
 _RAISED: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺"
@@ -37,7 +37,7 @@ _UNIT_PART: Final = re.compile(
 def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
     """Return `program` as a sympy expression over ``Symbol(name)`` for each of `names`; constants keep every bit.
 
-    sympy reorders terms and folds constants, so that values agree up to rounding.
+    sympy reorders terms and folds constants, so values agree only up to rounding errors.
     """
     return _Sympy(names).render(exact_form(program))
 
@@ -45,7 +45,7 @@ def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
 def to_latex(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
     """Return `program` as LaTeX mathematics, in the form of `to_infix`, with `digits` significant digits of constants.
 
-    Factors are spaced where a name is a word.
+    Factors are separated by a space if a name is a word.
     """
     has_words = any(r"\mathrm" in name or r"\text" in name for name in map(_latex_name, names))
     return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ").render(displayed_form(program, digits))
@@ -54,7 +54,7 @@ def to_latex(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
 def to_mathml(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
     """Return `program` as presentation MathML without its ``math`` element, in the form of `to_infix`.
 
-    Factors are separated by dots where a name has several letters, and before numbers.
+    Factors are separated by dots if a name has several letters, and before numbers.
     """
     times = _MATHML.dot if any(len(name) > 1 for name in names) else "<mo>\u2062</mo>"
     return _Typeset(_MATHML, names, digits, times).render(displayed_form(program, digits))
@@ -98,8 +98,8 @@ class _Sympy(Renderer["sympy.Expr"]):
 class _Markup(NamedTuple):
     """Templates of a markup language, and a function that writes a `name`.
 
-    `scaled` is a number times a power of ten, `addend` a sign and a term, `product` a factor, the sign between, and a
-    factor; `derivatives` are left-hand sides by the order of the derivative, of a function and a variable.
+    `scaled` is a number times a power of ten; `addend` is a sign and a term; `product` is a factor, a multiplication
+    sign and a factor. `derivatives` are left-hand sides, for a function and a variable, by the order of the derivative.
     """
 
     name: Callable[[str], str]
@@ -122,7 +122,8 @@ class _Markup(NamedTuple):
 class _Typeset(Renderer[str]):
     """Renders forms in a markup language: quotients as fractions, powers raised.
 
-    `digits` are the significant digits of constants; `times` is written between factors that are no numbers.
+    `digits` are the significant digits of constants; `times` is the multiplication sign between factors that are no
+    numbers.
     """
 
     def __init__(self, markup: _Markup, names: Sequence[str], digits: int, times: str) -> None:
@@ -172,7 +173,7 @@ class _Typeset(Renderer[str]):
         return self._markup.bracketed.format(self.signed(operand))
 
     def _open(self, operand: Signed) -> str:
-        """Return a part that needs no brackets where it is placed."""
+        """Return a part that needs no brackets in its position."""
         is_group = operand.form.kind is Kind.GROUP and not operand.negative
         return self.signed(operand.form.parts[0] if is_group else operand)
 
@@ -190,9 +191,9 @@ def _begins_with_number(operand: Signed) -> bool:
 
 
 def _latex_name(name: str) -> str:
-    """Return a name as mathematics, words upright, since adjacent letters mean a product.
+    """Return a name as mathematics; words are upright, since adjacent italic letters mean a product.
 
-    A name that is no identifier becomes text, with special characters escaped.
+    A name that is not an identifier becomes text, with special characters escaped.
     """
     import sympy
 
@@ -222,7 +223,7 @@ def _unit_part(part: re.Match[str]) -> str:
 
 
 def _mathml_name(name: str) -> str:
-    """Return a name as an element, with Greek letters and indices; a name that is no identifier unchanged."""
+    """Return a name as an element, with Greek letters and indices; a name that is not an identifier stays unchanged."""
     import sympy
     from sympy.printing.mathml import mathml
 
@@ -273,7 +274,7 @@ _MATHML: Final = _Markup(
 
 
 def left_side_to_latex(lhs: str, *, is_name: bool = False) -> str:
-    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side, or with `is_name` all, as a name."""
+    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, other left-hand sides as names; with `is_name` all are names."""
     return _left_side(_LATEX, lhs, is_name)
 
 

@@ -1,12 +1,13 @@
-"""Programs as text: order of terms, signs, powers, quotients and brackets are decided once, for all notations.
+"""Programs as text. The order of terms, signs, powers, quotients and brackets is the same in all notations.
 
 `form_of` turns a program into a `Written` form; infix text, code of other languages, LaTeX, MathML and sympy objects
 are all rendered from it (`Renderer`). The form uses only rewritings that IEEE 754 keeps to the bit: swapping the
-operands of + and *, moving signs, a*a as a**2, a + a as 2.0*a, sin(a)/cos(a) as tan(a). Variable names play no part.
+operands of + and *, moving signs, a*a as a**2, a + a as 2.0*a, sin(a)/cos(a) as tan(a). Variable names have no
+influence on the form.
 
 Text comes in two variants. *Exact* (the default): parsing it (`atoll_core.expression.text.parsing`) gives the same bits
-on every row; sympy reads it, too. *Display* (with ``digits``): the shortest writing (`atoll_core.expression.writing`)
-with rounded constants.
+on every row; sympy reads it, too. *Display* (with ``digits``): the shortest writing
+(`atoll_core.expression.writing`) with rounded constants.
 """
 
 from abc import ABC, abstractmethod
@@ -46,7 +47,7 @@ class Form:
 
     `parts` are the signed operands: the terms of a sum, both sides of a product, quotient or power, the base of a
     natural power. `index` belongs to a variable, `code` to a function or a quotient of functions, `exponent` to a
-    natural power, `value` to a number, which may have a `name`; they are -1, 0.0 and "" for other kinds.
+    natural power, `value` to a number, which may have a `name`. For other kinds they are -1, 0.0 and "".
     """
 
     kind: Kind
@@ -59,7 +60,7 @@ class Form:
 
     @property
     def terms(self) -> "tuple[Signed, ...]":
-        """The terms of a sum in reading order: the first is positive where that keeps every bit."""
+        """The terms of a sum in reading order: the first term is positive if this keeps every bit of the value."""
         first, *rest = self.parts
         if rest and first.negative and not rest[0].negative:
             return (rest[0], first, *rest[1:])
@@ -75,17 +76,17 @@ class Signed:
 
     @property
     def is_constant(self) -> bool:
-        """Whether it is a number."""
+        """Whether the form is a number."""
         return self.form.kind is Kind.NUMBER
 
     @property
     def is_product(self) -> bool:
-        """Whether it is a product or a quotient."""
+        """Whether the form is a product or a quotient."""
         return self.form.kind in (Kind.PRODUCT, Kind.QUOTIENT)
 
     @property
     def is_atom(self) -> bool:
-        """Whether it is a name, or has brackets around it."""
+        """Whether the form is a name, or has brackets around it."""
         return self.form.kind in (Kind.NAME, Kind.CALL, Kind.GROUP)
 
 
@@ -101,7 +102,7 @@ Output = TypeVar("Output")
 
 
 class Renderer(ABC, Generic[Output]):
-    """Renders forms, operands first and without recursion, so that any depth is possible."""
+    """Renders forms, operands first and without recursion, so that the depth is not limited."""
 
     def __init__(self) -> None:
         self._done: dict[Form, Output] = {}
@@ -192,7 +193,8 @@ class _Writer:
             return self._multiplied(left, right)
         if code == op.DIVIDE:
             return self._divided(left, right)
-        if code == op.BASE_LOG:  # in derivatives by an exponent, times a power that is 0 where the log is infinite
+        # BASE_LOG occurs in derivatives by an exponent, times a power that is 0 where the log is infinite
+        if code == op.BASE_LOG:
             return self.unary(op.LOG, left)
         return Signed(self.form(Kind.POWER, left, right))
 
@@ -238,12 +240,12 @@ class _Writer:
         return Signed(self.form(Kind.QUOTIENT, left, right), is_negative)
 
     def _operands(self, left: Signed, right: Signed) -> tuple[Signed, Signed, bool]:
-        """Return both without their signs, and the sign of their product or quotient."""
+        """Return both operands without their signs, and the sign of their product or quotient."""
         left, right = self._grouped(left), self._grouped(right)
         return Signed(left.form), Signed(right.form), left.negative != right.negative
 
     def _natural_power(self, left: Signed, right: Signed) -> Form | None:
-        """Return a product as a natural power; None where it would not be read as the same product."""
+        """Return a product as a natural power; None if the parser would not read it as the same product."""
         if left.is_constant or right.is_constant:
             return None
         if left == right:
@@ -257,12 +259,12 @@ class _Writer:
 
 @dataclass(frozen=True)
 class Notation:
-    """How one language writes functions and powers; the rest, + - * / with brackets, is the same in all languages.
+    """The functions and powers of one language; all languages write + - * / and brackets in the same way.
 
-    `functions` are names by operator code where they differ from ours, and `prefix` is put before all other names.
-    `power` formats a base and an exponent, `natural` a base and a natural number. `is_call`: a power is a function
-    call, whose arguments need no brackets. `tangent` and `cotangent` name the quotients of sine and cosine; empty: the
-    language has no such function.
+    `functions` are the names, by operator code, that differ from Atoll's names; `prefix` is put before all other names.
+    `power` formats a base and an exponent, `natural` a base and a natural number. `is_call`: a power is written as a
+    function call, whose arguments need no brackets. `tangent` and `cotangent` name the quotients of sine and cosine;
+    empty: the language has no such function.
     """
 
     functions: Mapping[int, str] = field(default_factory=dict)
@@ -285,17 +287,18 @@ class Notation:
 
 
 INFIX: Final = Notation(power="{0}**{1}", natural="{0}**{1}", cotangent="cot")
-"""The notation of Atoll's own expressions, which our parser and sympy read."""
+"""The notation of Atoll's own expressions, which Atoll's parser and sympy read."""
 
 PRINTABLE_SIZE: Final = 5_000
-"""Largest tree that is printed. Shared nodes are printed once per use, so that a short list can be a huge text."""
+"""Most operations of a printed expression. Shared nodes are printed once per use, so a short list of nodes can become a
+huge text."""
 
 
 def to_infix(program: Program, names: Sequence[str], *, digits: int | None = None) -> str:
     """Return `program` as infix text over `names`, the symbols of the V input variables.
 
-    With `digits` (significant digits of constants) it is for display, else exact. Raises ValueError when the text would
-    have more than `PRINTABLE_SIZE` operations (see `tree_size`).
+    With `digits` (significant digits of constants) the text is for display, else exact. Raises ValueError if the text
+    would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
     """
     if digits is None:
         return _Text(names, repr).render(exact_form(program))
@@ -303,13 +306,13 @@ def to_infix(program: Program, names: Sequence[str], *, digits: int | None = Non
 
 
 def exact_form(program: Program) -> Written:
-    """Return the exact form of `program`; raises ValueError when it is too large."""
+    """Return the exact form of `program`; raises ValueError if it is too large."""
     _check_size(program)
     return form_of(program)
 
 
 def displayed_form(program: Program, digits: int) -> Written:
-    """Return the form for display with this many significant digits; raises ValueError when `program` is too large."""
+    """Return the form for display with this many significant digits; raises ValueError if `program` is too large."""
     _check_size(program)
     # Imported here: exact printing does not need it.
     from atoll_core.expression.writing.shortest import shortest
@@ -322,8 +325,8 @@ def displayed_form(program: Program, digits: int) -> Written:
 def to_code(program: Program, names: Sequence[str], notation: Notation, constants: Mapping[int, str]) -> str:
     """Return `program` as an exact expression of another language.
 
-    `names` are the names of the V input variables, `constants` the names of named constants, by node; all others are
-    written with all digits. Raises ValueError as `to_infix` does.
+    `names` are the names of the V input variables, `constants` the names of named constants, by node. All other
+    constants are written with all digits. Raises ValueError as `to_infix` does.
     """
     _check_size(program)
     return _Text(names, repr, notation).render(form_of(program, constants, quotients=notation.quotients))
@@ -332,7 +335,7 @@ def to_code(program: Program, names: Sequence[str], notation: Notation, constant
 def _check_size(program: Program) -> None:
     size = tree_size(program)
     if size > PRINTABLE_SIZE:
-        raise ValueError(f"an expression of {size} operations is too long to print; at most {PRINTABLE_SIZE} are")
+        raise ValueError(f"an expression of {size} operations is too long to print; at most {PRINTABLE_SIZE} can be")
 
 
 class _Text(Renderer[str]):

@@ -1,10 +1,10 @@
-"""Parse infix text into a program: the output of `atoll_core.expression.text.infix`, and expressions of users.
+"""Parses infix text into a program: the output of `atoll_core.expression.text.infix`, and expressions of users.
 
 Operators: ``+ - * / **``, unary minus and brackets, with Python's precedence; functions ``sin cos exp log sqrt abs Abs
 tanh``, ``tan`` and ``cot`` as quotients of sin and cos, the number ``pi``. ``x**3`` with a natural exponent is repeated
 multiplication from the left; ``x**2`` is a square; any other exponent is `pow`. Equal parts become one node.
 
-The parser keeps its own stacks, so no text can exhaust the interpreter's.
+The parser has its own stacks, so deeply nested text cannot exhaust the interpreter's stack.
 """
 
 import math
@@ -19,7 +19,7 @@ from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder
 from atoll_core.quoting import did_you_mean
 
 LARGEST_POWER: Final = 64
-"""Largest natural exponent that becomes multiplications."""
+"""Largest natural exponent that becomes repeated multiplication."""
 
 _TOKEN: Final = re.compile(
     r"""
@@ -42,7 +42,7 @@ _MINUS: Final = "unary minus"
 def from_infix(text: str, names: Sequence[str], *, merges_constants: bool = True) -> Program:
     """Return the program of `text` over the symbols `names`.
 
-    Without `merges_constants` each number is a separate node, so that equal ones can be fitted separately.
+    Without `merges_constants` each number is a separate node, so that equal numbers can be fitted separately.
 
     Raises:
         UsageError: the text is not an expression over `names`; the message has the position.
@@ -192,7 +192,7 @@ def _tokens(text: str) -> Iterator[_Token]:
             yield token
             continue
         match = _TOKEN.match(text, position)
-        assert match is not None  # any character is at least foreign
+        assert match is not None  # every character matches at least the group "foreign"
         kind = cast(_Kind, match.lastgroup)
         if kind != "blank":
             yield _Token(kind, match[kind], match.start(kind))

@@ -1,8 +1,8 @@
-"""The shortest writing of a function, as real algebra allows.
+"""The shortest writing (see the glossary) of a function that the rules of real algebra give.
 
-- `sums_of_products`: a normal form in which order, nested sums, like terms, signs and phases are settled
-- `identities`: sums that equal a given one, one step away
-- `layout`: a sum written as an expression, and the cost of the writing
+- `sums_of_products`: a normal form with fixed order, no nested sums, joined like terms, fixed signs and phases
+- `identities`: sums that equal a given sum, by one identity
+- `layout`: a sum written as an expression, and the cost of the expression
 - `shortest`: the search for the shortest writing, checked over the range of the data
 - `expansion`: an equation as a sum of terms in which each constant has a separate meaning
 """

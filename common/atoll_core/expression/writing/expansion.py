@@ -31,7 +31,7 @@ from atoll_core.expression.writing.sums_of_products import (
 )
 
 MOST_TERMS: Final = 40
-"""Sums of more terms are not expanded."""
+"""Most terms of an expanded sum; larger sums are not expanded."""
 
 Shape = Hashable
 """The form of a term without its numbers."""
@@ -43,8 +43,8 @@ class Role:
     """The meaning of a constant of an expanded program.
 
     `sign` times its value is the coefficient of the term of this `shape` or, if it `is_inner`, a number inside the
-    term. `path` is the place inside: factor, sum, term and so on, each by its shape, independent of the order that
-    numbers give them; equal shapes are counted.
+    term. `path` is the position inside: factor, sum, term and so on. Each part is identified by its shape, so that the
+    path does not depend on an order that numbers determine; equal shapes are numbered.
     """
 
     shape: Shape
@@ -70,13 +70,13 @@ IsWritten = Callable[[Shape, float], bool]
 
 
 def terms_of(program: Program) -> Sum:
-    """Return the terms of a program with their coefficients; raises UndefinedError when it cannot be expanded."""
+    """Return the terms of a program with their coefficients; raises UndefinedError if it cannot be expanded."""
     return expand_sum(sum_of(program))
 
 
 @contained
 def expand_sum(terms: Sum) -> Sum:
-    """Return a sum without brackets in its numerators; raises UndefinedError beyond `MOST_TERMS` terms."""
+    """Return a sum without brackets in its numerators; raises UndefinedError for more than `MOST_TERMS` terms."""
     while True:
         powers = ((place, power) for place, (monomial, _) in enumerate(terms) for power in monomial)
         bracket = next((found for found in powers if found[1][0][0] == op.ADD and found[1][1] > 0), None)
@@ -105,7 +105,7 @@ def _atom_shape(atom: Atom) -> Shape:
 
 
 def form_of(program: Program) -> Hashable:
-    """Return the form of a program: equal for programs that differ only in values of constants, however written.
+    """Return the form of a program: equal for programs that differ only in writing and in values of constants.
 
     Brackets in numerators are expanded: ``0.1*y*(x - 4)`` has the form of ``0.1*x*y - 0.4*y``. A program that cannot be
     expanded has the form of its nodes.
@@ -117,7 +117,7 @@ def form_of(program: Program) -> Hashable:
 
 
 def inner_numbers(terms: Sum) -> list[float]:
-    """Return the numbers inside the terms of a sum, without those that are one by normalisation."""
+    """Return the numbers inside the terms of a sum, without the numbers that normalisation makes one."""
     return [number for monomial, _ in terms for atom, _ in monomial for number in _numbers(atom)]
 
 
@@ -128,7 +128,7 @@ def _numbers(atom: Atom) -> list[float]:
     numbers: list[float] = []
     for inner in rest:
         leads = (monomial for monomial, _ in inner if monomial != ONE and kind == op.ADD)
-        lead = next(leads, None)  # has the coefficient one by normalisation
+        lead = next(leads, None)  # normalisation makes this coefficient one
         numbers += [
             coefficient
             for monomial, coefficient in inner
@@ -139,7 +139,7 @@ def _numbers(atom: Atom) -> list[float]:
 
 
 def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
-    """Yield for each n/(c + u) in a sum that also has n the shape of n*u/(c + u), and the sum with this term instead.
+    """Yield, for each n/(c + u) in a sum with a term n, the shape of n*u/(c + u) and the sum with this term instead.
 
     The number of terms does not grow: n/(c + u) is (n - n*u/(c + u))/c.
     """
@@ -159,7 +159,7 @@ def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
 
 
 def expand_program(program: Program, is_written: IsWritten = lambda *_: False) -> Expansion | None:
-    """Return the expanded form of a program; None when there is none that is small enough.
+    """Return the expanded form of a program; None if there is none, or if it is too large.
 
     `is_written` tells which coefficients of one or minus one become constants.
     """
@@ -187,7 +187,7 @@ def _built(terms: Sum, is_written: IsWritten) -> Expansion | None:
 
 
 class _Builder(ProgramBuilder):
-    """Writes sums with each constant as a separate node, and keeps the roles of constants."""
+    """Writes sums with each constant as a separate node, and records the roles of constants."""
 
     def __init__(self, is_written: IsWritten) -> None:
         super().__init__()
@@ -201,7 +201,7 @@ class _Builder(ProgramBuilder):
         return self.append(op.CONSTANT, value=value)
 
     def sum_of_terms(self, terms: Sum) -> int:
-        """Return the index of an expanded sum, with a positive term in front if there is one."""
+        """Return the index of an expanded sum; it begins with a positive term if there is one."""
         if not terms:
             return self.number(0.0, Role(shape_of(ONE), 1.0, is_inner=False))
         return self._added(terms, inner=None)
@@ -261,7 +261,7 @@ class _Builder(ProgramBuilder):
 
 
 def _extended(path: Path, name: str, counts: Counter[str]) -> Path:
-    """Return the path to the next part of this name, and count it."""
+    """Return the path to the next part with this name, and count it."""
     counts[name] += 1
     return (*path, (name, counts[name]))
 

@@ -1,8 +1,9 @@
 """Sums that equal a given sum: one identity applied at one place.
 
-No identity adds a pole or loses a value: a factor is taken out of a sum only where all of its terms have it, and an
-expression becomes a divisor only where it was one. Each of them changes printed expressions: of 2,800 drawn ones
-one in 4 to 170, `_divisors_multiplied` only sums of fractions such as 1/(x + 1) + 1/(x - 1).
+No identity adds a pole or loses a value: a factor is taken out of a sum only if all of its terms have it, and an
+expression becomes a divisor only if it was a divisor before. Every identity is useful: measured on 2,800 random
+expressions, each changes the printed form of one in 4 to one in 170. The exception is `_divisors_multiplied`, which
+only changes sums of fractions such as 1/(x + 1) + 1/(x - 1).
 """
 
 import math
@@ -36,12 +37,12 @@ from atoll_core.expression.writing.sums_of_products import (
 )
 
 _MOST_TERMS: Final = 7
-"""Sums of more terms are only collected, and products are not expanded beyond this."""
+"""Most terms of a sum to which identities are applied, and of an expanded product; larger sums are only collected."""
 _EQUAL: Final = 1e-12
 """Relative difference of coefficients that count as equal."""
 
 Best = Callable[[Sum], Sum]
-"""The best form of a part."""
+"""Function that returns the best form of a part."""
 Term = tuple[Monomial, float]
 
 
@@ -124,8 +125,8 @@ def _divides(divisor: Monomial, monomial: Monomial) -> bool:
     )
 
 
-def _over_one_line(terms: Sum, best: Best) -> Iterator[Sum]:
-    """Terms over a sum, a sine or a cosine as one quotient with other terms, all of them or one."""
+def _joined_quotients(terms: Sum, best: Best) -> Iterator[Sum]:
+    """A term over a sum, a sine or a cosine, joined with one other term or with all other terms into one quotient."""
     divisors: dict[Atom, int] = {}
     for monomial, _ in terms:
         for atom, exponent in monomial:
@@ -137,7 +138,7 @@ def _over_one_line(terms: Sum, best: Best) -> Iterator[Sum]:
         for group in _whole_and_parts(others):
             raising = _expanded_power(atom, -exponent)
             parts = [(1.0, distribute((term,), raising)) for term in group]
-            parts += [(1.0, _lifted(term, atom, exponent, raising)) for term in over]
+            parts += [(1.0, _times_divisor(term, atom, exponent, raising)) for term in over]
             above = add(*parts)
             if len(above) <= _MOST_TERMS:
                 whole = multiply(best(above), atom_sum(atom, exponent=exponent)) if above else ZERO
@@ -145,7 +146,7 @@ def _over_one_line(terms: Sum, best: Best) -> Iterator[Sum]:
 
 
 def _whole_and_parts(terms: Sum) -> list[Sum]:
-    """Return all terms together and, if there are several, each alone."""
+    """Return all terms together and, if there are several, each term separately."""
     return [terms] if len(terms) < 2 else [terms, *((term,) for term in terms)]
 
 
@@ -157,8 +158,8 @@ def _expanded_power(atom: Atom, exponent: int) -> Sum:
     return total
 
 
-def _lifted(term: Term, atom: Atom, exponent: int, raising: Sum) -> Sum:
-    """Return a term over a power of `atom`, times the highest power of it."""
+def _times_divisor(term: Term, atom: Atom, exponent: int, raising: Sum) -> Sum:
+    """Return a term with a power of `atom` in its divisor, multiplied by the highest power of `atom`."""
     own = dict(term[0])[atom]
     rest = _times(term, (atom, -own))
     return distribute(rest, _expanded_power(atom, own - exponent)) if own > exponent else rest
@@ -211,7 +212,7 @@ def _without_inner_quotients(terms: Sum, best: Best) -> Iterator[Sum]:
 
 
 def _squares_of_waves(terms: Sum, best: Best) -> Iterator[Sum]:
-    """sin^2 u as 1 - cos^2 u and the reverse; both as (1 -+ cos 2u)/2; in one term, in all of them."""
+    """sin^2 u as 1 - cos^2 u and the reverse; both as (1 -+ cos 2u)/2; in one term, or in all terms."""
     for atom in _waves(terms):
         argument = atom[1]
         other = ((op.COS if atom[0] == op.SIN else op.SIN), argument)
@@ -231,7 +232,7 @@ def _waves(terms: Sum) -> list[Atom]:
 
 
 def _double_angles(terms: Sum, best: Best) -> Iterator[Sum]:
-    """sin u cos u as sin(2 u)/2; sin 2u and cos 2u by sin u and cos u where one of these occurs."""
+    """sin u cos u as sin(2 u)/2; sin 2u and cos 2u by sin u and cos u if one of these occurs."""
     waves = _waves(terms)
     for term in terms:
         monomial, coefficient = term
@@ -245,11 +246,11 @@ def _double_angles(terms: Sum, best: Best) -> Iterator[Sum]:
                 half = add((0.5, atom[1]))
                 if any(wave[1] == half for wave in waves):
                     rest = _times(term, (atom, -1))
-                    for expanded in _by_half(atom[0], half):
+                    for expanded in _half_angle_forms(atom[0], half):
                         yield _replaced(terms, (term,), distribute(rest, expanded))
 
 
-def _by_half(code: int, half: Sum) -> list[Sum]:
+def _half_angle_forms(code: int, half: Sum) -> list[Sum]:
     sine, cosine = (op.SIN, half), (op.COS, half)
     if code == op.SIN:
         return [((merged([(sine, 1), (cosine, 1)]), 2.0),)]
@@ -289,7 +290,7 @@ def _waves_by_argument(monomial: Monomial) -> dict[Sum, int]:
 
 
 def _expanded_angles(terms: Sum, best: Best) -> Iterator[Sum]:
-    """sin(a + b) by sines and cosines of a and b, where one of these occurs."""
+    """sin(a + b) by sines and cosines of a and b, if one of these occurs."""
     waves = _waves(terms)
     for term in terms:
         for atom, exponent in term[0]:
@@ -300,10 +301,10 @@ def _expanded_angles(terms: Sum, best: Best) -> Iterator[Sum]:
                     other = add((1.0, atom[1]), (-sign, part))
                     if 0 < len(other) < len(atom[1]):
                         rest = _times(term, (atom, -1))
-                        yield _replaced(terms, (term,), distribute(rest, _of_two(atom[0], part, sign, other)))
+                        yield _replaced(terms, (term,), distribute(rest, _wave_of_sum(atom[0], part, sign, other)))
 
 
-def _of_two(code: int, part: Sum, sign: float, other: Sum) -> Sum:
+def _wave_of_sum(code: int, part: Sum, sign: float, other: Sum) -> Sum:
     """Return the sine or cosine of ``sign * part + other``."""
     sine, cosine = function(op.SIN, part), function(op.COS, part)
     other_sine, other_cosine = function(op.SIN, other), function(op.COS, other)
@@ -355,7 +356,7 @@ _IDENTITIES: Final = (
     _inner,
     _expanded,
     _factored,
-    _over_one_line,
+    _joined_quotients,
     _divisors_multiplied,
     _divided_out,
     _without_inner_quotients,

@@ -1,7 +1,7 @@
-"""A sum written as an expression: the cheapest writing of its terms, factors and signs, in reading order.
+"""Writes a sum as an expression, in reading order, with the cheapest form of its terms, factors and signs.
 
-The cost is the number of numbers, variables, operators and functions in the text; leading minus signs are free. Of
-writings with equal counts, the one with fewer numbers is cheaper, then with fewer functions, minus signs, digits.
+The cost is the number of numbers, variables, operators and functions in the text; leading minus signs are free. If two
+expressions have equal counts, the cheaper one has fewer numbers, then fewer functions, fewer minus signs, fewer digits.
 """
 
 import math
@@ -24,9 +24,9 @@ from atoll_core.expression.writing.sums_of_products import (
 )
 
 NODE: Final = 1 << 36
-"""Cost of a node; the other costs decide between writings with equal numbers of nodes."""
+"""Cost of a node; the other costs decide between expressions with equal numbers of nodes."""
 _INNER_QUOTIENT: Final = 3 * NODE
-"""Extra cost of a quotient in a divisor: the writing has no value at one more place than its function."""
+"""Extra cost of a quotient in a divisor: the expression is undefined at one more place than its function."""
 _NUMBER: Final = 1 << 28
 _FUNCTION: Final = 1 << 20
 _SIGN: Final = 1 << 12
@@ -39,7 +39,7 @@ Term = tuple[bool, int, Expression]
 
 @lru_cache(maxsize=50_000)
 def written(terms: Sum) -> Written:
-    """Return the cheapest writing of a sum with its present terms and brackets."""
+    """Return the cheapest expression of a sum with its present terms and brackets."""
     if not terms:
         return _number(0.0)
     listed = _listed([_term(*term) for term in in_order(terms)])
@@ -60,7 +60,7 @@ def _signed(negative: bool, cost: int, expression: Expression) -> Written:
 
 
 def _negated(expression: Expression) -> "Expression | None":
-    """Return the negative of a number, or of a product or quotient that begins with one; None for others."""
+    """Return the negative of a number, or of a product or quotient that begins with a number; None for others."""
     if isinstance(expression, float):
         return -expression
     if isinstance(expression, tuple) and expression[0] in (op.MULTIPLY, op.DIVIDE):
@@ -71,7 +71,7 @@ def _negated(expression: Expression) -> "Expression | None":
 
 
 def _listed(terms: list[Term]) -> Written:
-    """Return terms added and subtracted from left to right, the first positive one in front."""
+    """Return terms added and subtracted from left to right, with the first positive term in front."""
     lead = next((index for index, (negative, _, _) in enumerate(terms) if not negative), 0)
     terms.insert(0, terms.pop(lead))
     total, expression = _signed(*terms[0])
@@ -82,7 +82,7 @@ def _listed(terms: list[Term]) -> Written:
 
 
 def _grouped(terms: Sum) -> Iterator[Written]:
-    """Yield the sum with terms of equal coefficients in brackets behind these, if there are any."""
+    """Yield the sum with bracketed terms of equal coefficients behind their coefficient, if there are any."""
     groups: dict[float, list[tuple[Monomial, float]]] = {}
     for monomial, coefficient in terms:
         if monomial != ONE and abs(coefficient) != 1.0:
@@ -115,19 +115,19 @@ def _place(term: tuple[Monomial, float]) -> tuple[object, ...]:
 
 
 def _term(monomial: Monomial, coefficient: float) -> Term:
-    """Return the cheapest writing of a term."""
+    """Return the cheapest expression of a term."""
     if not monomial:
         return (coefficient < 0.0, *_number(abs(coefficient)))
     if len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == op.VARIABLE and abs(coefficient) == 1.0:
         return coefficient < 0.0, NODE, (op.VARIABLE, monomial[0][0][1])
     brackets = {atom: exponent for atom, exponent in monomial if atom[0] == op.ADD}
     scales = {atom: _own_scale(atom[1]) for atom in brackets}
-    best = _laid_out(monomial, coefficient, scales)
+    best = _write_scaled(monomial, coefficient, scales)
     for atom, exponent in brackets.items():
         if abs(exponent) == 1:
             others = math.prod(raised_number(scales[other], -brackets[other]) for other in brackets if other != atom)
             own = cleaned(raised_number(times(coefficient, others), exponent))
-            best = min(best, _laid_out(monomial, coefficient, {**scales, atom: own}), key=itemgetter(1))
+            best = min(best, _write_scaled(monomial, coefficient, {**scales, atom: own}), key=itemgetter(1))
     return best
 
 
@@ -148,13 +148,13 @@ def _with_tangents(monomial: Monomial) -> list[tuple[Atom, int]]:
 
 @lru_cache(maxsize=20_000)
 def _own_scale(terms: Sum) -> float:
-    """Return the factor that makes a bracket cheapest to write."""
+    """Return the factor that makes a bracket cheapest."""
     sizes = dict.fromkeys((1.0, *(1.0 / abs(coefficient) for _, coefficient in terms)))
     costs = {cleaned(size): written(scaled(terms, cleaned(size)))[0] for size in sizes if math.isfinite(size)}
     return min(costs, key=lambda size: costs[size])
 
 
-def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float]) -> Term:
+def _write_scaled(monomial: Monomial, coefficient: float, scales: dict[Atom, float]) -> Term:
     """Return a term with its brackets multiplied by `scales`, and its coefficient divided accordingly."""
     above: list[Written] = []
     below: list[Written] = []
@@ -195,7 +195,7 @@ def _factor_place(atom: Atom) -> tuple[object, ...]:
 
 
 def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]:
-    """Return whether an atom is written as its negative, and how it is written."""
+    """Return whether an atom is written as its negative, and its expression."""
     kind = atom[0]
     if kind == op.VARIABLE:
         return False, (NODE, (op.VARIABLE, atom[1]))
@@ -203,8 +203,8 @@ def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]
         base, exponent = written(atom[1]), written(atom[2])
         return False, (base[0] + exponent[0] + NODE + _FUNCTION, (op.POW, base[1], exponent[1]))
     argument = scaled(atom[1], scale) if kind == op.ADD else atom[1]
-    flips = kind in (op.ADD, op.SIN, op.TANH, op.DIVIDE) and _flips(argument, wants_flip=wants_flip)
-    if flips or (kind == op.COS and _flips(argument, wants_flip=False)):
+    flips = kind in (op.ADD, op.SIN, op.TANH, op.DIVIDE) and _should_flip(argument, wants_flip=wants_flip)
+    if flips or (kind == op.COS and _should_flip(argument, wants_flip=False)):
         argument = scaled(argument, -1.0)
     cost, expression = written(argument)
     if kind == op.ADD:
@@ -215,7 +215,7 @@ def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]
     return flips, (cost + NODE + _FUNCTION, (kind, expression))
 
 
-def _flips(terms: Sum, *, wants_flip: bool) -> bool:
-    """Tell whether to write the negative of a sum: all terms are negative, or the other sign is wanted and possible."""
+def _should_flip(terms: Sum, *, wants_flip: bool) -> bool:
+    """Tell whether to write the negative of a sum: all terms are negative, or a flip is wanted and possible."""
     signs = {coefficient > 0.0 for _, coefficient in terms}
     return signs == {False} or (wants_flip and len(signs) == 2)

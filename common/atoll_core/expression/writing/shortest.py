@@ -1,9 +1,9 @@
 """The shortest writing of a program: a search among equal sums, checked over the range of the data.
 
-The search is best-first: it expands the cheapest sum found so far by all identities, until a number of sums have been
+The search is best-first: it applies all identities to the cheapest sum found so far, until a number of sums have been
 written (`_MOST_TRIED`). Arguments of functions and brackets are searched before the sum that contains them. The result
-is deterministic, but not proven to be shortest: the limit of tries decides, and it was set by the time that printing
-may take.
+is deterministic, but it may not be the shortest writing: the search stops at a limit, which was chosen for the time
+that printing may take.
 """
 
 import heapq
@@ -35,13 +35,13 @@ from atoll_core.expression.writing.sums_of_products import (
 )
 
 _SLACK: Final = 8 * NODE
-"""Sums whose writing costs more than the best one and this are not expanded."""
+"""Identities are not applied to sums that cost more than the best sum plus this."""
 _LARGEST: Final = 300
-"""Programs with larger trees are not rewritten."""
+"""Nodes of the largest tree that is rewritten."""
 _SMALLEST: Final = 4 * NODE
-"""Writings of fewer nodes cannot be shortened."""
+"""Expressions with fewer nodes cannot be shortened."""
 _MOST_TRIED: Final = (0, 4, 30)
-"""Number of sums that are written, by the depth of the search."""
+"""Number of sums that a search writes, by its depth."""
 _MOST_ROWS: Final = 500
 _POINTS: Final = 250
 _TOLERANCE: Final = 1e-6
@@ -69,7 +69,7 @@ def shortest(program: Program) -> Program:
 
 
 def shortened(program: Program) -> Program:
-    """Return a short writing of the function of `program` by a brief search, for hundreds of candidates."""
+    """Return a short expression of the function of `program` by a brief search, for hundreds of candidates."""
     return _shortest_of(program, 1)
 
 
@@ -80,7 +80,7 @@ def collected(program: Program) -> Program:
 
 @contained
 def sum_of(program: Program, depth: int = 0) -> Sum:
-    """Return a program as a sum; brackets and arguments in their best form by searches of this depth."""
+    """Return a program as a sum; searches of this depth find the best form of its brackets and arguments."""
     sums: list[Sum] = []
     for code, left, right, value in program.nodes():
         if code == op.VARIABLE:
@@ -111,7 +111,7 @@ def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
 
 @lru_cache(maxsize=50_000)
 def best_of(terms: Sum, depth: int) -> Sum:
-    """Return the equal sum with the shortest writing found; its brackets are searched with one depth less."""
+    """Return the equal sum with the shortest writing found; its brackets are searched with depth - 1."""
     best = (written(terms)[0], terms)
     if depth == 0 or best[0] < _SMALLEST:
         return terms
@@ -138,13 +138,13 @@ def shortest_over(program: Program, inputs: FloatArray) -> Program:
 
 
 def shortest_at(program: Program, points: Callable[[], FloatArray]) -> Program:
-    """Return the result of `shortest_over` with `points` as returned by `points_of`, called only if needed."""
+    """Return the result of `shortest_over`; `points` calls `points_of`, and is called only if needed."""
     short = shortest(program)
     return short if short == program or agree(program, short, points()) else program
 
 
 def agree(before: Program, after: Program, points: FloatArray) -> bool:
-    """Tell whether `after` has the values of `before` where these are finite, up to rounding."""
+    """Tell whether `after` has the values of `before`, up to rounding errors, wherever these are finite."""
     old, new = values_of(before, points), values_of(after, points)
     defined = np.isfinite(old)
     if not defined.any():
@@ -156,7 +156,7 @@ def agree(before: Program, after: Program, points: FloatArray) -> bool:
 def points_of(inputs: FloatArray) -> FloatArray:
     """Return evenly spread rows of `inputs` (V, R >= 1), and points that fill the box around them (V, P).
 
-    The points are an additive recurrence (Roberts 2018): no two have an equal coordinate.
+    The points are an additive recurrence (Roberts 2018): no two points have an equal coordinate.
     """
     variables, rows = inputs.shape
     count = min(rows, _MOST_ROWS)

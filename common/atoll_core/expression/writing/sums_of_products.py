@@ -1,15 +1,15 @@
-"""Sums of products: a normal form of expressions in which much of real algebra needs no rules.
+"""Sums of products: a normal form of expressions that makes many rules of real algebra unnecessary.
 
 A `Sum` maps monomials to coefficients, a `Monomial` maps atoms to integer powers, both sorted; an `Atom` is a variable,
-a function of a sum, a power with any exponent, or a sum of several terms as a factor. The order of terms and factors,
-like terms, cancelling quotients and products of constants therefore have one form. The constructors below bring
-functions to one form as well: a phase lies within an eighth of a turn of 0, arguments begin with a positive term, and
-a product has one exponential.
+a function of a sum, a power with any exponent, or a sum of several terms as a factor. So expressions that differ only
+in the order of terms and factors, in like terms, in cancelling quotients or in products of constants have the same
+form. The constructors below bring functions to one form as well: a phase lies within an eighth of a turn of 0,
+arguments begin with a positive term, and a product has one exponential.
 
-Values may differ where the original expression has none: ``x/x`` is 1.
+The normal form may have a value where the original expression has none: ``x/x`` becomes 1.
 
-All of it is one module because products join exponentials, powers and roots by functions of sums, and these functions
-are made of products.
+The parts depend on each other and cannot be separate modules: products join exponentials, powers and roots by functions
+of sums, and these functions are made of products.
 """
 
 import logging
@@ -25,14 +25,14 @@ from atoll_core.expression.evaluation import value_of
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 FAILURES: Final[Counter[str]] = Counter()
-"""Number of failed rewritings, by function and kind of error."""
+"""Number of failed rewritings by function and kind of error."""
 
 
 def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Turn any error in rewriting into an `UndefinedError`, for which callers keep the expression unchanged.
+    """Turn any error in rewriting into an `UndefinedError`; callers then keep the expression unchanged.
 
-    Writing decides only how an equation is shown, so that a bug in it must not end an island or a job. It is logged
-    once for each kind. A failure depends on the program alone, so that equal seeds still give equal bits.
+    Rewriting only decides how an equation is displayed, so a bug in it must not end an island or a job. Each kind of
+    failure is logged once. A failure depends only on the program, so equal seeds still give equal bits.
     """
 
     @wraps(function)
@@ -62,25 +62,25 @@ ZERO: Final[Sum] = ()
 LARGEST_POWER: Final = 16
 """Largest whole power of a factor."""
 _ROUNDING: Final = 1e-13
-"""A sum that is smaller than this share of its terms is only rounding errors."""
+"""A sum that is smaller than this share of its terms consists of rounding errors."""
 _PHASE: Final = 1e-9
-"""Radians: a phase this close to a multiple of a quarter turn is that multiple."""
+"""Tolerance in radians: a phase this close to a multiple of a quarter turn is that multiple."""
 _QUARTER: Final = math.pi / 2
 
 
 class UndefinedError(Exception):
-    """Raised where a part has no finite value, as in a division by zero, or a power is too large."""
+    """Raised if a part has no finite value, as in a division by zero, or if a power is too large."""
 
 
 def constant(value: float) -> Sum:
-    """Return a number; raises UndefinedError when it is not finite."""
+    """Return a number as a sum; raises UndefinedError if it is not finite."""
     if not math.isfinite(value):
         raise UndefinedError
     return ((ONE, value),) if value else ZERO
 
 
 def variable(index: int) -> Sum:
-    """Return a variable."""
+    """Return a variable as a sum."""
     return (((((op.VARIABLE, index), 1),), 1.0),)
 
 
@@ -90,7 +90,7 @@ def split_constant(terms: Sum) -> tuple[float, Sum]:
 
 
 def number_of(terms: Sum) -> float | None:
-    """Return a sum that is a number as a float, None for others."""
+    """Return a sum that is a number as a float; None for other sums."""
     number, rest = split_constant(terms)
     return None if rest else number
 
@@ -106,7 +106,7 @@ def cleaned(value: float) -> float:
 
 
 def nonzero(value: float) -> float:
-    """Return a product of numbers other than 0; raises UndefinedError when it is 0 or not finite.
+    """Return a product of nonzero numbers; raises UndefinedError if it is 0 or not finite.
 
     A coefficient may underflow although large variables compensate it: (1e-170 x)(1e-170 y).
     """
@@ -116,7 +116,7 @@ def nonzero(value: float) -> float:
 
 
 def times(one: float, other: float) -> float:
-    """Return the product; raises UndefinedError when it is not finite, or 0 although no factor is 0."""
+    """Return the product; raises UndefinedError if it is not finite, or if it is 0 although no factor is 0."""
     return nonzero(one * other) if one and other else 0.0
 
 
@@ -126,9 +126,11 @@ def add(*parts: tuple[float, Sum]) -> Sum:
 
 
 def collect(terms: Iterable[tuple[Monomial, float]]) -> Sum:
-    """Return the sum of terms: like terms are joined, brackets alone in a term expanded, cancelling terms dropped.
+    """Return the sum of terms.
 
-    Raises UndefinedError where terms are too large to decide whether they cancel.
+    Like terms are joined, terms that are a single bracket are expanded, and cancelling terms are dropped.
+
+    Raises UndefinedError if terms are too large to decide whether they cancel.
     """
     total: dict[Monomial, float] = {}
     size: dict[Monomial, float] = {}
@@ -156,14 +158,14 @@ def multiply(left: Sum, right: Sum) -> Sum:
 
 
 def scaled(terms: Sum, factor: float) -> Sum:
-    """Return a multiple of a sum by a factor other than 0; raises UndefinedError where a term would underflow."""
+    """Return a multiple of a sum by a nonzero factor; raises UndefinedError if a term would underflow."""
     if factor == 1.0:
         return terms
     return tuple((monomial, cleaned(nonzero(factor * coefficient))) for monomial, coefficient in terms)
 
 
 def raised_number(value: float, exponent: int) -> float:
-    """Return an integer power of a number; raises UndefinedError when it is not finite, or underflows."""
+    """Return an integer power of a number; raises UndefinedError if it is not finite, or underflows."""
     try:
         raised = float(value**exponent)
         return nonzero(raised) if value else raised
@@ -194,9 +196,9 @@ def _factors(terms: Sum, exponent: int) -> list[tuple[Atom, int] | float]:
 
 
 def bracket(terms: Sum) -> tuple[float, Monomial]:
-    """Return a sum of several terms as a number times a monomial, with common factors before the bracket.
+    """Return a sum of several terms as a number times a monomial, with common factors in front of the bracket.
 
-    Without their common factors, terms may cancel: x^2 - x (x - 1) is x.
+    After common factors are taken out, terms may cancel: x^2 - x (x - 1) is x.
     """
     shared = common([monomial for monomial, _ in terms])
     rest = collect((divided(monomial, shared), coefficient) for monomial, coefficient in terms) if shared else terms
@@ -224,7 +226,7 @@ def divided(monomial: Monomial, divisor: Monomial) -> Monomial:
 
 
 def merged(factors: Iterable[tuple[Atom, int]]) -> Monomial:
-    """Return the product of powers of atoms, equal atoms joined."""
+    """Return the product of powers of atoms, with equal atoms joined."""
     total: dict[Atom, int] = {}
     for atom, exponent in factors:
         total[atom] = total.get(atom, 0) + exponent
@@ -297,7 +299,7 @@ def _multiplied(factors: dict[Atom, int], terms: Sum, exponent: int) -> float:
 
 
 def _lone_atom(terms: Sum) -> Atom:
-    """Return a sum that is a single atom as this atom, an empty one for others."""
+    """Return a sum that is a single atom as this atom; an empty atom for other sums."""
     number, monomial = bracket_or_term(terms)
     return monomial[0][0] if number == 1.0 and len(monomial) == 1 and monomial[0][1] == 1 else ()
 
@@ -315,7 +317,7 @@ def bracket_or_term(terms: Sum) -> tuple[float, Monomial]:
 
 
 def function(code: int, argument: Sum) -> Sum:
-    """Return a function of a sum in normal form."""
+    """Return a function of a sum, in normal form."""
     number = number_of(argument)
     if number is not None:
         return constant(value_of(code, number, 0.0))

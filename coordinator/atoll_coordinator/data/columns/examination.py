@@ -1,4 +1,4 @@
-"""All checks of columns, in order; what they find is acted on where that is safe. Pure."""
+"""Runs all checks of columns in order, and acts on their findings if this is safe. Pure."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -31,12 +31,12 @@ CHECKS: Final[Sequence[Callable[[ExaminedColumns], Iterable[Finding]]]] = (
     check_second_order,
     check_map,
 )
-"""The checks after `check_fill_values`, in order; they see columns without the values found by that check."""
+"""The checks after `check_fill_values`, in order; fill values found by that check are missing in their columns."""
 
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """Roles, options and measurements after the findings were acted on; `findings` are also among the warnings."""
+    """Roles, options and measurements, changed as the findings require; the `findings` are also among the warnings."""
 
     roles: Roles
     options: DataConfig
@@ -47,10 +47,10 @@ class Examination:
 def examine(table: Table, config: JobConfig) -> Examination:
     """Return the roles of the columns of a table, the measurements, and the findings.
 
-    Raises UsageError where options contradict each other, DataError where the measurements cannot be used.
+    Raises UsageError if options contradict each other, DataError if the measurements cannot be used.
     """
     roles, options = assign_roles(table, config.data)
-    if options.missing_values:  # in all measured columns they are missing
+    if options.missing_values:  # these values are missing in all measured columns
         is_measured = np.array([name not in (roles.time, roles.trajectory, roles.group) for name in table.names])
         is_missing = np.isin(table.columns, np.array(options.missing_values)) & is_measured[:, None]
         table = replace(table, columns=np.where(is_missing, np.nan, table.columns))

@@ -21,9 +21,9 @@ Parts = Sequence[FloatArray]
 
 @dataclass(frozen=True)
 class Finding:
-    """What was `found` in the columns, and the `advice`, both without a full stop.
+    """A result of a check: the text `found` and the `advice`, both without a full stop.
 
-    The states `left_out` are not sought, and the values `missing`, by column, are treated as missing.
+    No equations of the states `left_out` are searched. The values `missing`, by column, are treated as missing.
     """
 
     found: str
@@ -51,7 +51,7 @@ class ExaminedColumns:
 
     @classmethod
     def of(cls, measurements: Measurements, config: JobConfig) -> "ExaminedColumns":
-        """Return the columns of measurements."""
+        """Return the examined columns of measurements."""
         roles, whole = measurements.roles, measurements.trajectories
         kept = [place for place, is_out in enumerate(measurements.held_out) if not is_out]
         parts = {
@@ -76,7 +76,7 @@ class ExaminedColumns:
 
     @property
     def angles(self) -> frozenset[str]:
-        """Columns that are angles, whose values are not the values of the file."""
+        """Columns that are angles; their values were unwrapped and differ from the values of the file."""
         return frozenset(angle.column for angle in self.roles.angles)
 
     @cached_property
@@ -90,7 +90,7 @@ class ExaminedColumns:
         return values[np.isfinite(values)]
 
     def may_leave_out(self, name: str) -> bool:
-        """Tell whether a column is a state that no option names, so that it may be left out."""
+        """Tell whether a column may be left out: it is a state that no option names."""
         data = self.config.data
         if not self.is_in_time or name not in self.roles.states or data.states is not None:
             return False
@@ -99,7 +99,7 @@ class ExaminedColumns:
         return name not in named and re.search(rf"(?<!\w){re.escape(name)}(?!\w)", texts) is None
 
     def without(self, missing: Mapping[str, float]) -> "ExaminedColumns":
-        """Return the same with one value of some columns treated as missing."""
+        """Return the columns; in some of them, one value is treated as missing."""
         values = {
             name: [np.where(part == missing[name], np.nan, part) for part in parts] if name in missing else parts
             for name, parts in self.values.items()
@@ -108,7 +108,7 @@ class ExaminedColumns:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return column names as an option takes them, in quotes where the shell needs them."""
+    """Return column names in the form of an option's value, in quotes if the shell needs them."""
     return shlex.quote(",".join(f'"{name}"' if "," in name else name for name in names))
 
 
@@ -123,23 +123,23 @@ def dot(one: FloatArray, other: FloatArray) -> float:
 
 
 def mean(values: FloatArray) -> float:
-    """Return the mean, 0 of nothing."""
+    """Return the mean; 0 for no values."""
     return math.fsum(values.tolist()) / max(1, len(values))
 
 
 def variance(values: FloatArray) -> float:
-    """Return the mean square of the distances from the mean."""
+    """Return the variance: the mean squared distance from the mean."""
     away = values - mean(values)
     return dot(away, away) / max(1, len(away))
 
 
 def upper_median(values: FloatArray) -> float:
-    """Return the upper median, 0 of nothing."""
+    """Return the upper median; 0 for no values."""
     return float(np.sort(values)[len(values) // 2]) if len(values) else 0.0
 
 
 def roughness(parts: Parts) -> float:
-    """Return half of the mean square step from row to row over the variance (von Neumann 1941), NaN left out.
+    """Return half of the mean squared step from row to row over the variance (von Neumann 1941); NaN is ignored.
 
     It is 1 for white noise, and small for smooth motion: 1 - cos(2 pi / n) for a wave of n rows.
     """

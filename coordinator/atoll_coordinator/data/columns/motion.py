@@ -1,8 +1,12 @@
 """Checks of the motion of states: are equations of second order needed, or are the rows steps of a map? Pure.
 
-Where a law holds between coordinates and a response, rows with nearly the same coordinates have nearly the same
-response, whenever they were measured. So nearest neighbours of different passes are compared (false nearest neighbours,
-Kennel et al. 1992; Gamma test, Evans & Jones 2002). Slopes and curvatures are taken over short windows of rows.
+If coordinates determine a response, rows with nearly the same coordinates have nearly the same response at all times.
+So rows are compared with their nearest neighbours in other passes through the same region (false nearest neighbours,
+Kennel et al. 1992; Gamma test, Evans & Jones 2002). Slopes and curvatures are least-squares fits over short windows of
+rows.
+
+The checks find nothing if few passes come near each other, or if noise hides the curvatures: no finding does not mean
+that equations of first order suffice.
 """
 
 import math
@@ -28,15 +32,16 @@ from atoll_core.data.dataset import FloatArray, IntArray
 
 LIMITS = SETTINGS.columns
 _RELEVANT: Final = SETTINGS.inference.part
-"""Share of a variance, or of a standard deviation, from which on something else matters."""
+"""Share of a variance, or of a standard deviation, from which on another influence is relevant."""
 _MOST_POSITIONS: Final = 4
-"""Most states for which neighbours are sought: with more, no rows are near each other in positions and velocities."""
+"""Most states for which neighbours are searched: with more states, no rows are close in positions and velocities."""
 _FEWEST_PAIRS: Final = 20
-"""Fewest pairs of neighbours for a finding."""
+"""Fewest pairs of neighbours that a finding needs."""
 _JUMPS: Final = 0.75
-"""Roughness from which on rows jump: a wave then has fewer than five rows in a period (1 - cos(2 pi / 5) = 0.69)."""
+"""Roughness from which on rows count as jumping: a wave then has fewer than five rows in a period (1 - cos(2 pi / 5) =
+0.69)."""
 _ROOT_70: Final = math.sqrt(70.0)
-"""Size of the fourth difference of white noise of size one."""
+"""Standard deviation of the fourth difference of white noise with standard deviation 1."""
 
 
 # --------------------------------------------------------------------------------------------------------- the checks
@@ -60,20 +65,20 @@ def check_second_order(columns: ExaminedColumns) -> Iterator[Finding]:
     )  # fmt: skip
     yield Finding(
         f"{quoted(roles.states)} {passes} the same values with different velocities, and {its} from both",
-        "to seek equations of second order, add --order 2",
+        "to search for equations of second order, add --order 2",
     )
 
 
 def check_map(columns: ExaminedColumns) -> Iterator[Finding]:
-    """Yield a finding where states jump from row to row, and yet each row determines the next: x(n + 1) = f(x(n))."""
+    """Yield a finding if states jump from row to row, but each row determines the next: x(n + 1) = f(x(n))."""
     states = columns.roles.states
     if not columns.is_in_time or columns.config.data.stochastic or not 0 < len(states) <= _MOST_POSITIONS:
         return
     is_jumping = all(roughness(columns.values[name]) > _JUMPS for name in states)
     if is_jumping and all(_determines_next(columns, name) for name in states):
         yield Finding(
-            f"{quoted(states)} jump{'s' if len(states) == 1 else ''} from row to row, yet each row decides the next, "
-            "as in steps of a map x(n + 1) = f(x(n)) or where a period has few rows",
+            f"{quoted(states)} jump{'s' if len(states) == 1 else ''} from row to row, but each row determines the "
+            "next, as in steps of a map x(n + 1) = f(x(n)) or where a period has few rows",
             "sample more often, or, if it is a map, write the next row's value into each row, as "
             f"'{states[0]}_next', and use --target {states[0]}_next",
         )
@@ -101,8 +106,8 @@ def _determines_next(columns: ExaminedColumns, name: str) -> bool:
 class Disagreement:
     """How much neighbours differ in a response.
 
-    `share` is the mean square of half the difference over the variance of the response in these rows: near 0 where the
-    coordinates determine it, near 1 where they do not. `size` is the same over the variance in all rows.
+    `share` is half of the mean squared difference over the variance of the response in these rows: near 0 if the
+    coordinates determine the response, near 1 if they do not. `size` is the same mean over the variance in all rows.
     """
 
     share: float
@@ -110,15 +115,17 @@ class Disagreement:
 
     @property
     def is_open(self) -> bool:
-        """Whether something else determines at least half of the response, and the difference is not negligible."""
+        """Whether another influence determines at least half of the response, and the difference is not negligible."""
         return self.share > 0.5 and self.size > 0.25
 
 
 def neighbours(coordinates: Sequence[FloatArray], part: IntArray, apart: int) -> tuple[list[int], list[int]] | None:
-    """Return rows and their nearest neighbours in other passes, the nearer half; None where too few rows have one.
+    """Return rows and their nearest neighbours in other passes, the closer half of all pairs.
 
-    `coordinates` are (n,), rows in order, `part` (n,) the trajectory of each. Rows fewer than `apart` from each other,
-    or between which the states stay near, belong to the same pass.
+    None if there are too few.
+
+    `coordinates` are (n,) each, rows in order; `part` (n,) is the trajectory of each row. Two rows belong to the same
+    pass if they are fewer than `apart` rows apart, or if the states stay near between them.
     """
     scaled = [values / math.sqrt(variance(values)) for values in coordinates if variance(values) > 0.0]
     pairs = [pair for row in range(len(part)) if (pair := _neighbour(scaled, part, row, apart)) is not None]
@@ -132,7 +139,7 @@ def neighbours(coordinates: Sequence[FloatArray], part: IntArray, apart: int) ->
 def _neighbour(
     coordinates: Sequence[FloatArray], part: IntArray, row: int, apart: int
 ) -> tuple[float, int, int] | None:
-    """Return the squared distance, the row and its nearest neighbour in another pass, if it is near enough."""
+    """Return the squared distance, the row and its nearest neighbour in another pass, if one is near enough."""
     distance = np.zeros(len(part))
     for values in coordinates:
         away = values - values[row]
@@ -148,7 +155,7 @@ def _neighbour(
 
 
 def disagreement(pairs: tuple[list[int], list[int]], response: FloatArray) -> Disagreement | None:
-    """Return how much `neighbours` differ in a response (n,), None where it is constant."""
+    """Return how much `neighbours` differ in a response (n,); None if the response is constant."""
     ones, others = response[pairs[0]], response[pairs[1]]
     both = np.concatenate([ones, others])
     about = both - mean(both)
@@ -160,7 +167,7 @@ def disagreement(pairs: tuple[list[int], list[int]], response: FloatArray) -> Di
 def disagreements(
     slopes: "LocalSlopes", columns: ExaminedColumns
 ) -> tuple[list[Disagreement | None], list[Disagreement | None]]:
-    """Return how much neighbours differ in each slope, and neighbours with the same slopes in each curvature."""
+    """Return how much neighbours differ in each slope, and neighbours with equal slopes in each curvature."""
     states = columns.roles.states
     positions = [slopes.means[name] for name in (*states, *columns.roles.inputs)]
     velocities = [slopes.slopes[name] for name in states]
@@ -179,10 +186,10 @@ def disagreements(
 
 @dataclass(frozen=True, eq=False)
 class LocalSlopes:
-    """Of n windows: the mean of each column, slopes and curvatures of states, all (n,); `part` the trajectory.
+    """Results for n windows: means of columns, slopes and curvatures of states, all (n,); `part` is the trajectory.
 
-    `bends` are the sizes of curvatures by the row instead of by the time; windows fewer than `apart` places apart share
-    rows.
+    `bends` are the sizes of curvatures with respect to the row number instead of the time. Windows fewer than `apart`
+    places apart share rows.
     """
 
     means: Mapping[str, FloatArray]
@@ -194,9 +201,9 @@ class LocalSlopes:
 
 
 def local_slopes(times: Parts, values: Mapping[str, Parts], states: Sequence[str]) -> LocalSlopes | None:
-    """Return slopes over the shortest windows in which noise does not hide curvatures; None where there are none.
+    """Return slopes over the shortest windows in which noise does not hide curvatures; None if there are none.
 
-    Slopes are least-squares slopes in the number of the row; time steps are treated as even within a window.
+    Slopes are least-squares slopes with respect to the row number; time steps are treated as even within a window.
     """
     width = SETTINGS.common.fewest_rows
     noises = {name: _noise(values[name]) for name in states}
@@ -204,7 +211,8 @@ def local_slopes(times: Parts, values: Mapping[str, Parts], states: Sequence[str
         slopes = _slopes_over(times, values, states, width)
         if slopes is None:
             return None
-        gain = math.sqrt(720.0 / (width * (width**2 - 1.0) * (width**2 - 4.0)))  # of a curvature for noise of size one
+        # noise of a curvature for unit noise of the rows
+        gain = math.sqrt(720.0 / (width * (width**2 - 1.0) * (width**2 - 4.0)))
         if all(noises[name] * gain < LIMITS.clear * upper_median(slopes.bends[name]) for name in states):
             return slopes
         width = 2 * width + 1
@@ -246,7 +254,7 @@ def _slopes_over(times: Parts, values: Mapping[str, Parts], states: Sequence[str
 
 
 def _weighted(values: FloatArray, firsts: IntArray, weights: FloatArray) -> FloatArray:
-    """Return the weighted sum over each window, whose rows begin at `firsts`, added from the first row on."""
+    """Return the weighted sum over each window; `firsts` are the first rows, and rows are added in order."""
     total = np.zeros(len(firsts))
     for place, weight in enumerate(weights.tolist()):
         total = total + weight * values[firsts + place]
@@ -254,7 +262,7 @@ def _weighted(values: FloatArray, firsts: IntArray, weights: FloatArray) -> Floa
 
 
 def _noise(parts: Parts) -> float:
-    """Return the size of the noise of a state by its fourth differences, infinite where there are none."""
+    """Return the size of the noise of a state from its fourth differences; infinite if there are none."""
     differences = np.concatenate([np.diff(part[: SETTINGS.rows.in_sums], 4) for part in parts])
     differences = differences[np.isfinite(differences)]
     return math.sqrt(dot(differences, differences) / len(differences)) / _ROOT_70 if len(differences) else math.inf

@@ -1,9 +1,9 @@
 """Checks of the values of columns. Pure.
 
-Single columns: fill values, clipping, few levels, held inputs, counters of rows. Columns that determine each other:
-equal ones, multiples, totals, sums that stay constant. For these each column is compared, by least squares, with the
-columns before it (modified Gram-Schmidt, twice), whose coefficients follow from the coefficients of the basis. Any
-equation found with such columns can be written in several ways.
+Single columns: fill values, clipping, few levels, held inputs, row counters. Columns that determine each other: equal
+columns, multiples, totals, sums that stay constant. Such columns are found by least squares: each column is projected
+on the columns before it (modified Gram-Schmidt, applied twice). They matter because any equation with such columns can
+be written in several ways.
 """
 
 import math
@@ -32,15 +32,15 @@ from atoll_core.data.dataset import FloatArray
 LIMITS = SETTINGS.columns
 _FEW: Final = SETTINGS.common.few_values
 _REPEATS: Final = 2
-"""Fewest rows with a placeholder of missing values, and fewest jumps of a held column: chance does not repeat."""
+"""Fewest rows with a fill value, and fewest jumps of a held column: with fewer, it may be chance."""
 _RUN: Final = 3
-"""Fewest equal rows in sequence that count as clipped: two may be a rounded turning point."""
+"""Fewest consecutive equal rows that count as clipped: two may be a rounded turning point."""
 _STEEP_STEPS: Final = 10.0
-"""Next to clipped rows the column moves by more than this many steps of its values. At a smooth turning point a
-parabola stays within one step for m rows and moves by at most 2.7 steps (m = 3) in the next rows; a flat turning point
-(fourth power) moves by 7."""
+"""Next to clipped rows the column moves by more than this many rounding steps. At a smooth turning point a parabola
+stays within one step for m rows and moves by at most 2.7 steps (m = 3) in the next rows; at a flat turning point
+(fourth power) it moves by 7."""
 _MOST_CLIPPED: Final = 4
-"""Most clipped values for each value that is not clipped: with more, too little of the column is known."""
+"""Most clipped values for each unclipped value: with more, too little of the column is known."""
 _ROUNDING: Final = 1e-12
 """Guard: values that differ by less than this share of their size are one value."""
 
@@ -48,7 +48,7 @@ _ROUNDING: Final = 1e-12
 
 
 def check_fill_values(columns: ExaminedColumns) -> Iterator[Finding]:
-    """Yield a finding for each value that looks as if it were written where nothing was measured, such as -9999."""
+    """Yield a finding for each value that seems to mean a missing measurement, such as -9999."""
     for name, value in fill_values(columns).items():
         values = columns.finite(name)
         others, count = values[values != value], int(np.count_nonzero(values == value))
@@ -61,16 +61,16 @@ def check_fill_values(columns: ExaminedColumns) -> Iterator[Finding]:
 
 
 def fill_values(columns: ExaminedColumns) -> dict[str, float]:
-    """Return for each column, if there is one, the value that looks like one of a missing measurement."""
+    """Return by column the value that seems to mean a missing measurement, if there is one."""
     found = {name: _fill_value(columns.finite(name)) for name in columns.values if name not in columns.angles}
     return {name: value for name, value in found.items() if value is not None}
 
 
 def _fill_value(values: FloatArray) -> float | None:
-    """Return the least or the largest value if it is repeated and further from all others than these are apart.
+    """Return the least or the largest value if it is repeated, and further from the others than their whole range.
 
-    A moving quantity would have passed through values in between. There are several other values, so that it is no
-    switch; they are most of the rows. One row is enough for a number that is written in nines, as fill values are.
+    A moving quantity would have passed through values in between. The other values must be several, so that the column
+    is not switched, and must be in most of the rows. For a number of nines, such as -9999, one row is enough.
     """
     unique, counts = np.unique(values, return_counts=True)
     if len(unique) <= _FEW:
@@ -91,7 +91,7 @@ def _fill_value(values: FloatArray) -> float | None:
 
 
 def check_clipping(columns: ExaminedColumns) -> Iterator[Finding]:
-    """Yield a finding for each state that was clipped: a sensor was at the end of its range for several rows."""
+    """Yield a finding for each clipped state: its sensor was at the end of its range for several rows."""
     if not columns.is_in_time or columns.config.data.stochastic:
         return
     for name in columns.roles.states:
@@ -110,9 +110,9 @@ def check_clipping(columns: ExaminedColumns) -> Iterator[Finding]:
 
 
 def _clipped(parts: Parts) -> list[float]:
-    """Return the largest value, the least one, or both, where a state that moves fast stops there at once.
+    """Return the largest value, the least value, or both, if a fast moving state stops there abruptly.
 
-    A state that comes to rest does so gradually: the steps next to a rounded turn are a few of its rounding steps. A
+    A state without clipping comes to rest gradually: near a rounded turning point it moves by a few rounding steps. A
     held state stays at other values as well.
     """
     values = np.concatenate(list(parts))
@@ -139,7 +139,10 @@ def _clipped(parts: Parts) -> list[float]:
 
 
 def check_counters(columns: ExaminedColumns) -> Iterator[Finding]:
-    """Yield a finding for the states that count the rows; they are not sought, unless nothing else would be."""
+    """Yield a finding for the states that count the rows.
+
+    Their equations are not searched unless no other state is left.
+    """
     states = columns.roles.states
     counters = tuple(
         name
@@ -151,7 +154,7 @@ def check_counters(columns: ExaminedColumns) -> Iterator[Finding]:
         counts, them, are = ("counts", "it", "is") if len(counters) == 1 else ("count", "them", "are")
         yield Finding(
             f"{quoted(counters)} {counts} the rows and {are} no quantity of the system",
-            f"no equation is sought for {them} (--states {listed(states)} keeps {them})",
+            f"no equation is searched for {them} (--states {listed(states)} keeps {them})",
             left_out=counters,
         )
 
@@ -160,7 +163,7 @@ def check_counters(columns: ExaminedColumns) -> Iterator[Finding]:
 
 
 def check_held_inputs(columns: ExaminedColumns) -> Iterator[Finding]:
-    """Yield a finding for the inputs that seem to be constant from row to row; between rows other inputs are curves."""
+    """Yield a finding for inputs that seem to be held between rows; all other inputs are smooth curves between rows."""
     data = columns.config.data
     if not columns.is_in_time or data.stochastic:
         return
@@ -179,7 +182,7 @@ def check_held_inputs(columns: ExaminedColumns) -> Iterator[Finding]:
 
 
 def check_few_levels(columns: ExaminedColumns) -> Iterator[Finding]:
-    """Yield a finding for each state of a few values: it was rounded, or it is switched."""
+    """Yield a finding for each state with only a few values: it was rounded, or it is switched."""
     if not columns.is_in_time:
         return
     for name in columns.roles.states:
@@ -197,15 +200,16 @@ def check_few_levels(columns: ExaminedColumns) -> Iterator[Finding]:
         elif is_held(columns.values[name]):
             yield Finding(
                 f"'{name}' keeps its value for several rows and then jumps, so it has no derivative",
-                f"if it acts on the others from outside, {as_input}",
+                f"if it acts on the other states from outside, {as_input}",
             )
 
 
 def has_few_levels(parts: Parts) -> bool:
-    """Tell whether values are repeated so often that a quantity in finer steps would have shown other values.
+    """Tell whether values are repeated so often that a quantity recorded in finer steps would have shown other values.
 
-    A quantity recorded in half of these steps, or finer, takes one of the observed values by chance in every second
-    row. A wave in step with the rows repeats its values, too, each of them once or twice a period.
+    A quantity recorded in steps at most half as large has one of the observed values by chance in every second row. A
+    wave whose period is a whole number of rows also repeats its values, each once or twice in a period; it does not
+    count.
     """
     values = _finite(parts)
     levels = len(np.unique(values))
@@ -216,7 +220,7 @@ def has_few_levels(parts: Parts) -> bool:
 
 
 def repeats_in_step(parts: Parts) -> bool:
-    """Tell whether a column is a wave in step with the rows, which repeats each value once or twice a period."""
+    """Tell whether a column is a wave with a period of whole rows, each value once or twice in a period."""
     levels = len(np.unique(_finite(parts)))
     return any(_has_period(parts, period) for period in range(levels, 2 * levels + 1))
 
@@ -238,9 +242,11 @@ def _finite(parts: Parts) -> FloatArray:
 
 
 def is_held(parts: Parts) -> bool:
-    """Tell whether a column is constant from most rows to the next and then jumps; few values are always switched.
+    """Tell whether a column is constant from most rows to the next, and then jumps.
 
-    A rounded quantity that moves smoothly goes to the next of its values; jumps are larger.
+    A column of few values is always switched.
+
+    A rounded quantity that moves smoothly changes to an adjacent value; jumps are larger.
     """
     if has_few_levels(parts):
         return True
@@ -256,8 +262,8 @@ def is_held(parts: Parts) -> bool:
 def _is_white(parts: Parts) -> bool:
     """Tell whether a column looks like white noise: neighbouring rows do not predict a row.
 
-    The rows of a wave are predicted, however few there are in a period: their correlation with the sum of both
-    neighbours is 1 or -1.
+    The rows of a wave are predictable even with few rows in a period: their correlation with the sum of both neighbours
+    is 1 or -1.
     """
     rows = np.concatenate([part[1:-1] for part in parts if len(part) > 2] or [np.zeros(0)])
     around = np.concatenate([part[2:] + part[:-2] for part in parts if len(part) > 2] or [np.zeros(0)])
@@ -274,17 +280,17 @@ def _is_white(parts: Parts) -> bool:
 
 
 _MOST_COLUMNS: Final = 100
-"""Most columns that are compared by least squares: time grows with the square of their number."""
+"""Most columns that are compared by least squares: the time grows with the square of their number."""
 _ROWS_PER_COLUMN: Final = 10
-"""Fewest rows for each column of a relation that holds up to noise: with fewer, patterns in residuals are not seen."""
+"""Fewest rows for each column of a relation up to noise: with fewer, patterns in residuals cannot be detected."""
 Values = Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True)
 class Relation:
-    """``name = constant + sum of coefficient * column``, exact except for rounding, or up to noise.
+    """``name = constant + sum of coefficient * column``, exact up to rounding, or valid up to noise.
 
-    `residual` is its standard deviation, as a share of the standard deviation of the column.
+    `residual` is the standard deviation of the residuals over the standard deviation of the column `name`.
     """
 
     name: str
@@ -294,7 +300,7 @@ class Relation:
     residual: float
 
     def solved_for(self, name: str) -> "Relation":
-        """Return the same relation for another of its columns."""
+        """Return the relation solved for another of its columns."""
         if name == self.name:
             return self
         share = self.coefficients[name]
@@ -309,16 +315,16 @@ class Relation:
 
 
 def check_relations(columns: ExaminedColumns) -> Iterator[Finding]:
-    """Yield a finding for each column that others determine.
+    """Yield a finding for each column that other columns determine.
 
-    A state that is a multiple or a total of others, to within rounding, is not sought: nothing is lost. With a constant
-    (a sum that stays 1, degrees Celsius and kelvin) something is conserved, and each column has an equation.
+    If a state is a multiple or a sum of others up to rounding, its equation is not searched: no information is lost. If
+    the relation has a constant (a sum that stays 1, degrees Celsius and kelvin), each column keeps its equation.
     """
     left_out: list[str] = []
     states = columns.roles.states
     for relation in linear_relations(columns):
         total = relation
-        if not any(name in left_out for name in relation.columns):  # the column that is the sum of the others
+        if not any(name in left_out for name in relation.columns):  # the column that is the sum of the other columns
             forms = [relation.solved_for(name) for name in reversed(relation.columns)]
             sums = (form for form in forms if all(value > 0.0 for value in form.coefficients.values()))
             total = next(sums, relation)
@@ -326,9 +332,9 @@ def check_relations(columns: ExaminedColumns) -> Iterator[Finding]:
         if is_redundant and columns.may_leave_out(total.name) and len(states) - len(left_out) > 1:
             left_out.append(total.name)
             yield Finding(
-                f"'{total.name}' is {_sum(total.coefficients, total.is_exact)} in every row, so that it adds nothing "
-                "but other ways to write each equation",
-                f"no equation is sought for it (--states {listed(states)} keeps it)",
+                f"'{total.name}' is {_sum(total.coefficients, total.is_exact)} in every row, so that it only adds "
+                "other ways to write each equation",
+                f"no equation is searched for it (--states {listed(states)} keeps it)",
                 left_out=(total.name,),
             )
         else:
@@ -336,7 +342,7 @@ def check_relations(columns: ExaminedColumns) -> Iterator[Finding]:
 
 
 def linear_relations(columns: ExaminedColumns) -> list[Relation]:
-    """Return the relations that determine columns, each by the columns before it."""
+    """Return the relations by which the columns before a column determine it."""
     roles = columns.roles
     names = [name for name in roles.variables if name in columns.values and name != roles.target]
     if len(names) > _MOST_COLUMNS or (columns.roles.order == 2 and len(names) < 2):
@@ -360,7 +366,7 @@ def linear_relations(columns: ExaminedColumns) -> list[Relation]:
 
 
 class _Basis:
-    """Orthonormal columns, and their coefficients in columns of the table, all about their means."""
+    """Orthonormal columns, and their coefficients in terms of the table's columns, all with means subtracted."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
@@ -376,7 +382,7 @@ class _Basis:
         self._coefficients = [[*row, 0.0] for row in self._coefficients] + [[entry / size for entry in (*own, 1.0)]]
 
     def _projected(self, values: FloatArray) -> tuple[list[float], FloatArray]:
-        """Return the share of each unit in the values, and the residuals."""
+        """Return the coefficients of the orthonormal columns in the values, and the residuals."""
         shares, rest = [0.0] * len(self._units), values - mean(values)
         for _ in range(2):  # the second time removes the rounding errors of the first
             for place, unit in enumerate(self._units):
@@ -392,9 +398,9 @@ class _Basis:
         ]
 
     def relation(self, name: str, sampled: Values, whole: Values, deviation: float) -> Relation | None:
-        """Return how a column depends on the columns of the basis, None where it does not.
+        """Return how a column depends on the columns of the basis; None if it does not.
 
-        `sampled` are the values of some rows, `whole` the values of all rows, in which an exact relation holds.
+        `sampled` are the values of some rows. `whole` are the values of all rows, in which an exact relation must hold.
         """
         shares, rest = self._projected(sampled[name])
         if not self.names or math.sqrt(variance(rest)) / deviation > LIMITS.alike:
@@ -407,7 +413,7 @@ class _Basis:
 def _exact(
     name: str, coefficients: Mapping[str, float], sampled: Values, whole: Values, deviation: float
 ) -> Relation | None:
-    """Return the relation if it holds in every row to within rounding: of arithmetic, or of the written digits."""
+    """Return the relation if it holds in every row up to rounding errors of arithmetic or of the written digits."""
     least = SETTINGS.common.negligible * deviation
     for terms in (_without_small(coefficients, sampled, least) or coefficients, coefficients):
         steps = [abs(factor) * _step(sampled[other]) for other, factor in terms.items()]
@@ -428,9 +434,8 @@ def _noisy(
     """Return the relation if its residuals are small and without a pattern from row to row."""
     rows, size = len(rest), math.sqrt(variance(rest))
     least = 1.0 - SETTINGS.common.significant / math.sqrt(rows)
-    above = rest > upper_median(
-        rest
-    )  # few rows far out, as at the begin of a motion, decide a mean square, but not this
+    # a few extreme rows, as at the beginning of a motion, dominate a mean square, but not a median
+    above = rest > upper_median(rest)
     sign_changes = int(np.count_nonzero(above[1:] != above[:-1])) / max(1, rows - 1)
     is_white = min(roughness([rest]), 2.0 * sign_changes) > least
     if rows < _ROWS_PER_COLUMN * (len(coefficients) + 1) or not is_white:
@@ -490,7 +495,7 @@ def _remark(relation: Relation, states: Sequence[str], left_out: Sequence[str]) 
 
 
 def _sum(coefficients: Mapping[str, float], is_exact: bool) -> str:
-    """Return a sum of columns as people write it, added terms before subtracted ones."""
+    """Return the text of a sum of columns, with added terms before subtracted terms."""
     digits, text = 4 if is_exact else 2, ""
     for name, value in sorted(coefficients.items(), key=lambda pair: pair[1] < 0.0):
         size = f"{abs(value):.{digits}g}"

@@ -1,7 +1,11 @@
 """Values, derivatives and their uncertainty along trajectories, for one state at a time. Pure.
 
-Noisy states are smoothed by loess. Where left-out rows show that the data follow local polynomials of high order better
-than any smoother (the noise is negligible), they are interpolated instead. Rows of different weights imply noise.
+Noisy states are smoothed by loess. Each row is also predicted from its neighbours by local polynomials of high order.
+If these predict left-out rows better than loess does, the noise is negligible, and the state is interpolated instead.
+If rows have different weights, noise is assumed.
+
+The estimated bias of a smoothed derivative is the most doubtful of the results. It is the difference from a second fit
+with a narrower span. This difference is itself noisy, and it does not show features that are shorter than both spans.
 """
 
 import math
@@ -36,37 +40,39 @@ from atoll_coordinator.data.differentiation.smoothing import (
     weigh_by,
 )
 from atoll_coordinator.data.recording import STENCIL_ROWS, Quantisation
-from atoll_coordinator.data.trajectories.checks import SMALLEST, check_size
 from atoll_coordinator.data.trajectories.measurements import Measurements
+from atoll_coordinator.data.trajectories.usable_rows import SMALLEST, check_size
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError
 
 ROUNDING: Final = 1e-12
-"""Guard: a column that varies less than this share of its mean is judged by the mean, for it may well be constant."""
+"""Guard: a column that varies less than this share of its mean may be constant; its scale is this share of the mean."""
 
 
 _NARROWER: Final = 0.6
-"""The bias of a derivative is estimated from a second derivative, whose span is this many times as wide."""
+"""The bias of a derivative is estimated from a second estimate, whose span is this share of the first span."""
 _QUIET_SHARE: Final = 0.5
-"""The share of rows on which interpolation is judged if only rows that change little show that there is no noise: on
-fast transients the errors of interpolation are larger than smoothing estimates."""
+"""The share of rows that decide about interpolation if only slowly changing rows show that there is no noise: on fast
+transients the errors of interpolation are larger than the smoothing estimates."""
 
 
 @dataclass(frozen=True, eq=False)
 class StateEstimate:
-    """What is known of one state over all its rows, in the order of the signals. All arrays are (R,).
+    """The estimate of one state over all its rows, in the order of the signals. All arrays are (R,).
 
-    `values` are interpolated (as measured) or smoothed; `derivative` is the derivative sought, `velocity` the first
-    derivative; `uncertainty` is the standard error of `derivative`, and `total_uncertainty` the root of the sum of its
-    square and the squared estimated bias (where the state was interpolated, the same as `uncertainty`). Where the state
-    is missing and its own rows do not show it, both are infinite, the derivatives 0, and the value is a substitute.
+    `values` are interpolated (as measured) or smoothed; `derivative` has the derivative of the requested order,
+    `velocity` the first derivative. `uncertainty` is the standard error of `derivative`; `total_uncertainty` is
+    sqrt(standard error^2 + estimated bias^2), for an interpolated state equal to `uncertainty`. At rows where the state
+    is missing and its own rows do not determine it, both are infinite, the derivatives are 0, and the value is a
+    substitute.
+
     `noise` is the estimated standard deviation of the measurement errors, at least the error of the `quantisation`
-    (None: no rounding), and `standard_deviation` refers to the measurements; `smoother` is None where the state was
-    interpolated. `outliers`, the number of rows without weight, and `robustness_weights` are None unless loess was
-    robust; `has_heavy_tails` advises that it should be. `narrower_noise` is the noise by loess with the narrower span,
-    `narrower_span` (rows), by which the bias is estimated. `points` (R,) are the values that the derivatives belong to
-    where these are not `values`.
+    (None: no rounding). `standard_deviation` refers to the measurements. `smoother` is None for an interpolated state.
+    `outliers`, the number of rows without weight, and `robustness_weights` are None unless loess was robust;
+    `has_heavy_tails` means that robust loess is advisable. `narrower_noise` is the noise by loess with the narrower
+    span `narrower_span` (rows), which is used for the estimate of the bias. `points` (R,) are the values to which the
+    derivatives belong, if these are not `values`.
     """
 
     values: FloatArray
@@ -87,17 +93,17 @@ class StateEstimate:
 
     @property
     def is_known(self) -> npt.NDArray[np.bool_]:
-        """Where the state is known (R,): it was measured, or its own rows show it."""
+        """Where the state is known (R,): it was measured, or its own rows determine it."""
         return np.isfinite(self.total_uncertainty)
 
     @property
     def is_interpolated(self) -> bool:
-        """Whether the data are free of noise, or nearly."""
+        """Whether the state was interpolated: its noise is zero or negligible."""
         return self.smoother is None
 
     @property
     def span(self) -> int:
-        """How many rows, at most, the value or derivative of a row depends on."""
+        """The largest number of rows on which the value or derivative of a row depends."""
         return STENCIL_ROWS if self.smoother is None else self.smoother.rows
 
     @property
@@ -107,7 +113,7 @@ class StateEstimate:
 
     @property
     def target_noise(self) -> float:
-        """The relative noise that the search assumes: 0.0 when interpolated, or too small to be determined."""
+        """The relative noise that the search assumes: 0.0 if interpolated, or if too small to be determined."""
         is_free = self.is_interpolated or self.relative_noise < SETTINGS.smoothing.smallest_noise
         return 0.0 if is_free else self.relative_noise
 
@@ -116,7 +122,7 @@ class StateEstimate:
 class Differentiation:
     """How states are differentiated.
 
-    `order` is 1 or 2, the derivative sought; `paper`: as in the paper, loess of degree 2 and no interpolation;
+    `order` is the order of the derivative, 1 or 2; `paper`: as in the paper, loess of degree 2 and no interpolation;
     `robust`: outliers lose their weight.
     """
 
@@ -126,7 +132,7 @@ class Differentiation:
 
     @property
     def degrees(self) -> tuple[int, ...]:
-        """Degrees of loess among which one is selected; 2 is the degree in Schmidt & Lipson 2008."""
+        """The degrees of loess from which one is selected; Schmidt & Lipson 2008 use degree 2."""
         return (2,) if self.paper else SETTINGS.smoothing.degrees
 
 
@@ -135,8 +141,9 @@ def estimate_states(
 ) -> list[StateEstimate]:
     """Return values and derivatives of the measured states.
 
-    `weights` (R,) are inverse variances of the errors of each row, up to a factor; None: all are 1. Raises DataError
-    where a state has too few values along every trajectory, or a derivative of zeros, or beyond the range of numbers.
+    `weights` (R,) are inverse variances of the errors of each row, up to a factor; None: all are 1. Raises DataError if
+    a state has too few values along every trajectory, or if its derivative is zero everywhere or out of the range of
+    numbers.
     """
     assert measurements.trajectories is not None
     parts = [None if weights is None else weights[first:last] for first, last in measurements.ranges]
@@ -164,10 +171,11 @@ def estimate_derivatives(
 ) -> StateEstimate:
     """Return values and derivatives of one state, over all rows of all signals.
 
-    Signals have 5 rows or more each; where fewer of them were measured, the state is not known there. Signals that are
-    `held_out` take no part in any choice (empty: all do). Errors have the standard deviation `least_noise` at least.
+    Each signal has at least 5 rows; if fewer of its rows were measured, the state is not known in the whole signal.
+    Signals that are `held_out` influence no choice (empty: none is held out). The standard deviation of the errors is
+    at least `least_noise`.
     """
-    # scaled by a power of two, so that values of any size have squares
+    # scaled by a power of two, so that squares of values of any size are finite
     _, exponent = math.frexp(max(float(np.max(np.abs(signal.values))) for signal in signals))
     scaled = [replace(signal, values=np.ldexp(signal.values, -exponent)) for signal in signals]
     least = math.ldexp(least_noise, -exponent)
@@ -223,7 +231,7 @@ def _standard_deviation(signals: Sequence[Signal]) -> float:
 def _by_loess(
     signals: Sequence[Signal], smoother: Smoother, order: int, searched: Sequence[Signal], least: float
 ) -> StateEstimate:
-    """Return the estimate of `signals` by loess, with the noise of the signals `searched`, `least` at least."""
+    """Return the loess estimate of `signals`, with the noise of the signals `searched`, which is at least `least`."""
     noise = max(estimate_noise(searched, smoother), least)
     smoothed = [smooth(signal, smoother) for signal in signals]
     fits = np.concatenate([part.fits for part in smoothed], axis=1)
@@ -263,7 +271,7 @@ def _by_interpolation(signals: Sequence[Signal], order: int, noise: float, devia
 def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: FloatArray) -> StateEstimate:
     """Return the estimate with unknown rows marked: infinite uncertainty, derivatives 0, a value nearby.
 
-    A missing value is known where the other rows determine it as well as one measurement does: where its noise gain
+    A missing value counts as known if the other rows determine it as well as one measurement would: if its noise gain
     (R,) is at most 1.
     """
     if all(signal.is_measured is None for signal in signals):
@@ -290,13 +298,13 @@ def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: 
 
 
 def bounded_standard_deviation(values: FloatArray, least: float = ROUNDING) -> float:
-    """Return the standard deviation, or `least` times the mean's size where the values hardly vary."""
+    """Return the standard deviation, or `least` times the size of the mean if the values hardly vary."""
     mean, deviation = moments(values)
     return max(deviation, least * abs(mean), SMALLEST)
 
 
 def representable_standard_deviation(name: str, values: FloatArray) -> float:
-    """Return the standard deviation; raises DataError when it is beyond the range of numbers."""
+    """Return the standard deviation; raises DataError if it is out of the range of numbers."""
     deviation = bounded_standard_deviation(values)
     check_size(name, deviation)
     return deviation
@@ -316,9 +324,9 @@ def derivative_standard_deviation(state: str, values: FloatArray) -> float:
 
 
 def warm_up() -> None:
-    """Compile or load every kernel that preparing data needs, with a few rows with noise and a few without.
+    """Compile or load every kernel that preparing data needs, by running them on a few noisy and a few noise-free rows.
 
-    Interpreted kernels (``NUMBA_DISABLE_JIT``) need nothing. Takes some seconds the first time on a machine.
+    Does nothing for interpreted kernels (``NUMBA_DISABLE_JIT``). The first run on a machine takes some seconds.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return

@@ -1,10 +1,12 @@
 """States driven by held inputs: smooth between two switches, with a slope that jumps at each switch. Pure.
 
-Where an input is held over five rows or more, each piece between two switches is differentiated as a trajectory of its
-own. Where it is switched more often, the slope is the difference of two neighbouring rows over their distance: the
-mean slope under one value of the input, which to second order belongs to the middle between the rows. There no
-smoothing separates errors from motion: the errors are estimated from the residuals of a polynomial in all variables
-that is fitted to these slopes.
+If an input is held over five rows or more, each piece between two switches is differentiated as a separate trajectory.
+If it is switched more often, the slope is the difference quotient of two neighbouring rows. This is the mean slope
+under one value of the input; to second order it is the slope at the midpoint between the rows. In this case no
+smoothing separates errors from motion. Instead, a polynomial in all variables is fitted to the slopes, and its
+residuals give the errors.
+
+This estimate of the errors is the doubtful part: if no polynomial fits the motion, the errors are too large.
 
 Letters: R rows, N steps between rows, P terms.
 """
@@ -27,11 +29,12 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _DEGREES: Final = (1, 2, 3)
-"""Degrees of the polynomials in all variables that estimate the errors of slopes; the best fit is used."""
+"""Degrees of the polynomials in all variables that are fitted to slopes for an estimate of their errors; the best fit
+is used."""
 _STEPS_PER_TERM: Final = 3
-"""Fewest steps for each term of a polynomial: fifty steps then give the residual variance within a quarter."""
+"""Fewest steps for each term of a polynomial: with fifty steps the residual variance is then known within a quarter."""
 _NEIGHBOURS: Final = Smoother(2, 1, 0.0)
-"""A line through two neighbouring rows, as a smoother."""
+"""A line through two neighbouring rows, described as a smoother."""
 
 
 def estimate_driven_states(
@@ -39,7 +42,8 @@ def estimate_driven_states(
 ) -> list[StateEstimate]:
     """Return values and derivatives of the measured states, with jumps of slopes where held inputs are switched.
 
-    Without held inputs they are the results of `estimate_states`; arguments and errors are its arguments and errors.
+    Without held inputs the result is the result of `estimate_states`, which has the same arguments and raises the same
+    errors.
     """
     if not measurements.roles.held:
         return estimate_states(measurements, weights, options)
@@ -67,8 +71,8 @@ def estimate_driven_states(
 def pieces_between_switches(measurements: Measurements) -> list[list[Range]]:
     """Return for each trajectory the half-open ranges of its rows along which held inputs do not change.
 
-    The row of a switch ends one and begins the next. The last value holds from the last row on, where nothing was
-    measured.
+    The row of a switch ends one range and begins the next. The value at the last row acts only after the last
+    measurement, so a switch there begins no range.
     """
     held = np.array([measurements.columns[name] for name in measurements.roles.held])
     pieces = []
@@ -85,10 +89,10 @@ def _over_all_rows(
 ) -> StateEstimate:
     """Return an estimate over some `rows`, each once or twice, as an estimate over all rows.
 
-    At a row where two pieces meet the later piece counts, since its input acts on the next rows; a row that ends a
-    piece and begins none is not known, unless a trajectory ends there.
+    At a row where two pieces meet, the estimate of the later piece is used, since its input acts on the next rows. A
+    row that ends a piece and begins no piece is not known, unless the trajectory ends there.
     """
-    of_row = dict(zip(rows, range(len(rows)), strict=True))  # the last of two
+    of_row = dict(zip(rows, range(len(rows)), strict=True))  # of two estimates of a row, the last one
     ends = {last - 1 for _, last in measurements.ranges}
     goes_on = {row for row, after in pairwise(rows) if after == row + 1}
     kept = [row for row in of_row if row in goes_on or row in ends]
@@ -116,7 +120,7 @@ def _over_all_rows(
 
 
 def _is_hidden(estimate: StateEstimate) -> bool:
-    """Tell whether errors are most of the variance of a derivative: then smoothing across jumps is more accurate."""
+    """Tell whether errors cause most of the variance of a derivative: then smoothing across jumps is more accurate."""
     known = np.flatnonzero(estimate.is_known)
     if len(known) < SETTINGS.common.fewest_rows:
         return True
@@ -127,9 +131,9 @@ def _is_hidden(estimate: StateEstimate) -> bool:
 def _by_differences(
     measurements: Measurements, weights: FloatArray | None, smoothed: Sequence[StateEstimate]
 ) -> list[StateEstimate] | None:
-    """Return first derivatives in the steps between rows, each at the row that it begins with.
+    """Return first derivatives as difference quotients of neighbouring rows, each stored at the first row of its step.
 
-    `smoothed` are the estimates without regard to jumps. None where there are too few steps to estimate errors.
+    `smoothed` are the estimates that ignore jumps. None if there are too few steps to estimate errors.
     """
     assert measurements.trajectories is not None
     times = np.concatenate(measurements.trajectories.times)
@@ -167,14 +171,14 @@ def _by_differences(
 
 
 def _filled(measurements: Measurements, name: str) -> FloatArray:
-    """Return a state (R,) as measured; missing values lie on the line between their neighbours."""
+    """Return a state (R,) as measured; missing values are interpolated linearly between their neighbours."""
     assert measurements.trajectories is not None
     pairs = zip(measurements.trajectories.times, measurements.trajectories.states[name], strict=True)
     return np.concatenate([make_signal(times, values).values for times, values in pairs])
 
 
 def _noise(slopes: FloatArray, gains: FloatArray, variables: Sequence[FloatArray]) -> float | None:
-    """Return the standard deviation of the errors of a state, by residuals of polynomials fitted to its `slopes` (N,).
+    """Return the standard deviation of a state's errors, from residuals of polynomials fitted to its `slopes` (N,).
 
     `gains` (N,) are the standard errors of slopes for errors of standard deviation one. None: too few steps.
     """

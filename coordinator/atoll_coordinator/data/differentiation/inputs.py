@@ -1,8 +1,8 @@
-"""Inputs between the rows at which they were measured: one curve for fits, simulations, reports and exports. Pure.
+"""Inputs between their measured rows: the curve that fits, simulations, reports and exports all use. Pure.
 
-The curve is the cubic with given values and slopes at the rows; the slopes of a held input are not numbers (NaN), and
-it keeps the value of a row until the next row. The search sees inputs at rows only. scipy is imported where it is used:
-most data have no inputs.
+The curve is the piecewise cubic with given values and slopes at the rows. A held input keeps the value of a row until
+the next row, and its slopes are NaN. The search uses inputs at rows only. scipy is imported in the functions that use
+it, because most data have no inputs.
 
 Letters: N rows.
 """
@@ -20,9 +20,9 @@ from atoll_coordinator.data.recording import InputKind
 from atoll_core.data.dataset import FloatArray
 
 _LEAST_SMOOTH: Final = 4
-"""Rows from which a cubic with continuous second derivatives is determined; fewer rows get a shape-preserving curve."""
+"""Fewest rows for a cubic spline with continuous second derivatives; fewer rows get a shape-preserving curve."""
 _BETWEEN_SMOOTH: Final = 1.0 / 16.0
-"""Error of a cubic spline between rows over its error at rows that are left out, one in two."""
+"""Error of a cubic spline between rows over its error at left-out rows, if every second row is left out."""
 _Sample = tuple[FloatArray, FloatArray]
 
 
@@ -30,7 +30,7 @@ _Sample = tuple[FloatArray, FloatArray]
 class InputCurve:
     """An input along one trajectory as a function of the time: `values` and `slopes` (N,) at ascending `times` (N,).
 
-    It is constant before the first time and from the last time on.
+    It is constant before the first time and after the last time.
     """
 
     times: FloatArray
@@ -39,7 +39,10 @@ class InputCurve:
 
     @classmethod
     def through(cls, times: FloatArray, values: FloatArray, kind: InputKind | None = None) -> "InputCurve":
-        """Return the curve of a kind through finite `values` (N,) at `times` (N,); None: the kind that fits better."""
+        """Return the curve of a kind through finite `values` (N,) at `times` (N,).
+
+        Kind None: the kind that fits better.
+        """
         kind = choose_input_kind([times], [values]) if kind is None else kind
         return cls(times, values, estimate_input_slopes([times], [values], kind)[0])
 
@@ -62,9 +65,10 @@ class InputCurve:
 
     @cached_property
     def pieces(self) -> FloatArray:
-        """Cubics (N - 1, 5): the time from which each holds, the coefficients of the powers 0 to 3 of the time since.
+        """Cubics (N - 1, 5): the time at which each begins, then the coefficients of the powers 0 to 3 of time.
 
-        Of a held input there are N; the last one begins at the last row.
+        Powers are of the time since the beginning of the cubic. A held input has N pieces; the last one begins at the
+        last row.
         """
         times, values, slopes = self.times, self.values, self.slopes
         if self.is_held or len(times) < 2:
@@ -111,9 +115,9 @@ def choose_input_kind(times: Sequence[FloatArray], values: Sequence[FloatArray])
 def estimate_input_slopes(
     times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind
 ) -> list[FloatArray]:
-    """Return slopes of one input along each trajectory, NaN for a held input.
+    """Return the slopes of one input at the rows of each trajectory, NaN for a held input.
 
-    A linear input has its own slope, except for rounding. Arguments are as in `choose_input_kind`.
+    For an input that is linear in time they are exact up to rounding. Arguments are as in `choose_input_kind`.
     """
     if kind == "held":
         return [np.full(len(part), np.nan) for part in times]
@@ -128,8 +132,9 @@ def estimate_input_slopes(
 def relative_curve_error(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind) -> float:
     """Return the error of a smooth curve between rows over the standard deviation of the input (root mean squares).
 
-    A cubic spline errs by the fourth power of the step: by a sixteenth of its error at rows that are left out, one in
-    two. 0 for inputs of other kinds: when they are switched between two rows is not known.
+    The error of a cubic spline grows as the fourth power of the step: it is a sixteenth of the error at left-out rows
+    if every second row is left out. The result is 0 for inputs of other kinds, because the time of a switch between two
+    rows is not known.
     """
     samples, _ = _samples(times, values)
     if kind != "smooth" or not samples:
@@ -141,12 +146,12 @@ def relative_curve_error(times: Sequence[FloatArray], values: Sequence[FloatArra
 
 
 def unknown_variance(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind | None) -> float | None:
-    """Return the variance of an input about its curve in the middle between its rows; None where there are too few.
+    """Return the variance of an input about its curve midway between rows; None if there are too few rows.
 
-    For a smooth curve that is the square of its error. Other inputs are modelled as a random walk, a Brownian bridge
-    between two rows: at rows that are left out, one in two, its variance is twice the variance in the middle between
-    rows. A held input is known everywhere. The noise of an input that is not smooth counts, since its curve passes
-    through it.
+    For a smooth curve this is the square of its error. Other inputs are modelled as a random walk, which is a Brownian
+    bridge between two rows. If every second row is left out, the variance at the left-out rows is twice the variance
+    midway between rows. A held input is known everywhere. For an input that is not smooth the result includes its
+    noise, since its curve passes through the noisy values.
     """
     if kind == "held":
         return 0.0
@@ -159,7 +164,7 @@ def unknown_variance(times: Sequence[FloatArray], values: Sequence[FloatArray], 
 
 
 def _exponent(values: Sequence[FloatArray]) -> int:
-    """Return the exponent of the power of two over which values are about one."""
+    """Return the exponent of the power of two by which values are divided to be about one."""
     return math.frexp(max((float(np.max(np.abs(part))) for part in values if len(part)), default=0.0))[1]
 
 
@@ -185,7 +190,7 @@ def _left_out_variance(kind: InputKind, samples: Sequence[_Sample]) -> float:
 
 
 def _left_out_errors(kind: InputKind, samples: Sequence[_Sample]) -> list[float]:
-    """Return the errors at inner rows when every other row is left out, first the odd then the even."""
+    """Return the errors at inner rows if every second row is left out, first the odd rows, then the even rows."""
     errors = list[float]()
     for times, values in samples:
         for first in (0, 1):

@@ -1,9 +1,9 @@
-"""Local interpolation: derivatives of data without noise, missing values, and the noise by predicted rows. Pure.
+"""Local interpolation: derivatives of noise-free data, missing values, and the noise from predicted rows. Pure.
 
-Derivatives are slopes of polynomials through the 3 to 15 nearest rows. Each row takes the stencil that differs least
-from the next narrower one (weights by Fornberg 1988, good for uneven steps); that difference between two orders is the
-row's uncertainty. A state that is missing where another one was measured is interpolated between its own rows; before
-the first and after the last of them it is not known.
+Derivatives are slopes of polynomials through the 3 to 15 nearest rows (weights by Fornberg 1988, which allow uneven
+steps). Each row uses the stencil whose result differs least from the next narrower stencil. This difference between two
+orders is the row's uncertainty; it is an estimate of the truncation error, not a bound. If a state is missing at a row,
+it is interpolated between its own rows; before its first and after its last measured row it is not known.
 """
 
 import math
@@ -25,24 +25,25 @@ from atoll_coordinator.data.differentiation.smoothing import NORMAL_DEVIATION, S
 from atoll_core.data.dataset import FloatArray
 
 END_ROWS: Final = (HALF_WIDTHS + 1) // 2
-"""Rows at each end of a trajectory whose interpolated derivatives are much worse than others: half of a half width."""
+"""Rows at each end of a trajectory with much worse interpolated derivatives than others: half of a half width."""
 _AGREEMENT: Final = 2.0
-"""Estimates of the noise by two stencils agree if they differ by at most this many standard errors. In simulations of
-pure noise (even and uneven steps, 50 to 1,000 rows) the mean estimate is 1.03 to 1.09 times the truth."""
+"""Noise estimates from two stencils agree if they differ by at most this many standard errors. In simulations of pure
+noise (even and uneven steps, 50 to 1,000 rows) the mean estimate is 1.03 to 1.09 times the true value."""
 Rows = npt.NDArray[np.intp]
 _LEAST_FREEDOM: Final = 1e-12
-"""Guard: smallest 1 - leverage by which a residual is divided."""
+"""Guard: smallest value of 1 - leverage by which a residual is divided."""
 _MEDIAN_ERROR: Final = 1.1664
-"""Relative standard error of the median size of R normal errors, times sqrt(R): 1 / (2 m f(m)) with the median
-m = 0.6745 and the density f of the size."""
+"""Relative standard error of the median absolute value of R normal errors, times sqrt(R): 1 / (2 m f(m)), where m =
+0.6745 is the median and f the density of the absolute value."""
 _QUIET_DEVIATION: Final = 7.9579
-"""A normal error's standard deviation over its size that a tenth of such errors stay below, 0.12566."""
+"""Standard deviation of normal errors over the 10 % quantile of their absolute values, 0.12566."""
 _QUIET_ERROR: Final = 3.0156
-"""Relative standard error of that size of R errors, times sqrt(R): sqrt(0.1 0.9) / (2 m f(m)), see `_MEDIAN_ERROR`."""
+"""Relative standard error of this quantile for R errors, times sqrt(R): sqrt(0.1 0.9) / (2 m f(m)), see
+`_MEDIAN_ERROR`."""
 
 
 def mark_ends(lengths: Sequence[int]) -> FloatArray:
-    """Return 1.0 at the rows at both ends of trajectories of which half the rows remain, else 0.0."""
+    """Return 1.0 at the rows at both ends of trajectories if at least half of the rows remain, else 0.0."""
     parts = [np.zeros(length) for length in lengths]
     for part in parts:
         if len(part) >= 4 * END_ROWS:
@@ -51,7 +52,7 @@ def mark_ends(lengths: Sequence[int]) -> FloatArray:
 
 
 def predict_left_out(signals: Sequence[Signal]) -> tuple[FloatArray, FloatArray]:
-    """Return errors of predicting each row from its neighbours, and their noise gains, both (R, H)."""
+    """Return the errors of rows predicted from their neighbours, by H stencils, and the noise gains, both (R, H)."""
     pairs = [np.empty((2, len(signal.times), HALF_WIDTHS)) for signal in signals]
     for (errors, gains), signal in zip(pairs, signals, strict=True):
         left_out_into(errors, gains, signal.times, signal.values)
@@ -62,10 +63,10 @@ def predict_left_out(signals: Sequence[Signal]) -> tuple[FloatArray, FloatArray]
 def is_interpolation_better(
     signals: Sequence[Signal], errors: FloatArray, smoothed: Sequence[SmoothedSignal], shares: Sequence[float]
 ) -> bool:
-    """Tell whether interpolation predicts left-out rows better than loess does, which gave `smoothed`.
+    """Tell whether interpolation predicts left-out rows better than loess (with the result `smoothed`) does.
 
-    `errors` are the errors of interpolation at measured rows, from `predict_left_out`. It is better if it is better by
-    one of the `shares` of the rows with the smallest errors.
+    `errors` are the errors of interpolation at measured rows, from `predict_left_out`. Both are compared on the
+    `shares` of rows with the smallest errors; one share on which interpolation wins is enough.
     """
     inner = mark_ends([len(signal.measured.times) for signal in signals]) == 0.0
     left_out = [
@@ -81,7 +82,7 @@ def is_interpolation_better(
 
 
 def _typical_size(errors: FloatArray, share: float) -> float:
-    """Return the root mean square of the smallest errors; infinite when not all of them are finite."""
+    """Return the root mean square of the smallest errors; infinite if not all of them are finite."""
     ordered = np.sort(np.abs(errors))[: max(1, int(share * len(errors)))]
     mean, deviation = moments(ordered)
     size = math.sqrt(mean * mean + deviation * deviation)
@@ -109,9 +110,9 @@ def interpolate_derivative(
 
 
 def are_moving(parts: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
-    """Return False for rows (R,) that belong to three or more of one value in sequence, NaN passed over.
+    """Return False for rows (R,) that belong to three or more consecutive equal values; NaN is ignored.
 
-    Such rows, like values of a sensor at the end of its range, are predicted without error and do not show the noise.
+    Such rows, for instance of a sensor at the end of its range, are predicted without error and do not show the noise.
     """
     moving = []
     for values in parts:
@@ -127,18 +128,18 @@ def are_moving(parts: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
 
 
 def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: bool = False) -> float:
-    """Return an estimate of the standard deviation of the values' errors that is not biased low.
+    """Return an estimate of the standard deviation of the measurement errors that is not biased low.
 
-    The left-out errors of one width over their gains have this standard deviation where the width follows the signal, a
-    larger one elsewhere. Each width gives an estimate, the median size times `NORMAL_DEVIATION`, with the relative
-    standard error `_MEDIAN_ERROR` / sqrt(R). The least of several such estimates is biased low, so the largest estimate
-    is returned that sampling alone may have made larger than the least.
+    Each stencil width gives an estimate: the median absolute value of (prediction error / gain) times
+    `NORMAL_DEVIATION`, with the relative standard error `_MEDIAN_ERROR` / sqrt(R). If the polynomials of a width follow
+    the signal, its estimate is unbiased; otherwise it is too large. The least of several estimates is biased low. So
+    the result is the largest estimate that agrees with the least one within the sampling error.
 
     Args:
         errors: of rows predicted from their neighbours, (R, H); NaN where a stencil does not fit.
         gains: their standard deviations for errors of standard deviation one, (R, H).
-        is_quiet: by the tenth of the rows with the smallest errors instead of half: where a state changes too fast for
-            the sampling in places, the others show its noise. The standard error is 2.6 times as large.
+        is_quiet: use the 10 % quantile instead of the median: if a state changes too fast for the sampling in places,
+            the other rows still show its noise. The standard error is 2.6 times as large.
     """
     rows = len(errors)
     share, deviation, error = (0.5, NORMAL_DEVIATION, _MEDIAN_ERROR)
@@ -155,10 +156,10 @@ def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: boo
 
 @dataclass(frozen=True, eq=False)
 class Filled:
-    """A signal without missing values: `signal`, and the errors of substitutes, all (R,) and 0 at measured rows.
+    """A signal with its missing values filled, and the errors of the substitutes, all (R,) and 0 at measured rows.
 
-    `steps` are differences between two orders of interpolation, infinite where the value is not known; `gains` the
-    standard errors over the standard error of the measurements.
+    `steps` are the differences between two orders of interpolation, infinite if the value is not known. `gains` are the
+    standard errors of the substitutes over the standard error of a measurement.
     """
 
     signal: Signal
@@ -167,7 +168,7 @@ class Filled:
 
 
 def make_signal(times: FloatArray, values: FloatArray, inverse_variances: FloatArray | None = None) -> Signal:
-    """Return the signal of `values` (R,); missing ones, NaN, are replaced on the line between their neighbours."""
+    """Return the signal of `values` (R,); missing values, NaN, are interpolated linearly between their neighbours."""
     is_known = np.isfinite(values)
     if is_known.all():
         return Signal(times, values, inverse_variances=inverse_variances)
@@ -185,10 +186,10 @@ def fill_missing(signal: Signal) -> Filled:
 def fill(
     times: FloatArray, values: FloatArray, is_known: npt.NDArray[np.bool_], pairs: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return values without missing ones, steps and gains, see `Filled`.
+    """Return values with the missing ones filled, steps and gains; see `Filled`.
 
-    A row between known rows takes the polynomial through 1 to `pairs` of them on either side that differs least from
-    the next smaller one. Elsewhere the nearest known value is held, 0 where there is none.
+    For a row between known rows, polynomials through 1 to `pairs` known rows on each side are compared; the polynomial
+    that differs least from the next smaller one is used. Other rows get the nearest known value, 0 if there is none.
     """
     filled, steps, gains = values.copy(), np.zeros(len(times)), np.zeros(len(times))
     known, missing = np.flatnonzero(is_known), np.flatnonzero(~is_known)
@@ -208,7 +209,7 @@ def fill(
 def _interpolate(
     times: FloatArray, values: FloatArray, rows: Rows, nodes: Rows
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return values, steps and gains (M,) at `rows` (M,) by the best of the polynomials through 2, 4, … `nodes` (M, P).
+    """Return values, steps and gains (M,) at `rows` (M,) by the best polynomial through 2, 4, … of the `nodes` (M, P).
 
     Sums run in the order of the nodes: the same bits everywhere.
     """
@@ -217,7 +218,7 @@ def _interpolate(
     for count in range(2, nodes.shape[1] + 1, 2):
         value, square = nearest, np.zeros(len(rows))
         for place in range(count):
-            weight, own = np.ones(len(rows)), times[nodes[:, place]]  # of Lagrange
+            weight, own = np.ones(len(rows)), times[nodes[:, place]]  # Lagrange weights
             for other in range(count):
                 if other != place:
                     node = times[nodes[:, other]]

@@ -1,6 +1,7 @@
-"""Steps in which a state was recorded, from its digits: of a decimal place, of digits, of an encoder. Pure.
+"""Finds the steps in which a state was recorded: a decimal place, significant digits, or steps of an encoder. Pure.
 
-Rounding to steps of s leaves errors of s / sqrt(12) at least (Widrow & Kollár 2008, chapter 5), plus other errors.
+Rounding to steps of s causes errors of standard deviation s / sqrt(12) (Widrow & Kollár 2008, chapter 5), in addition
+to other errors.
 """
 
 import math
@@ -20,13 +21,13 @@ from atoll_core.data.dataset import FloatArray
 _ROOT_12: Final = math.sqrt(12.0)
 LIMITS = SETTINGS.common
 _WRITTEN_STEPS: Final = 3.0
-"""Differences of at most this many steps of the last digit are rounding in writing."""
+"""Differences of at most this many steps of the last digit are rounding errors of writing."""
 _SHARES_OF_LEAST: Final = (1, 2, 3)
-"""The step is the least difference of two values, or one of these shares of it."""
+"""The step is the least difference of two values divided by one of these numbers."""
 
 
 def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
-    """Return the coarsest rounding that all values of a state show; None if that is only the rounding of doubles.
+    """Return the coarsest rounding that all values of a state share; None if this is only the rounding of doubles.
 
     `parts` are the values along each trajectory, NaN where they are missing.
     """
@@ -34,11 +35,11 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     values = values[:: max(1, len(values) // SETTINGS.rows.most)]
     unique = np.unique(values)
     if len(unique) <= 2:
-        return None  # a switch, which has no derivative: differentiation refuses it
+        return None  # a switched state has no derivative: differentiation refuses it
     if len(unique) < LIMITS.few_values and repeats_in_step(parts):
         return None
     if len(unique) < LIMITS.few_values and has_few_levels(parts):
-        # with this number of rows, a finer step would have given values in between
+        # with this number of rows, a finer step would have produced values in between
         least = float(np.diff(unique).min())
         multiples = (unique - unique[0]) / least
         is_even = float(np.abs(multiples - np.round(multiples)).max()) <= SETTINGS.common.negligible
@@ -52,11 +53,11 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
 
 
 def is_refuted(quantisation: Quantisation, signals: Sequence[Signal]) -> bool:
-    """Tell whether a state follows a smooth curve more closely, in every row, than rounded values could: it is exact.
+    """Tell whether a state is exact: it follows a smooth curve more closely, in every row, than rounded values could.
 
-    Whole numbers that are squares, or a line in even steps, show a step and have no error. Where values were rounded,
-    the curve misses some row by about the error of rounding, however slowly the state moves. The `signals` are long
-    enough to be differentiated.
+    Squares of whole numbers, or a line with even steps, show a step but have no rounding error. If values were rounded,
+    a smooth curve misses some row by about the rounding error, no matter how slowly the state moves. The `signals` are
+    long enough to be differentiated.
     """
     errors, gains = predict_left_out([signal.measured for signal in signals])
     largest = np.max(np.abs(errors) / gains, axis=0)
@@ -64,7 +65,7 @@ def is_refuted(quantisation: Quantisation, signals: Sequence[Signal]) -> bool:
 
 
 def _decimal_rounding(values: FloatArray) -> Quantisation:
-    """Return the rounding of decimals: to a place, or to significant digits where that is coarser."""
+    """Return the decimal rounding: to a decimal place, or to significant digits if that is coarser."""
     numbers = [Decimal(repr(value)).normalize() for value in values.tolist() if value != 0.0]
     digits = max(len(number.as_tuple().digits) for number in numbers)
     place = min(int(number.as_tuple().exponent) for number in numbers)
@@ -86,23 +87,23 @@ def _binary_rounding(values: FloatArray) -> Quantisation | None:
 
 
 def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
-    """Return the step of which all differences of `values` (ascending) are multiples, if there is one.
+    """Return the step of which all differences of the ascending `values` are multiples, if there is such a step.
 
-    It is a share of the least difference, and refined by ever larger differences. All values must be multiples to
-    within the digits in which they were written; by chance they would all lie within a share m of a step from multiples
-    with the probability (2 m)^n. `finest` is the step in which numbers were written down; smaller differences are
-    rounding errors.
+    It is the least difference, divided by a small whole number and refined by larger and larger differences. All values
+    must be multiples to within the digits in which they were written. For n random values, the probability that all lie
+    within a share m of a step from a multiple is (2 m)^n. `finest` is the step in which numbers were written down;
+    smaller differences are rounding errors.
     """
     written = finest + 4.0 * float(np.spacing(np.abs(values).max()))
     offsets = values - values[0]
-    nearest = max(_WRITTEN_STEPS * finest, written)  # nearer ones are one value, rounded in two ways
+    nearest = max(_WRITTEN_STEPS * finest, written)  # closer values are one value, rounded in two ways
     offsets = offsets[np.concatenate([[True], np.diff(values) > nearest])]
     if len(offsets) < LIMITS.few_values:
         return None
     least = float(np.diff(offsets).min())
     for share in _SHARES_OF_LEAST:
         step = least / share
-        for lengths in (np.sort(np.diff(offsets)), offsets[1:]):  # least squares over ever more differences
+        for lengths in (np.sort(np.diff(offsets)), offsets[1:]):  # least squares over more and more differences
             products, squares = 0.0, 0.0
             for length in lengths.tolist():
                 count = round(length / step)

@@ -1,12 +1,13 @@
-"""Loess: local polynomials with tricube weights, their span and degree chosen by cross-validation; robust loess. Pure.
+"""Loess: local polynomials with tricube weights; span and degree chosen by cross-validation; robust loess. Pure.
 
-Schmidt & Lipson 2008 take the slope of such a fit as the derivative. Here span and degree are chosen per state by
-generalised cross-validation pooled over its trajectories. Long signals are thinned first, where the span is so wide
-that means of neighbouring rows tell as much as the rows do: every row counts, and the work does not grow with the span.
+The slope of the local polynomial is the derivative (Schmidt & Lipson 2008). Span and degree are chosen for each state
+by generalised cross-validation (GCV), pooled over its trajectories. If the span is wide, long signals are thinned
+first: means of neighbouring rows replace the rows. So every row counts, and the work does not grow with the span. The
+choice assumes independent errors: with errors that are correlated from row to row, GCV chooses spans that are too
+narrow, and the noise is underestimated.
 
-Robust loess reduces the weight of rows far from the curve, to 0 for outliers (Cleveland 1979, section 2). Unlike
-there, span and degree are chosen again with every set of weights, since outliers favour wide spans. Medians use
-sorting.
+Robust loess reduces the weight of rows far from the curve, to 0 for outliers (Cleveland 1979, section 2). Unlike in
+that paper, span and degree are chosen again with every set of weights, because outliers favour wide spans.
 """
 
 import math
@@ -33,30 +34,32 @@ LIMITS = SETTINGS.smoothing
 REACH: Final = 6.0
 """Residuals larger than this many times the median residual have no weight (Cleveland 1979, section 2)."""
 ROUNDS: Final = 6
-"""Most rounds of reweighting rows by the residuals of the previous round; nearly all fits settle earlier."""
+"""Maximum number of rounds that reweight rows by the residuals of the previous round; nearly all fits converge
+earlier."""
 _SPAN_RATIO: Final = 1.25
 """Ratio of each span tried to the previous one."""
 _PATIENCE: Final = 5
-"""Spans without a better score after which wider ones are not tried."""
+"""Number of spans without a better score after which wider spans are not tried."""
 _FEWEST_OUTLIERS: Final = 3
-"""Tails are heavy if at least this many residuals are isolated and far out: fewer may be chance."""
+"""Tails are heavy if at least this many residuals are large and isolated: fewer may be chance."""
 NORMAL_DEVIATION: Final = 1.4826
-"""Standard deviation of normal errors over the median of their size: 1 / 0.6745."""
+"""Standard deviation of normal errors over the median of their absolute value: 1 / 0.6745."""
 _LEAST_BINS: Final = LIMITS.bins // 2
-"""A signal of no more rows than this is never thinned, a longer one never to fewer bins: spans may be wider."""
+"""A signal with at most this many rows is never thinned, and a longer signal keeps at least as many bins. This leaves
+room for wide spans."""
 _NARROW_SPANS: Final = tuple(LIMITS.bins // part for part in (4, 2, 1))
-"""Spans in rows that show whether thinning has lost a fast wave."""
+"""Spans in rows by which loess without thinning shows whether thinning has lost a fast wave."""
 _MOST_LEVERAGE: Final = 0.999
-"""Guard: from this mean leverage on a smoother reproduces the data and has no score."""
+"""Guard: a smoother with at least this mean leverage reproduces the data and has no score."""
 
 
 @dataclass(frozen=True, eq=False)
 class Signal:
     """One state along one trajectory: strictly ascending `times` and `values`, both (R,).
 
-    `robustness_weights` (R,), from 0 to 1, are low where a row is far from the curve of the others; `inverse_variances`
-    (R,), positive, are inverse variances of the errors of each row, up to a factor; `is_measured` (R,) is 0 where a
-    value is missing and a substitute stands in `values`, else 1; None: all are 1.
+    `robustness_weights` (R,), from 0 to 1, are low for rows far from the curve of the other rows; `inverse_variances`
+    (R,), positive, are inverse variances of the errors of each row, up to a factor; `is_measured` (R,) is 0 if a value
+    is missing and `values` has a substitute, else 1. None in place of each of the three: all are 1.
     """
 
     times: FloatArray
@@ -101,7 +104,7 @@ class Signal:
 class Smoother:
     """A loess smoother: the `span` in bins, the `degree` of its polynomials, its score (lower is better).
 
-    A bin is `thinning` rows on average: 1 unless there are many.
+    A bin has `thinning` rows on average; 1 unless there are many rows.
     """
 
     span: int
@@ -117,7 +120,9 @@ class Smoother:
 
 @dataclass(frozen=True, eq=False)
 class SmoothedSignal:
-    """Loess of one signal: `fits` (3, R) value, slope, curvature; `gains` (4, R) their noise gains and the leverage.
+    """Loess of one signal: `fits` (3, R) are value, slope, curvature.
+
+    `gains` (4, R) are their noise gains, then the leverage.
 
     A noise gain is the standard error of a fit over the standard deviation of the errors in a row of weight 1.
     """
@@ -127,7 +132,7 @@ class SmoothedSignal:
 
 
 def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
-    """Return loess of one signal by `smoother`; for a short signal the degree is reduced."""
+    """Return the loess fit of one signal by `smoother`; the degree is reduced for a short signal."""
     bins, share = _thin(signal, smoother.thinning)
     count, rows = len(bins.times), len(signal.times)
     of_bins = SmoothedSignal(np.empty((3, count)), np.empty((4, count)))
@@ -143,9 +148,9 @@ def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
 
 
 def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
-    """Return means over bins of `thinning` rows (for 1 the signal), and the width of the bins as a share of that.
+    """Return means over bins of about `thinning` rows (1: the signal itself), and the actual width over `thinning`.
 
-    A short signal is thinned less: there the share is below 1, and a span has more bins.
+    A short signal is thinned less: then the ratio is below 1, and a span has more bins.
     """
     if thinning == 1:
         return signal, 1.0
@@ -161,8 +166,9 @@ def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
 def estimate_noise(signals: Sequence[Signal], smoother: Smoother) -> float:
     """Return the estimated standard deviation of the errors in a row of inverse variance 1, from residuals of loess.
 
-    Squared residuals over degrees of freedom (Cleveland & Devlin 1988, section 3): rows minus twice the trace of the
-    smoother plus the trace of its square. Rows without weight do not count.
+    The variance is the sum of squared residuals over the degrees of freedom (Cleveland & Devlin 1988, section 3):
+    number of rows, minus twice the trace of the smoother, plus the trace of its square. Rows without weight do not
+    count.
     """
     squares, degrees_of_freedom = 0.0, 0.0
     for signal in signals:
@@ -181,9 +187,10 @@ def estimate_noise(signals: Sequence[Signal], smoother: Smoother) -> float:
 
 
 def select_smoother(signals: Sequence[Signal], degrees: Sequence[int]) -> Smoother:
-    """Return the smoother of least generalised cross-validation score, pooled over `signals`.
+    """Return the smoother with the least generalised cross-validation score, pooled over `signals`.
 
-    Craven & Wahba 1979, eq. 1.9: mean squared residual over the squared mean of (1 - leverage), both weighted.
+    The score (Craven & Wahba 1979, eq. 1.9) is the mean squared residual over the squared mean of (1 - leverage), both
+    weighted.
     """
     rows = [len(signal.times) for signal in signals]
     thinning = max(1, min(sum(rows) // SETTINGS.rows.most, max(rows) // (_LEAST_BINS * LIMITS.bins)))
@@ -197,7 +204,8 @@ def select_smoother(signals: Sequence[Signal], degrees: Sequence[int]) -> Smooth
             since = 0 if here.score < best.score else since + 1
             best = here if here.score < best.score else best
             is_over = since >= _PATIENCE and math.isfinite(best.score)
-            if is_over or span >= 3 * max(lengths):  # beyond the longest trajectory the bandwidth still grows
+            # a span may exceed the longest trajectory: the bandwidth still grows
+            if is_over or span >= 3 * max(lengths):
                 break
             span = max(span + 1, int(span * _SPAN_RATIO))
         best = replace(best, thinning=thinning)
@@ -207,7 +215,7 @@ def select_smoother(signals: Sequence[Signal], degrees: Sequence[int]) -> Smooth
 
 
 def _is_resolved(signals: Sequence[Signal], smoother: Smoother, degrees: Sequence[int]) -> bool:
-    """Tell whether thinned rows are followed as well as rows are by narrow spans: a fast wave may vanish in means."""
+    """Tell whether thinning loses no fast wave, by comparison with loess of all rows with narrow spans."""
     if not math.isfinite(smoother.score):
         return False
     whole = [(signal, 1.0) for signal in signals]
@@ -248,12 +256,12 @@ class RobustFit:
 
     @property
     def outliers(self) -> int:
-        """How many measured rows have no weight."""
+        """Number of measured rows without weight."""
         return sum(signal.measured.weights.tolist().count(0.0) for signal in self.signals)
 
 
 def fit_robustly(signals: Sequence[Signal], degrees: Sequence[int]) -> RobustFit:
-    """Return `signals` with low robustness weights in rows far from the curve, 0 in outliers."""
+    """Return `signals` with low robustness weights for rows far from the curve, 0 for outliers."""
     fit = RobustFit(tuple(signals), select_smoother(signals, degrees), 0.0)
     least = SETTINGS.common.clean * moments(np.concatenate([signal.measured.values for signal in signals]))[1]
     for _ in range(ROUNDS):
@@ -269,9 +277,9 @@ def fit_robustly(signals: Sequence[Signal], degrees: Sequence[int]) -> RobustFit
 
 
 def weigh_by(fit: RobustFit, signal: Signal) -> Signal:
-    """Return another signal with the robustness weights that smoother and median residual of `fit` give its rows.
+    """Return another signal with robustness weights computed by the smoother and the median residual of `fit`.
 
-    There are outliers in `fit`, so that its median residual is not zero.
+    Precondition: `fit` has outliers, so that its median residual is not zero.
     """
     for _ in range(ROUNDS):
         (residuals,) = _residuals([signal], [smooth(signal, fit.smoother)])
@@ -280,7 +288,7 @@ def weigh_by(fit: RobustFit, signal: Signal) -> Signal:
 
 
 def has_heavy_tails(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> bool:
-    """Tell whether some rows lie so far from the curve, and so isolated, that they cannot be noise like the others'."""
+    """Tell whether some rows are isolated and too far from the curve for the noise of the other rows."""
     residuals = _residuals(signals, smoothed)
     limit = REACH * NORMAL_DEVIATION * _median(residuals, signals)
     count = 0

@@ -1,9 +1,9 @@
 """Files of named arrays -> `RawTable`: NPZ, NPY, HDF5 and MATLAB.
 
-HDF5, of which netCDF 4 is a kind, needs h5py (``pip install 'atoll[hdf5]'``): each dataset is an array, or, where it
-is a table, each of its fields; an attribute ``units`` gives the unit. scipy reads MATLAB files of versions 5 to 7, in a
-process of its own (`matlab_child`); files of version 7.3 are HDF5 and read by h5py.
-Letters: N rows, K columns of one array.
+HDF5 (netCDF 4 is also HDF5) needs h5py (``pip install 'atoll[hdf5]'``). Each dataset is one array; if the dataset is a
+table, each of its fields is one. An attribute ``units`` gives the unit. scipy reads MATLAB files of versions 5 to 7, in
+a separate process (`matlab_child`); files of version 7.3 are HDF5 and are read by h5py. Letters: N rows, K columns of
+one array.
 """
 
 import io
@@ -23,14 +23,14 @@ import numpy.typing as npt
 
 from atoll_coordinator.data.reading.cells import NumberCell, cell_of
 from atoll_coordinator.data.reading.raw_table import RawTable, named_by_place, with_breaks
-from atoll_coordinator.data.roles.columns import TIME_NAMES, named_columns, split_unit
+from atoll_coordinator.data.roles.names_and_options import TIME_NAMES, named_columns, split_unit
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray
 from atoll_core.errors import DataError
 
 _MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK: Final = 512
-"""Bytes of text with which MATLAB begins an HDF5 file."""
+"""Number of bytes of text at the beginning of an HDF5 file by MATLAB."""
 
 # ------------------------------------------------------------------------------------------------------ arrays -> table
 
@@ -43,10 +43,11 @@ def table_of_arrays(
     units: Mapping[str, str] | None = None,
     first: int = 0,
 ) -> RawTable:
-    """Return the columns of arrays of one length: vectors (N,), and columns of matrices (N, K), counted from `first`.
+    """Return the columns of arrays of one length N.
 
-    Where there is a time, N is its length, and arrays of another length are left out. Single numbers always are. Raises
-    DataError where the arrays do not fit together, or an array that options name is left out.
+    These are vectors (N,), and columns of matrices (N, K), numbered from `first`. If there is a time, N is its length,
+    and arrays of another length are left out. Single numbers are always left out. Raises DataError if the arrays do not
+    fit together, or if an array that options name would be left out.
     """
     given = {name: np.asarray(array) for name, array in arrays.items()}
     squeezed = {name: array if array.ndim == 1 else np.squeeze(array) for name, array in given.items()}
@@ -70,7 +71,7 @@ def table_of_arrays(
     named = named_columns(config)
     missed = next((name for name in shapes if split_unit(name)[0] in named), None)
     if missed is None and all(split_unit(header)[0] in (config.time, *TIME_NAMES) for header in headers):
-        missed = next(iter(shapes), None)  # nothing is left besides the time
+        missed = next(iter(shapes), None)  # nothing is left except the time
     if missed is not None:
         shape, rows = "x".join(map(str, shapes[missed])), f"{count} row{'' if count == 1 else 's'}"
         found = f"'{missed}' of {file} has {shape} values, but the time has {rows}"
@@ -80,7 +81,7 @@ def table_of_arrays(
 
 
 def table_of_matrix(file: str, array: AnyArray, config: DataConfig, remarks: tuple[str, ...]) -> RawTable:
-    """Return the columns (N,) of a matrix (N, K), or of a vector (N,), which have no names; raises DataError."""
+    """Return the unnamed columns (N,) of a matrix (N, K), or of a vector (N,); raises DataError."""
     if array.ndim not in (1, 2) or not array.size:
         raise DataError(f"{file} holds an array of the shape {array.shape}; rows by columns of numbers are expected")
     columns = {str(place): column for place, column in enumerate(np.atleast_2d(array.T))}
@@ -88,7 +89,10 @@ def table_of_matrix(file: str, array: AnyArray, config: DataConfig, remarks: tup
 
 
 def fields_of(name: str, array: AnyArray) -> dict[str, AnyArray]:
-    """Return the fields of a structured array, ``field.part`` of a structured field; another array by its `name`."""
+    """Return the fields of a structured array by name, any other array by its `name`.
+
+    A nested field is called ``field.part``.
+    """
     if array.dtype.names is None:
         return {name: array}
     named: dict[str, AnyArray] = {}
@@ -107,7 +111,7 @@ def _row_count(file: str, vectors: Mapping[str, AnyArray], config: DataConfig) -
     lengths = {max(array.shape) if array.ndim == 2 else len(array) for array in vectors.values()}
     if len(lengths) != 1 or any(array.ndim > 2 for array in vectors.values()):
         shapes = sorted({array.shape for array in vectors.values()})
-        raise DataError(f"{file} holds arrays of shapes {shapes}; one-dimensional ones of one length fit")
+        raise DataError(f"{file} holds arrays of shapes {shapes}; one-dimensional arrays of one length are expected")
     return lengths.pop()
 
 
@@ -126,7 +130,7 @@ def _cells(file: str, name: str, values: AnyArray) -> tuple[list[str], str]:
         return [NumberCell(number) for number in numbers.tolist()], unit
     cells = values.tolist()
     if any(isinstance(cell, complex) for cell in cells):
-        raise DataError(f"array '{name}' of {file} holds complex numbers; real ones are expected")
+        raise DataError(f"array '{name}' of {file} holds complex numbers; real numbers are expected")
     return [*map(cell_of, cells)], ""
 
 
@@ -144,18 +148,18 @@ def read_npz(path: Path, config: DataConfig) -> RawTable:
                     arrays[(field if field not in arrays else f"{key}.{field}") or key] = part
     except OSError:
         raise
-    except Exception as error:  # of many kinds, depending on the damage
+    except Exception as error:  # damaged files raise many kinds of errors
         raise DataError(f"{path.name} is not an NPZ file of plain arrays; write one with numpy.savez") from error
     return table_of_arrays(path.name, arrays, config, ("NPZ",))
 
 
 def read_npy(path: Path, config: DataConfig) -> RawTable:
-    """Read an array of NumPy: a structured one, or the columns of a matrix without names; raises DataError."""
+    """Read a NumPy array: the fields of a structured array, or the unnamed columns of a matrix; raises DataError."""
     try:
         array = np.load(path, allow_pickle=False)
     except OSError:
         raise
-    except Exception as error:  # of many kinds, depending on the damage
+    except Exception as error:  # damaged files raise many kinds of errors
         raise DataError(f"{path.name} cannot be read as a NumPy array of numbers; save the file again") from error
     if not isinstance(array, np.ndarray):  # an archive with another ending
         raise DataError(f"{path.name} holds several arrays; give it the ending .npz")
@@ -202,7 +206,10 @@ def read_hdf5(path: Path, config: DataConfig) -> RawTable:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Open an HDF5 file; yields it, and h5py. Raises DataError without h5py, and for any error in the file."""
+    """Open an HDF5 file; yields the file and the module h5py.
+
+    Raises DataError without h5py, and for any error in the file.
+    """
     try:
         import h5py
     except ImportError:
@@ -212,18 +219,18 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
             yield file, h5py
     except DataError:
         raise
-    except Exception as error:  # of many kinds, depending on the damage
+    except Exception as error:  # damaged files raise many kinds of errors
         raise DataError(f"{path.name} cannot be read as an HDF5 file; save the file again, or as CSV") from error
 
 
 def _refuse_elsewhere(name: str, path: str, item: Any) -> None:
-    """Raise DataError where the numbers of a dataset are in another file, which can be any file of the reader's."""
+    """Raise DataError if a dataset keeps its numbers in another file: that could be any file that the user may read."""
     if item.external or item.is_virtual:
         raise DataError(f"dataset '{path}' of {name} is kept in another file; write its numbers into {name}")
 
 
 def _is_hidden(item: Any) -> bool:
-    """Tell whether a dataset has no numbers, or only numbers that the format needs."""
+    """Tell whether a dataset has no numbers, or only numbers that the file format itself needs."""
     if _text_of(item.attrs.get("NAME")).startswith("This is a netCDF dimension but not"):
         return True
     return item.dtype.kind not in "biufcSV" or item.ndim > 2 or item.size == 0
@@ -240,8 +247,8 @@ def _text_of(value: object) -> str:
 def read_matlab(path: Path, config: DataConfig) -> RawTable:
     """Read a MATLAB file; raises DataError.
 
-    Columns of matrices are counted from 1; fields of structures are treated as arrays; elements of a structure array or
-    of cells are trajectories, below each other, in files of versions 5 to 7.
+    Columns of matrices are numbered from 1. Fields of structures are treated as arrays. In files of versions 5 to 7,
+    the elements of a structure array or of a cell array are trajectories.
     """
     with path.open("rb") as file:
         beginning = file.read(_USER_BLOCK + len(_MAGIC))
@@ -279,7 +286,7 @@ def read_matlab(path: Path, config: DataConfig) -> RawTable:
 
 
 def _read_by_child(path: Path, beginning: bytes) -> Sequence[dict[str, AnyArray]]:
-    """Return the arrays of a file, then the arrays of each run in it, read by a process of its own."""
+    """Return the arrays of a file, then the arrays of each run in it; a separate process reads them."""
     refusal = DataError(f"{path.name} cannot be read as a MATLAB file; save the file again, or as CSV")
     if not beginning.startswith(b"MATLAB"):
         raise refusal
@@ -296,9 +303,10 @@ def _read_by_child(path: Path, beginning: bytes) -> Sequence[dict[str, AnyArray]
 
 
 def _read_version_7_3(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays of a file of version 7.3, matrices transposed; what holds no numbers is a single empty text.
+    """Return the arrays of a file of version 7.3, matrices transposed.
 
-    Cells and structure arrays are references there, which are not followed.
+    An array without numbers becomes a single empty text. In these files cells and structure arrays are references; they
+    are not followed.
     """
     arrays: dict[str, AnyArray] = {}
     with _opened(path) as (file, h5py):
@@ -312,7 +320,7 @@ def _read_version_7_3(path: Path) -> dict[str, AnyArray]:
                 values = values["real"] + 1j * values["imag"]
             is_other = _text_of(item.attrs.get("MATLAB_class")) in ("char", "function_handle", "table")
             if is_other or item.attrs.get("MATLAB_empty") or values.dtype.kind not in "biufc":
-                values = np.array("")  # the numbers of an empty array are counts of its rows and columns
+                values = np.array("")  # the stored numbers of an empty array are its shape
             name = place.rpartition("/")[2]
             arrays[name if name not in arrays else place.replace("/", ".")] = np.squeeze(np.transpose(values))
 

@@ -1,8 +1,9 @@
-"""Cells of a file: missing, a number, or text; and the numbers of columns, however a country writes them. Pure.
+"""Cells of a file: missing, a number, or text; and the numbers of columns in any country's notation. Pure.
 
-Each column is read in one way: with decimal points or with decimal commas. Where its own cells leave open whether
-``1,234`` is 1.234 or 1234, the other columns of the file decide, then the character between its cells; otherwise the
-file is refused. Cells that a file format stores as numbers (`NumberCell`) say nothing about the text cells around them.
+Each column is read in one way: with decimal points or with decimal commas. If the cells of a column leave open whether
+``1,234`` is 1.234 or 1234, the other columns of the file decide, then the separator between cells. If these do not
+decide either, the file is refused. Cells that a file format stores as numbers (`NumberCell`) are no evidence for the
+notation of the text cells around them.
 """
 
 import datetime
@@ -36,19 +37,19 @@ _FORMS: Final[dict[DecimalMark, re.Pattern[str]]] = {
 }
 """Numbers that `float` does not read: with separators of thousands (the first group is not zero) or a decimal comma."""
 _MARK_OF_SEPARATOR: Final[dict[str, set[DecimalMark]]] = {",": {"point"}, ";": {"comma"}}
-"""The decimal mark where this character separates cells: files with decimal commas have semicolons between cells."""
+"""The decimal mark for each separator between cells: files with decimal commas have semicolons between cells."""
 _THOUSANDS: Final = re.compile(r"\s*[+-]?[1-9]\d{0,2}(?:\.\d{3})+\s*")
 _OF_FORTRAN: Final = re.compile(r"\s*[+-]?(?=\.?\d)\d*\.\d*[dD][+-]?\d+\s*")
-"""Double precision as Fortran writes it; its point tells it from a label such as 1D2."""
+"""Double precision as Fortran writes it; the decimal point distinguishes it from a label such as 1D2."""
 
 
 class NumberCell(str):
-    """The text of a cell that its format stores as a number: its point is a decimal point in every country."""
+    """The text of a cell that the file format stores as a number; a point in it is always a decimal point."""
 
     __slots__ = ()
 
     def strip(self, chars: str | None = None, /) -> "NumberCell":
-        """Return the cell itself: a number has no spaces around it."""
+        """Return the cell itself, which has no spaces around it."""
         return self
 
 
@@ -58,10 +59,10 @@ def is_missing(cell: str) -> bool:
 
 
 def number(cell: str) -> float | None:
-    """Return the number in `cell` as Python or Fortran prints it (NaN when missing), or None for anything else."""
+    """Return the number in `cell` as Python or Fortran prints it (NaN if missing), None for any other cell."""
     if is_missing(cell):
         return math.nan
-    if "_" in cell:  # groups digits in programs, not in measurements
+    if "_" in cell:  # the underscore groups digits in programs, not in measurements
         return None
     if _OF_FORTRAN.fullmatch(cell):
         cell = cell.lower().replace("d", "e")
@@ -72,7 +73,7 @@ def number(cell: str) -> float | None:
 
 
 def is_numeral(cell: str) -> bool:
-    """Tell whether `cell` is a number as some country writes it."""
+    """Tell whether `cell` is a number in the notation of any country."""
     return not is_missing(cell) and (number(cell) is not None or any(form.fullmatch(cell) for form in _FORMS.values()))
 
 
@@ -112,12 +113,12 @@ def shortened(text: str, most: int) -> str:
 
 
 def on_one_line(text: str) -> str:
-    """Return `text` with single spaces for all white space, and without characters that a terminal obeys."""
+    """Return `text` with single spaces for all white space, and without control characters for terminals."""
     return visible(" ".join(text.split()))
 
 
 def visible(text: str) -> str:
-    """Return `text` with escapes, as ``\\x1b``, for characters that cannot be seen."""
+    """Return `text` with escapes, such as ``\\x1b``, for invisible characters."""
     if text.isprintable():
         return text
     return "".join(
@@ -126,7 +127,7 @@ def visible(text: str) -> str:
 
 
 def place(lines: Sequence[int], row: int) -> str:
-    """Return the line of a row, or its number in a file without lines, for a message."""
+    """Return the line of a row for a message, or its number if the file has no lines."""
     return f"line {lines[row]}" if lines[row] else f"row {row + 1}"
 
 
@@ -136,7 +137,7 @@ def read_numbers(
     """Return the numbers of the columns of one file, by name, and remarks on how they were read.
 
     `file` is its name for messages, `lines` the line numbers of the rows (0: none), `separator` the character between
-    cells. Raises DataError where a cell holds no number, or one that can be read in two ways.
+    cells. Raises DataError if a cell holds no number, or a number that can be read in two ways.
     """
     plain = {name: values for name, cells in columns.items() if (values := _plain_numbers(cells)) is not None}
     possible = {name: _possible_marks(file, name, cells, lines) for name, cells in columns.items() if name not in plain}
@@ -167,7 +168,7 @@ def read_numbers(
 
 
 def _plain_numbers(cells: Sequence[str]) -> FloatArray | None:
-    """Return the cells as numbers; None where one of them is not written as Python or Fortran prints numbers."""
+    """Return the cells as numbers; None if a cell is not written as Python or Fortran prints numbers."""
     try:
         if not any("_" in cell for cell in cells):
             return np.array([float(cell) for cell in cells], dtype=np.float64)
@@ -178,7 +179,7 @@ def _plain_numbers(cells: Sequence[str]) -> FloatArray | None:
 
 
 def _possible_marks(file: str, name: str, cells: Sequence[str], lines: Sequence[int]) -> set[DecimalMark]:
-    """Return the decimal marks with which all cells of a column can be read; raises DataError if there are none."""
+    """Return the decimal marks with which all cells of a column can be read; raises DataError if there is none."""
     marks: set[DecimalMark] = {"point", "comma"}
     for row, cell in enumerate(cells):
         if isinstance(cell, NumberCell):
@@ -207,7 +208,7 @@ def _is_plain_decimal(cell: str) -> bool:
 
 
 def _has_decimals(cells: Sequence[str]) -> bool:
-    """Tell whether a point in the text cells of a column is a decimal point: it does not separate thousands."""
+    """Tell whether any point in the text cells of a column is a decimal point: it cannot separate thousands."""
     return any("." in cell and not _THOUSANDS.fullmatch(cell) for cell in _text_cells(cells))
 
 

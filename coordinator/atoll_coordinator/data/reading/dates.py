@@ -1,8 +1,8 @@
-"""Dates and clock times -> whole nanoseconds -> times in one unit; and which columns of text are read as dates. Pure.
+"""Dates and clock times -> whole nanoseconds -> times in one unit; decides which text columns are dates. Pure.
 
 A date is counted from 1970-01-01, a clock time from midnight, both without leap seconds. ISO dates, dates with names of
-months and local dates are read; whether ``03/04/2020`` begins with the day follows from the other dates of its column.
-Nanoseconds are Python integers: NumPy's dates of this precision end in 2262.
+months and local dates are read. Whether ``03/04/2020`` begins with the day follows from the other dates of its column.
+Nanoseconds are Python integers, because NumPy's dates of this precision end in 2262.
 """
 
 import datetime
@@ -16,7 +16,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from atoll_coordinator.data.reading.cells import is_missing, is_numeral, number, on_one_line, place
-from atoll_coordinator.data.roles.columns import TIME_NAMES, named_columns
+from atoll_coordinator.data.roles.names_and_options import TIME_NAMES, named_columns
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import MIDNIGHT, Origin
@@ -43,7 +43,7 @@ _NAMES: Final = "january february march april may june july august september oct
 MONTHS: Final = {
     name: number for number, month in enumerate(_NAMES.split(), start=1) for name in (month, month[:3], month[:4])
 }
-"""The number of a month by its name, in lower case, or the first three or four letters of its name."""
+"""The number of a month by its name in lower case, or by the first three or four letters of its name."""
 _CLOCK: Final = (
     r"(?:(?P<days>\d+) days?,? )?(?P<hour>\d{1,4}):(?P<minute>\d\d)(?::(?P<second>\d\d))?(?:[.,](?P<part>\d+))?"
     r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
@@ -55,7 +55,7 @@ _DATES: Final = (
     ("day month year", r"(?P<day>\d{1,2})\.?[ -]?(?P<name>[A-Za-z]{3,9})\.?,?[ -](?P<year>\d{4}|\d\d)"),
     ("month day year", r"(?P<name>[A-Za-z]{3,9})\.? (?P<day>\d{1,2}),? (?P<year>\d{4})"),
 )
-"""Forms of dates; the order of the form without a name follows from the whole column."""
+"""Forms of dates; for numbers only, the order of day and month follows from the whole column."""
 _CLOCK_FORM: Final = re.compile(_CLOCK)
 _FORMS: Final = (
     ("clock time", _CLOCK_FORM),
@@ -63,7 +63,8 @@ _FORMS: Final = (
 )
 _COMPACT: Final = re.compile(r"(1[89]\d\d|2[01]\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
 _STAMP: Final = re.compile(r"[1-8]\d{18}")
-"""Nanoseconds since 1970, from 2001 to 2255: no other times are whole numbers of 19 digits, which no float holds."""
+"""Nanoseconds since 1970, from 2001 to 2255. They have 19 digits; other times are no whole numbers of this length,
+since a float cannot hold them."""
 _Match = re.Match[str]
 _Kind = Literal["clock", "date", "both"]
 
@@ -73,8 +74,8 @@ class Dates:
     """Dates or clock times of the rows of a column, in nanoseconds, None where missing.
 
     `form` is how they are written; `has_date` is true for dates, counted from 1970-01-01, and false for clock times,
-    counted from midnight; `has_clock` tells whether any date has a clock time; `is_utc` whether the dates had time
-    zones, which have been subtracted.
+    counted from midnight. `has_clock` tells whether any date has a clock time. `is_utc` tells whether the dates had
+    time zones; their offsets have been subtracted.
     """
 
     nanoseconds: tuple[int | None, ...]
@@ -87,8 +88,8 @@ class Dates:
 class DateColumns(NamedTuple):
     """Columns of dates and clock times by their name in the file.
 
-    `renamed` has the new name of a column that was recognised as the time without an option; `absorbed` is a column of
-    dates, or of clock times, that has become part of another column.
+    `renamed` has the new name of a column that was recognised as the time without an option. `absorbed` is a column of
+    dates, or of clock times, that was merged into another column.
     """
 
     values: Mapping[str, Dates]
@@ -114,7 +115,7 @@ def is_datum(cell: str) -> bool:
 
 
 def ascends(cells: Sequence[str], starts: Sequence[int]) -> bool:
-    """Tell whether cells hold dates, or numbers that only increase between two of the `starts`, as times do."""
+    """Tell whether cells hold dates, or numbers that always increase between two of the `starts`, as times do."""
     if is_date(cells[0]):
         return True
     numbers = [number(cell.replace(",", ".")) for cell in cells]
@@ -141,11 +142,11 @@ def read_date_columns(
     lines: Sequence[int],
     config: DataConfig,
 ) -> DateColumns:
-    """Return the columns of dates and clock times that options name, or that can be the time.
+    """Return the columns of dates and clock times that options name, or that may be the time.
 
-    `texts` are the cells of the columns of text, without the names of trajectories; `names` are all columns; `starts`
-    are the rows at which trajectories begin; `file` and the line numbers `lines` are for messages. Raises DataError
-    where a date cannot be read, or can be read in two ways.
+    `texts` are the cells of the text columns, without the names of trajectories; `names` are all columns; `starts` are
+    the rows at which trajectories begin; `file` and the line numbers `lines` are for messages. Raises DataError if a
+    date cannot be read, or can be read in two ways.
     """
     kinds = {name: kind for name, cells in texts.items() if (kind := _kind(cells)) is not None}
     needed = named_columns(config)
@@ -185,7 +186,7 @@ def _unnamed_time(
     texts: Mapping[str, object],
     config: DataConfig,
 ) -> str | None:
-    """Return the column of dates that is the time although no option names it; None if that is not clear."""
+    """Return the column of dates that is the time although no option names it; None if this is not clear."""
     is_given = config.time is not None or config.target is not None or config.derivatives is not None
     if is_given or any(name in names and name not in texts for name in TIME_NAMES):
         return None
@@ -210,7 +211,7 @@ def time_stamps(
 ) -> dict[str, list[str]]:
     """Return whole nanoseconds since 1970, as robots and databases write them, as dates.
 
-    Columns with `units`, and columns that options name for anything else than the time, stay numbers.
+    Columns with `units`, and columns to which options give another role than the time, stay numbers.
     """
     others = named_columns(config) - {config.time} | {*config.units}
     return {
@@ -238,8 +239,8 @@ def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], lines: 
     """Return the dates of a column whose first cell that is not missing has the form of a date or clock time.
 
     `starts` are the rows at which trajectories begin; messages call the column ``column 't' of a.csv`` and name the
-    lines of cells. Raises DataError where a cell has another form or holds no date, or day and month cannot be told
-    apart.
+    lines of cells. Raises DataError if a cell has another form or holds no date, or if day and month cannot be
+    distinguished.
     """
     texts = ["" if is_missing(cell) else on_one_line(cell) for cell in cells]
     first = next(text for text in texts if text)
@@ -267,7 +268,7 @@ def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], lines: 
                 f"{column} holds '{texts[row]}' in {place(lines, row)}, which is not a date or time"
             ) from None
     if is_clock:
-        return Dates(_past_midnight(values, starts), "clock times", has_date=False)
+        return Dates(_add_days_after_midnight(values, starts), "clock times", has_date=False)
     has_clock = any(match["hour"] is not None for match in present)
     return Dates(tuple(values), f"dates {form}", has_date=True, has_clock=has_clock, is_utc=zones == {True})
 
@@ -292,7 +293,7 @@ def _date(match: _Match, form: str) -> int:
         day, month = (parts["one"], parts["two"]) if form.startswith("day") else (parts["two"], parts["one"])
     month_number = int(month) if month is not None else MONTHS.get(match["name"].lower(), 0)  # no date has a month 0
     year = int(match["year"])
-    if len(match["year"]) == 2:  # by the rule of POSIX from 1969 to 2068
+    if len(match["year"]) == 2:  # by the POSIX rule: years from 1969 to 2068
         year += 1900 if year >= 69 else 2000
     midnight = (datetime.date(year, month_number, int(day)).toordinal() - _EPOCH) * NANOSECONDS["d"]
     if match["hour"] is None:
@@ -307,7 +308,7 @@ def _date(match: _Match, form: str) -> int:
 
 
 def _order(column: str, matches: Sequence[_Match | None], starts: Sequence[int]) -> str:
-    """Return whether day or month comes first: by dots, by numbers above 12, by the order that makes dates ascend."""
+    """Return whether day or month comes first; dots, numbers above 12 and ascending dates decide, in this order."""
     present = [match for match in matches if match is not None]
     mark = present[0]["mark"]
     forms = [mark.join(parts) for parts in (("day", "month", "year"), ("month", "day", "year"))]
@@ -325,7 +326,7 @@ def _order(column: str, matches: Sequence[_Match | None], starts: Sequence[int])
     if len({one - other for one, other in pairs if one is not None and other is not None}) == 1:
         return f"{forms[0]} (or {forms[1]}: all are of one day)"
     raise DataError(
-        f"{column} holds '{present[0][0]}', which may be {forms[0]} or {forms[1]}, and its other rows do not tell; "
+        f"{column} holds '{present[0][0]}', which may be {forms[0]} or {forms[1]}, and its other rows do not decide; "
         "write dates as year-month-day"
     )
 
@@ -337,8 +338,8 @@ def _steps(values: Sequence[int | None], starts: Sequence[int]) -> Iterator[int]
             yield other - one
 
 
-def _past_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple[int | None, ...]:
-    """Add a day where a clock falls back by more than half a day within a trajectory."""
+def _add_days_after_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple[int | None, ...]:
+    """Add a day from where a clock time falls by more than half a day within a trajectory."""
     day, added, last = NANOSECONDS["d"], 0, None
     counted: list[int | None] = []
     begins = set(starts)
@@ -360,18 +361,18 @@ def with_clock(dates: Dates, clocks: Dates) -> Dates:
 
 
 def times_of(columns: Sequence[Dates], starts: Sequence[int], unit: str | None) -> tuple[FloatArray, str, str, Origin]:
-    """Return the times (N,) of one column in the files that are read together, their unit, a remark, their origin.
+    """Return the times (N,) of one column over all files read together, their unit, a remark, their origin.
 
     `columns` are the dates in each file, of one kind; `starts` the rows at which trajectories begin, counted over all
-    files. Without a `unit` it is the longest of days, hours, minutes and seconds that the median step between rows
-    reaches. Raises DataError where no date is known, or dates are not counted in `unit`.
+    files. Without a `unit`, it is the longest of days, hours, minutes and seconds that does not exceed the median step
+    between rows. Raises DataError if no date is known, or if `unit` is no unit of dates.
     """
     if unit is not None and unit not in _UNIT_OF_NAME:
         raise DataError(f"dates are counted in {', '.join(NANOSECONDS)}, but '{unit}' is wanted; choose one of these")
     values = [value for column in columns for value in column.nanoseconds]
     first = next((value for value in values if value is not None), None)
     if first is None:
-        raise DataError("a column of dates holds none; correct it")
+        raise DataError("a column of dates holds no date; correct it")
     if unit is None:
         steps = sorted(abs(step) for step in _steps(values, starts) if step)
         median = steps[len(steps) // 2] if steps else 0

@@ -1,7 +1,8 @@
 """Measurement files -> `Table`, on the client's side: read by format, turned into columns, then joined.
 
-1. The ending of a file's name gives its format; a file with any other ending is text. -> `RawTable`, cells as text.
-2. `columns_of` makes numbers and dates of cells, and sets text aside. -> `FileColumns`.
+1. The ending of a file's name gives its format; a file with an unknown ending is read as text. -> `RawTable` of text
+   cells.
+2. `columns_of` converts cells into numbers and dates, and leaves out text columns. -> `FileColumns`.
 3. `table_of_parts` puts the rows of all files below each other, without empty columns, with the times of ``--step``.
 
 Blank rows and the ends of files separate trajectories. `Table.read_as` says how everything was read.
@@ -40,7 +41,7 @@ from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.reading.reshaping import TIME, reshaped
 from atoll_coordinator.data.reading.text import read_text
 from atoll_coordinator.data.reading.typed_formats import WORKBOOKS, read_parquet, read_records, read_workbook
-from atoll_coordinator.data.roles.columns import (
+from atoll_coordinator.data.roles.names_and_options import (
     TIME_NAMES,
     find_time_column,
     find_trajectory_column,
@@ -63,10 +64,10 @@ _REFUSED: Final = {
 
 @dataclass(frozen=True)
 class FileColumns:
-    """The columns of one file by name, each with its unit; `skipped` hold text, `remarks` say how it was read.
+    """The columns of one file by name, each with its unit.
 
-    `labels` are the texts that are numbered from 1 in a column of trajectories or groups; `left_out` names the
-    other parts of the file that were not read.
+    `skipped` are the text columns, `remarks` say how it was read. `labels` are the texts of a column of trajectories or
+    groups, which are numbered from 1 in it. `left_out` names other parts of the file that were not read.
     """
 
     file: str
@@ -81,9 +82,10 @@ class FileColumns:
 
 
 def read_table(paths: Sequence[Path], config: DataConfig, time_units: Mapping[str, str] | None = None) -> Table:
-    """Read `paths` in order as one table; raises DataError, with one sentence about what cannot be read.
+    """Read `paths` in order as one table; raises DataError with one sentence about the part that cannot be read.
 
-    `time_units` says by column in which unit dates are counted, as units of `config` do; else their steps decide.
+    `time_units` gives by column the unit in which dates are counted, and so do the units of `config`; without a unit,
+    the steps between dates decide.
     """
     if not paths:
         raise DataError("no data file was given; name at least one, such as a CSV file")
@@ -126,14 +128,14 @@ def _raw_table(path: Path, config: DataConfig) -> RawTable:
 
 
 def columns_of(file: str, raw: RawTable, config: DataConfig) -> FileColumns:
-    """Turn cells into numbers and dates; raises DataError where columns share a name, or a cell cannot be read.
+    """Convert cells into numbers and dates; raises DataError if columns share a name, or if a cell cannot be read.
 
-    A column with text in every cell is set aside unless `config` names it; only the columns of trajectories and of
-    groups may hold names, which are numbered. `read_date_columns` decides which columns hold dates. A column without a
-    name (such as the row numbers of a table) is set aside, by its place.
+    A column with text in every cell is left out unless `config` names it. Only the columns of trajectories and of
+    groups may hold names, which are then numbered. `read_date_columns` decides which columns hold dates. A column
+    without a name (such as row numbers) is also left out; messages call it by its position.
     """
-    raw = reshaped(file, _with_index(raw), config)
-    stated, cells = _headed(file, raw)
+    raw = reshaped(file, _with_named_index(raw), config)
+    stated, cells = _units_and_cells(file, raw)
     split = {name: split_origin(unit) for name, unit in stated.items()}
     units = {name: unit for name, (unit, _) in split.items()}
     since = tuple(f"{name}: in {unit} since {origin}" for name, (unit, origin) in split.items() if origin)
@@ -164,7 +166,7 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> FileColumns:
     kept = {*runs, *dates.values, *plain}
     new_names = {name: dates.renamed.get(name, name) for name in names if name in kept}
     if texts and not assigned([*new_names.values()], config, trajectory).equations:
-        raise _nothing_left(file, {name: cells[name] for name in texts if name not in dates.values}, raw.lines)
+        raise _no_numbers_error(file, {name: cells[name] for name in texts if name not in dates.values}, raw.lines)
     read_columns, remarks = read_numbers(file, plain, raw.lines, raw.separator)
     read = cast(dict[str, FloatArray | Dates], {**runs, **read_dates, **read_columns})
     columns = enumerate(zip(raw.headers, raw.columns, strict=True), start=1)
@@ -185,15 +187,15 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> FileColumns:
     )
 
 
-def _with_index(raw: RawTable) -> RawTable:
-    """Name a first column of dates that has no name, as an index of pandas, so that it can be the time."""
+def _with_named_index(raw: RawTable) -> RawTable:
+    """Give a name to an unnamed first column of dates, such as an index of pandas, so that it can be the time."""
     if raw.headers[:1] != ("",) or TIME in raw.headers or not raw.lines:
         return raw
     first = next((cell for cell in raw.columns[0] if not is_missing(cell)), "")
     return replace(raw, headers=(TIME, *raw.headers[1:])) if is_date(first) else raw
 
 
-def _headed(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[str]]]:
+def _units_and_cells(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[str]]]:
     units: dict[str, str] = {}
     named: dict[str, list[str]] = {}
     counts = Counter(split_unit(on_one_line(header))[0] for header in raw.headers if header)
@@ -209,13 +211,13 @@ def _headed(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[st
     return units, named
 
 
-def _nothing_left(file: str, texts: Mapping[str, Sequence[str]], lines: Sequence[int]) -> DataError:
+def _no_numbers_error(file: str, texts: Mapping[str, Sequence[str]], lines: Sequence[int]) -> DataError:
     examples = []
     for name, cells in [*texts.items()][:MANY]:
         row = next(row for row, cell in enumerate(cells) if not is_missing(cell))
         examples.append(f"'{name}' holds '{shortened(cells[row], 40)}' in {place(lines, row)}")
     more = ", …" if len(texts) > MANY else ""
-    advice = "write numbers alone into cells, and their unit into the header, as x [%]"
+    advice = "write only numbers into cells, and their unit into the header, as x [%]"
     return DataError(f"no column of numbers is left in {file}: {', '.join(examples)}{more}; {advice}")
 
 
@@ -225,9 +227,9 @@ def _nothing_left(file: str, texts: Mapping[str, Sequence[str]], lines: Sequence
 def table_of_parts(
     parts: Sequence[FileColumns], config: DataConfig, time_units: Mapping[str, str] | None = None
 ) -> Table:
-    """Return the columns of files, or of objects in Python, as one table; raises DataError.
+    """Return the columns of files, or of Python objects, as one table; raises DataError.
 
-    `time_units` are as of `read_table`.
+    `time_units` is as in `read_table`.
     """
     group = strip_units(config, parts[0].values).group
     table = _joined(parts, {**config.units, **(time_units or {})}, group)
@@ -236,9 +238,9 @@ def table_of_parts(
 
 
 def _joined(files: Sequence[FileColumns], time_units: Mapping[str, str], group: str | None) -> Table:
-    """Put the rows of files below each other; raises DataError when their columns differ.
+    """Append the rows of all files; raises DataError if their columns differ.
 
-    The column `group` has to hold texts in all files or in none.
+    The column `group` must hold texts in all files or in no file.
     """
     for other in files[1:]:
         _check_alike(files[0], other)
@@ -286,7 +288,7 @@ def _check_alike(first: FileColumns, other: FileColumns) -> None:
     if other.units != first.units:
         raise DataError(f"{pair} differ in the units of their columns; convert one of them")
     for name, values in first.values.items():
-        # None for numbers; dates and clock times differ, too
+        # None for numbers; dates and clock times are also different kinds
         if getattr(values, "has_date", None) != getattr(other.values[name], "has_date", None):
             raise DataError(f"{pair} differ in column '{name}', which holds dates in one of them; write both alike")
 
@@ -294,7 +296,7 @@ def _check_alike(first: FileColumns, other: FileColumns) -> None:
 def _with_common_labels(
     files: Sequence[FileColumns], group: str | None
 ) -> tuple[Sequence[FileColumns], dict[str, tuple[str, ...]]]:
-    """Return files in which equal numbers in a column of names mean equal texts, and these texts."""
+    """Renumber texts so that a number in a column means the same text in all files; return files and texts."""
     labels: dict[str, tuple[str, ...]] = {}
     for name in sorted({name for file in files for name in file.labels}):
         missing = next((file.file for file in files if name not in file.labels), None)
@@ -315,8 +317,8 @@ def _with_common_labels(
 def _without_empty(table: Table, config: DataConfig) -> Table:
     """Return the table without columns that are empty in all rows, such as columns of disconnected instruments.
 
-    Columns that options name, or that are called as the time or the trajectories are, stay; so do all columns where
-    nothing else would be left to have an equation: they are refused later.
+    Columns that options name, or with the default names of the time or the trajectories, stay. If no column would be
+    left to have an equation, all stay; later checks refuse them.
     """
     trajectory = find_trajectory_column(table.names, config)
     needed = {*named_columns(config), *TIME_NAMES, trajectory}
@@ -337,9 +339,9 @@ def _without_empty(table: Table, config: DataConfig) -> Table:
 
 
 def _with_even_times(table: Table, config: DataConfig) -> Table:
-    """Return the table with times, from 0 along each trajectory, where options give the `step` between rows.
+    """Return the table with times, from 0 along each trajectory, if options give the `step` between rows.
 
-    Raises UsageError where the table has a time.
+    Raises UsageError if the table has a time.
     """
     if config.step is None:
         return table

@@ -1,7 +1,7 @@
-"""The process that reads a MATLAB file of versions 5 to 7 by scipy, which a damaged file can crash.
+"""The process that reads a MATLAB file of versions 5 to 7 with scipy: a damaged file can crash scipy.
 
-``python -m atoll_coordinator.data.reading.matlab_child FILE`` writes the arrays to stdout as NPZ: ``names`` as JSON,
-pairs of a run (0 for arrays that belong to none) and a name, and the arrays by their number among these.
+``python -m atoll_coordinator.data.reading.matlab_child FILE`` writes the arrays to stdout as NPZ: ``names`` is JSON, a
+list of pairs of a run (0 for arrays of no run) and a name; each array has as key the index of its pair.
 """
 
 import io
@@ -16,7 +16,7 @@ from atoll_core.data.dataset import AnyArray
 
 
 def main() -> None:
-    """Read the file that the command line names; an error ends the process."""
+    """Read the file named on the command line; an error ends the process."""
     import scipy.io
 
     values: dict[str, object] = scipy.io.loadmat(sys.argv[1], simplify_cells=True)
@@ -31,8 +31,8 @@ def main() -> None:
 def parts_of(values: Mapping[str, object]) -> list[dict[str, AnyArray]]:
     """Return the arrays that belong to no run, then the arrays of each run.
 
-    Runs are the elements of a structure array or of cells, structures or arrays; all have as many elements as the
-    first.
+    Runs are the elements of a structure array or of a cell array, each a structure or an array. All such arrays have as
+    many elements as the first.
     """
     runs: dict[str, list[object]] = {}
     for name, value in values.items():
@@ -53,7 +53,7 @@ def parts_of(values: Mapping[str, object]) -> list[dict[str, AnyArray]]:
 
 
 def _items(value: object) -> list[object]:
-    """Return the elements of a structure array or of cells, none of anything else."""
+    """Return the elements of a structure array or of a cell array; an empty list for any other value."""
     if isinstance(value, np.ndarray) and value.dtype.kind == "O":
         items: list[object] = value.ravel().tolist()
         return items
@@ -61,16 +61,16 @@ def _items(value: object) -> list[object]:
 
 
 def _are_rows(items: Sequence[object]) -> bool:
-    """Tell whether elements are rows, structures of single values, as `table2struct` of MATLAB makes of tables."""
+    """Tell whether elements are rows: structures of single values, as MATLAB's `table2struct` makes from tables."""
     return bool(items) and all(
         isinstance(item, dict) and item and all(np.ndim(part) == 0 for part in item.values()) for item in items
     )
 
 
 def flat(values: Mapping[str, object]) -> dict[str, AnyArray]:
-    """Return the arrays; fields of structures by the field's name, or by both names where it is taken.
+    """Return the arrays by name; a field of a structure by the field's name, or by both names if that name is taken.
 
-    What holds no numbers or text becomes a single empty text.
+    A value without numbers or text becomes a single empty text.
     """
     arrays: dict[str, AnyArray] = {}
     for name, value in values.items():

@@ -1,13 +1,13 @@
-"""One file before cells are numbers: `RawTable`, and which rows are its header, its units and its footer. Pure.
+"""One file as text cells: `RawTable`, and which rows are its header, its units and its footer. Pure.
 
-All rules look at which cells are numbers or dates, since titles, notes and totals can say anything:
+All rules depend on which cells are numbers or dates, because titles, notes and totals can have any text:
 
-- header: the first row, unless that holds data; or the second row below names of groups: a recorder of several objects
-  writes ``,mass A,,`` above ``t,frame,x,y``, and pandas writes two levels of columns so;
+- header: the first row, unless that row holds data; or the second row, below names of groups. A recorder of several
+  objects writes ``,mass A,,`` above ``t,frame,x,y``, and pandas writes two levels of columns in this way;
 - units: a row below the header, without numbers, in which one cell is a known unit;
-- footer: the rows below the last row of data (totals, sources, numbers of observations). The first of them has to read
-  as a line of text, or to begin with a word where all rows above it have a number or a date. Anything else there may be
-  a damaged row, which is refused as elsewhere.
+- footer: the rows below the last row of data (totals, sources, numbers of observations). Its first row must read as a
+  line of text, or begin with a word in a column where all rows above have a number or a date. Any other row may be a
+  damaged row of data and is refused, as in other places.
 """
 
 import re
@@ -19,7 +19,7 @@ from typing import Final
 
 from atoll_coordinator.data.reading.cells import is_missing, is_numeral, is_text, on_one_line, shortened
 from atoll_coordinator.data.reading.dates import ascends, is_date, is_datum
-from atoll_coordinator.data.roles.columns import TIME_NAMES, are_units, split_unit
+from atoll_coordinator.data.roles.names_and_options import TIME_NAMES, are_units, split_unit
 from atoll_core.errors import DataError
 
 _BRACKETS: Final = re.compile(r"^\s*[\[(](.*)[\])]\s*$")
@@ -28,21 +28,22 @@ _FORM_OF_DATES: Final = re.compile(
     r"(?:(?:yyyy|yy|dd|mm?)[-./ ]?){2,3}(?:[T ]*(?:[-:. ]?(?:hh?|mm|ss|f+)){2,4})?|hh?:mm(?::ss)?(?:[.,][fs0]+)?",
     re.IGNORECASE,
 )
-"""How dates and clock times are written, as a row of units may say: dd.mm.yyyy hh:mm."""
+"""The format of dates and clock times in a row of units, such as dd.mm.yyyy hh:mm."""
 _SAMPLED: Final = 50
-"""Rows from which the columns of numbers are found: the first ones, half of all at most, since a footer comes last."""
+"""Number of first rows that decide which columns hold numbers; at most half of all rows, since a footer comes last."""
 _QUOTED: Final = 3
 """Lines of a footer that a message quotes."""
 _LETTERS: Final = r"[^\W\d_]"
 _WORD: Final = re.compile(rf"[^0-9]*?(?:{_LETTERS}{{2,}}|[^\x00-\x7f\d\W_])[^0-9]*")
-"""Text with a word, or with a letter such as Σ, and without a digit, which a damaged number has."""
+"""Text with a word, or with a letter such as Σ, but without a digit: a damaged number has digits."""
 _TEXTS: Final = rf"[^0-9]*{_LETTERS}{{2,}}.*|\W*{_LETTERS}(?:\s*[=:<>]|\)\s).*|\W*[^\w\s]{{3,}}\W*"
 _BEGINS_WITH_A_WORD: Final = re.compile(_TEXTS, re.DOTALL)
-"""A word before any digit, ``n = 20``, ``p < 0.05``, ``(c) 2020``, or a rule of three marks or more."""
+"""A word before any digit, ``n = 20``, ``p < 0.05``, ``(c) 2020``, or a line of three or more marks."""
 _LINE_OF_TEXT: Final = re.compile(rf"{_TEXTS}|\W*\d+ .*{_LETTERS}{{3,}}.*", re.DOTALL)
-"""These, or ``20 observations``, which may also be a damaged date."""
+"""The same, or ``20 observations``, which may also be a damaged date."""
 _ALIKE: Final = 3
-"""Characters in which a damaged name or date equals others of its column, such as the first letters of a month."""
+"""Number of first characters that a damaged name or date has in common with others of its column, such as the first
+letters of a month."""
 
 Record = tuple[int, list[str]]
 """Line number and cells of one row."""
@@ -52,10 +53,10 @@ Record = tuple[int, list[str]]
 class RawTable:
     """Cells of one file as text: `columns[i]` are the cells under `headers[i]`; `lines` their line numbers, or 0.
 
-    What the format stores as a number is a `NumberCell`. `units` come from a row of their own or from the format, ""
-    where there is none; `starts` are the rows at which trajectories begin; `remarks` say how the file was read;
-    `separator` is the character between cells, "" where the format has none. `left_out` says what of the file is not
-    part of the table, for a warning.
+    A cell that the format stores as a number is a `NumberCell`. `units` come from a separate row or from the format, ""
+    if there is no unit; `starts` are the rows at which trajectories begin; `remarks` say how the file was read;
+    `separator` is the character between cells, "" if the format has none. `left_out` names the parts of the file that
+    are not part of the table, for a warning.
     """
 
     headers: tuple[str, ...]
@@ -75,11 +76,11 @@ def table_of_records(
     has_row_names: bool = False,
     may_have_commas: bool = False,
 ) -> RawTable:
-    """Return the table of line numbers and cells; blank records begin trajectories, a footer is left out.
+    """Return the table of records (line numbers and cells); blank records begin trajectories, a footer is left out.
 
-    `has_row_names` says whether rows may begin with a name for which the header has no cell, `may_have_commas` whether
-    decimal commas may be the reason for more cells than the header has. Raises DataError where a record has more or
-    fewer cells than the header, unless the rows tell which columns have no name.
+    `has_row_names` tells whether rows may begin with a name for which the header has no cell. `may_have_commas` tells
+    whether decimal commas may be the reason why a row has more cells than the header. Raises DataError if a record has
+    more or fewer cells than the header, unless the rows show which columns have no name.
     """
     headers = [on_one_line(header) for header in headers]
     lines: list[int] = []
@@ -123,10 +124,11 @@ def with_breaks(
 def _with_unnamed(
     headers: list[str], rows: list[list[str]], starts: Sequence[int], has_row_names: bool, may_have_commas: bool
 ) -> tuple[list[str], list[list[str]]]:
-    """Return headers and rows of a header over too few columns: the first or the last columns have no name.
+    """Return headers and rows if the header has too few cells: the first or the last columns have no name.
 
-    Cells that are empty in all rows are cut off at the end. Names of rows stand first. Elsewhere the names belong to
-    the first columns or to the last ones, if only one of both makes the time ascend and leaves names above numbers.
+    Trailing cells that are empty in all rows are removed. Names of rows come first. Otherwise the names belong to the
+    first columns or to the last ones: one of the two assignments, and only one, must make the time ascend and put names
+    above numbers.
     """
     width = len(rows[0]) if rows else 0
     if width <= len(headers) or any(len(row) != width for row in rows):
@@ -154,7 +156,7 @@ def _with_unnamed(
 
 
 def _take_units(raw: RawTable) -> RawTable:
-    """Return the table with a first row that holds units in place of numbers as its `units`."""
+    """Return the table; if its first row holds units and no numbers, they become its `units`."""
     if len(raw.lines) < 2 or not is_units_row([column[0] for column in raw.columns], raw.headers):
         return raw
     if not any(is_numeral(column[1]) for column in raw.columns):
@@ -170,7 +172,7 @@ def _take_units(raw: RawTable) -> RawTable:
 
 
 def is_units_row(cells: Sequence[str], headers: Sequence[str]) -> bool:
-    """Tell whether `cells` hold units, or marks for none, and are not the header once more.
+    """Tell whether `cells` hold units, or marks for no unit, and are not a repeated header.
 
     A cell may also say how dates are written (yyyy-mm-dd); no cell is a number.
     """
@@ -191,9 +193,9 @@ def plain_unit(cell: str) -> str:
 
 
 def footer_length(count: int, row: Callable[[int], Sequence[str]]) -> int:
-    """Return how many of the last of `count` nonblank rows are not data; `row` returns a row by its index.
+    """Return how many of the last rows, among `count` nonblank rows, are not data; `row` returns a row by its index.
 
-    That is 0 where the last row holds data, and where it may be a damaged row.
+    The result is 0 if the last row holds data, and also if it may be a damaged row.
     """
     if count < 2:
         return 0
@@ -213,7 +215,7 @@ def footer_length(count: int, row: Callable[[int], Sequence[str]]) -> int:
     below = [row(place) for place in range(end, count)]
     wide = [cells[0].strip() for cells in below if len(cells) == width and any(map(is_datum, cells))]
     if len(set(wide)) < len(wide):
-        return 0  # rows of a trajectory whose name is not a number
+        return 0  # rows that begin with the name of a trajectory, which is not a number
     if width == 1 and below[0][0].strip().isalpha():
         return 0  # a word in place of a number
     names = [cell for place in range(end) if any(map(str.isalpha, cell := row(place)[0].strip()))]
@@ -231,11 +233,12 @@ def _is_data(cells: Sequence[str], width: int, numeric: Sequence[int]) -> bool:
 def _is_footer(cells: Sequence[str], is_numeric: bool, names: Sequence[str]) -> bool:
     """Tell whether a row is neither data nor a damaged row of data.
 
-    The first column `is_numeric` where it holds numbers or dates; `names` are its cells with letters, dates included.
+    `is_numeric`: the first column holds numbers or dates. `names` are the cells of this column with letters, including
+    dates.
     """
     first, filled = cells[0].strip(), [cell for cell in cells if not is_missing(cell)]
     if is_missing(first) or is_datum(first) or any(name.startswith(first[:_ALIKE]) for name in names):
-        return False  # a row that lost its end begins as others do
+        return False  # a truncated row begins as other rows do
     has_numbers = any(map(is_datum, filled))
     if _WORD.fullmatch(first) and (is_numeric or not has_numbers):
         return True
@@ -256,7 +259,7 @@ def _footer_phrase(lines: Sequence[int], rows: Sequence[Sequence[str]], kind: st
 
 @dataclass(frozen=True)
 class Header:
-    """The header of a table in line `line`: its `names`, and above each of them the name of its group, if any.
+    """The header of a table in line `line`: its `names`, and for each name the group above it, if any.
 
     `is_made` is true for a table without a header.
     """
@@ -267,7 +270,7 @@ class Header:
     is_made: bool = False
 
     def applied(self, raw: RawTable) -> RawTable:
-        """Return the table with this header; names that several groups have carry the name of their group.
+        """Return the table with this header; a name that several groups have is extended by the name of its group.
 
         Equal columns of one name, such as the times of several objects, become one column.
         """
@@ -295,7 +298,7 @@ class Header:
 
 
 def take_header(records: Iterable[Record]) -> tuple[Header, Iterator[Record]]:
-    """Return the header and the rows below it; where all rows are empty, a header without a name."""
+    """Return the header and the rows below it; if all rows are empty, a header without names."""
     rows = iter(records)
     line, top = next(((line, cells) for line, cells in rows if any(map(str.strip, cells))), (0, [""]))
     following = [*islice(rows, 3)]
@@ -304,7 +307,7 @@ def take_header(records: Iterable[Record]) -> tuple[Header, Iterator[Record]]:
     if not following or not are_groups(top, following[0][1], [cells for _, cells in following[1:]]):
         return Header(line, top), chain(following, rows)
     (line, names), *below = following
-    if below and not names[0].strip() and _names_index(below[0][1]):  # as pandas writes two levels of columns
+    if below and not names[0].strip() and _names_index(below[0][1]):  # pandas writes two levels of columns in this way
         names, below = [below[0][1][0], *names[1:]], below[1:]
     groups: list[str] = []
     for name in map(on_one_line, top):
@@ -313,9 +316,9 @@ def take_header(records: Iterable[Record]) -> tuple[Header, Iterator[Record]]:
 
 
 def _begins_with_data(top: Sequence[str], following: Sequence[Sequence[str]]) -> bool:
-    """Tell whether the first row holds data: numbers and dates, in its first cell too, as the row below it does.
+    """Tell whether the first row holds data: numbers and dates, also in its first cell, as the row below it does.
 
-    Both may have text in the same cells, next to two numbers or dates at least.
+    Both rows may have text in the same cells if they also have at least two numbers or dates.
     """
     below = next((cells for cells in following if any(map(str.strip, cells))), top)
     filled = [cell.strip() for cell in top if cell.strip()]
@@ -330,7 +333,7 @@ def _begins_with_data(top: Sequence[str], following: Sequence[Sequence[str]]) ->
 
 
 def named_by_place(raw: RawTable) -> RawTable:
-    """Return a table without a header with names: t for the first column where it ascends, x1, x2, … for others."""
+    """Return the table, which has no header, with names: t for a first column that ascends, x1, x2, … for others."""
     has_time = len(raw.headers) > 1 and ascends(raw.columns[0], raw.starts)
     count = len(raw.headers) - has_time
     names = (*(("t",) if has_time else ()), *(("x",) if count == 1 else [f"x{place + 1}" for place in range(count)]))
@@ -340,8 +343,8 @@ def named_by_place(raw: RawTable) -> RawTable:
 def are_groups(top: Sequence[str], names: Sequence[str], below: Sequence[Sequence[str]]) -> bool:
     """Tell whether `top` holds names of groups of the columns `names`; `below` are a row or two of data.
 
-    The names of a header are complete and differ. Names of groups are repeated, or leave out cells that the row below
-    them fills, above numbers. A row of units stands below the header.
+    The names of a header are complete and different. Names of groups are repeated, or have empty cells where the row
+    below has names above numbers. A row of units comes below the header.
     """
     texts = [cell.strip() for cell in top]
     filled = [text for text in texts if text]
@@ -366,5 +369,5 @@ def are_groups(top: Sequence[str], names: Sequence[str], below: Sequence[Sequenc
 
 
 def _names_index(cells: Sequence[str]) -> bool:
-    """Tell whether a row names nothing but its first column."""
+    """Tell whether only the first cell of a row has a name."""
     return bool(cells) and not is_missing(cells[0]) and not is_numeral(cells[0]) and not any(map(str.strip, cells[1:]))

@@ -1,13 +1,13 @@
-"""Tables of other shapes -> a row for each time and a column for each quantity. Pure; other tables stay as they are.
+"""Tables of other shapes -> a row for each time and a column for each quantity. Pure; other tables stay unchanged.
 
 - times as columns: ``species,1990,1991,1992`` of published statistics; ``year,Jan,Feb,…`` of weather stations;
-- times in several columns: year and quarter, or year, month, day and hour. Quarters and months are counted in years,
-  2020.25 and so on, since they are even in these; days and hours become dates;
+- times in several columns: year and quarter, or year, month, day and hour. Quarters and months become years, such as
+  2020.25, since they are evenly spaced in years; days and hours become dates;
 - long tables, with one measured value in each row: ``observableId, simulationConditionId, measurement, time`` of PEtab,
   ``variable, value`` of `melt` in pandas, ``name, value`` of tidyr. A long table is recognised by the names of its
   columns, and by times that are repeated or go back.
 
-A name that an option gives to a column for another purpose prevents each of these.
+A table is not reshaped if an option gives one of the columns another role.
 """
 
 import datetime
@@ -32,7 +32,7 @@ from atoll_coordinator.data.reading.cells import (
 )
 from atoll_coordinator.data.reading.dates import MONTHS, is_date, is_datum, read_dates
 from atoll_coordinator.data.reading.raw_table import RawTable
-from atoll_coordinator.data.roles.columns import (
+from atoll_coordinator.data.roles.names_and_options import (
     TIME_NAMES,
     TRAJECTORY_NAME,
     find_time_column,
@@ -46,16 +46,16 @@ from atoll_core.errors import DataError
 
 TIME: Final = "time"
 VALUE: Final = "value"
-"""What times, and the values of months, are called unless options name them."""
+"""Names of the times, and of the values of months, unless options name them."""
 
 
 def reshaped(file: str, raw: RawTable, config: DataConfig) -> RawTable:
     """Return a table with a row for each time; `file` is for messages.
 
-    Raises DataError where two rows of a table with times as columns have one name, or an observable of a long table
-    has two values at one time.
+    Raises DataError if two rows of a table with times as columns have the same name, or if an observable of a long
+    table has two values at one time.
     """
-    return _widened(file, _with_joined_times(_turned(file, raw, config), config), config)
+    return _widened(file, _with_joined_times(_with_times_as_rows(file, raw, config), config), config)
 
 
 def _names(headers: Sequence[str]) -> list[str]:
@@ -70,12 +70,12 @@ def _listed(columns: Sequence[str]) -> tuple[str, ...]:
 
 
 def has_times(header: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
-    """Tell whether a header has names of columns, then times, above rows of names and numbers."""
+    """Tell whether a header has names of columns followed by times, above rows of names and numbers."""
     first = _first_time(header)
     return first is not None and _fits(first, [*zip_longest(*rows, fillvalue="")])
 
 
-def _turned(file: str, raw: RawTable, config: DataConfig) -> RawTable:
+def _with_times_as_rows(file: str, raw: RawTable, config: DataConfig) -> RawTable:
     names = _names(raw.headers)
     months = {MONTHS[key]: place for place, name in enumerate(names) if (key := name.strip(".").lower()) in MONTHS}
     if len(months) == 12 and not named_columns(config) & {names[place] for place in months.values()}:
@@ -84,15 +84,15 @@ def _turned(file: str, raw: RawTable, config: DataConfig) -> RawTable:
                    for place, cells in others.items()}  # fmt: skip
         years = next((place for place, holds in is_year.items() if holds), None)
         if years is not None:
-            return _of_months(raw, years, [months[month] for month in sorted(months)])
+            return _rows_of_months(raw, years, [months[month] for month in sorted(months)])
     first = _first_time(raw.headers)
     if first is None or not _fits(first, raw.columns) or named_columns(config) & set(raw.headers[first:]):
         return raw
-    return _of_times(file, raw, first, config)
+    return _rows_of_times(file, raw, first, config)
 
 
 def _first_time(header: Sequence[str]) -> int | None:
-    """Return the place from which on the names of columns are times; None where they are not, or nothing else is."""
+    """Return the index of the first column whose name is a time; None if names are not times, or if all are times."""
     names = _names(header)
     count = len(names)
     while count and not names[count - 1]:
@@ -108,7 +108,10 @@ def _first_time(header: Sequence[str]) -> int | None:
 
 
 def _fits(first: int, columns: Sequence[Sequence[str]]) -> bool:
-    """Tell whether rows have names, and numbers from column `first` on: columns 1, 2, 3 next to a time do not."""
+    """Tell whether rows have names, and numbers from column `first` on.
+
+    This excludes columns called 1, 2, 3 next to a time.
+    """
     has_names = any(map(_are_names, columns[:first]))
     return has_names and any(is_numeral(cell) for column in columns[first:] for cell in column)
 
@@ -118,15 +121,15 @@ def _are_names(cells: Sequence[str]) -> bool:
     return any(not is_missing(cell) for cell in cells) and not any(map(is_datum, cells))
 
 
-def _of_times(file: str, raw: RawTable, first: int, config: DataConfig) -> RawTable:
-    """Return the table with a row for each time; trajectories that options name stand below each other."""
+def _rows_of_times(file: str, raw: RawTable, first: int, config: DataConfig) -> RawTable:
+    """Return the table with a row for each time, trajectory after trajectory if options name a column for them."""
     headers = _names(raw.headers)
     config = strip_units(config, headers)
     texts = [place for place in range(first) if _are_names(raw.columns[place])]
     run = next((place for place in texts if headers[place] == config.trajectory), None)
     runs = [""] * len(raw.lines) if run is None else raw.columns[run]
     if run is not None and len(texts) == 1:
-        return raw  # nothing names the rows of a run
+        return raw  # the rows of a run have no names
     ids, names = _names_of_rows(raw, runs, [place for place in texts if place != run])
     row_of = {pair: row for row, pair in enumerate(zip(runs, names, strict=True))}
     if len(row_of) < len(names):
@@ -158,7 +161,7 @@ def _of_times(file: str, raw: RawTable, first: int, config: DataConfig) -> RawTa
 
 
 def _names_of_rows(raw: RawTable, runs: Sequence[str], ids: Sequence[int]) -> tuple[tuple[int, ...], list[str]]:
-    """Return the fewest columns that give each row of a run its own name, and the names; all columns where none do."""
+    """Return the fewest columns that give each row of a run its own name (else all columns), and the names."""
     names: list[str] = []
     for count in range(1, len(ids) + 1):
         for chosen in combinations(ids, count):
@@ -169,13 +172,13 @@ def _names_of_rows(raw: RawTable, runs: Sequence[str], ids: Sequence[int]) -> tu
     return tuple(ids), names
 
 
-def _of_months(raw: RawTable, years: int, months: Sequence[int]) -> RawTable:
-    """Return the table with a row for each month, in years, without empty months at both ends."""
+def _rows_of_months(raw: RawTable, years: int, months: Sequence[int]) -> RawTable:
+    """Return the table with a row for each month, times in years, without empty months at both ends."""
     rows = [(row, month) for row in range(len(raw.lines)) for month in range(len(months))]
     known = [number for number, (row, month) in enumerate(rows) if not is_missing(raw.columns[months[month]][row])]
     rows = rows[known[0] : known[-1] + 1] if known else rows
     others = [place for place in range(len(raw.headers)) if place not in (years, *months)]
-    kept = [place for place in others if _are_names(raw.columns[place])]  # means of years are not states of months
+    kept = [place for place in others if _are_names(raw.columns[place])]  # annual means are not monthly states
     left_out = [raw.headers[place] or f"column {place + 1}" for place in others if place not in kept]
     columns: list[list[str]] = [
         [NumberCell(float(raw.columns[years][row]) + month / 12.0) for row, month in rows],
@@ -216,16 +219,16 @@ _KINDS: Final = tuple(
     for parts in ("quarter", "month day hour minute second", "month day hour minute", "month day hour", "month day",
                   "yearday hour minute", "yearday hour", "yearday", "month")
 )  # fmt: skip
-"""Parts that are a time together; the first kind whose parts all exist is taken."""
+"""Combinations of parts that are a time together; the first combination whose parts all exist is used."""
 _FINER: Final = ("day", "hour", "minute", "second")
-"""Parts without which a time that has them would be another time."""
+"""Parts that must not be ignored if the table has them: without them the time would be another time."""
 _LARGEST: Final = {"quarter": 4, "month": 12, "yearday": 366, "day": 31, "hour": 24, "minute": 59, "second": 60}
 _YEAR: Final = re.compile(r"1\d{3}|2[01]\d\d")
 _QUARTER: Final = re.compile(r"(?P<year>1\d{3}|2[01]\d\d)[ -]?Q(?P<n>[1-4])|Q(?P<m>[1-4])[ -/](?P<at>1\d{3}|2[01]\d\d)")
 
 
 def _with_joined_times(raw: RawTable, config: DataConfig) -> RawTable:
-    """Return the table with one column for columns that tell the time together, called as options call the time."""
+    """Return the table with one time column in place of columns that are a time together; options may name it."""
     names = _names(raw.headers)
     config = strip_units(config, filter(None, names))
     is_given = config.target is not None or config.derivatives is not None
@@ -267,7 +270,7 @@ def _with_time(
 
 
 def _quarters(cells: Sequence[str]) -> list[str] | None:
-    """Return quarters such as ``2020Q1`` in years; None if a cell is not a quarter."""
+    """Return quarters such as ``2020Q1`` as years; None if a cell is not a quarter."""
     times: list[str] = []
     for cell in cells:
         match = _QUARTER.fullmatch(cell.strip().upper())
@@ -285,7 +288,7 @@ def _times_of_parts(columns: Mapping[str, Sequence[str]]) -> list[str] | None:
         try:
             known = {part: int(value) for part, value in parts.items()}
             if not all(known.get(part, 1) for part in ("quarter", "month", "yearday")):
-                return None  # these are counted from 1
+                return None  # these parts are numbered from 1
             if "day" not in known and ("quarter" in known or "month" in known):
                 part, count = ("quarter", 4) if "quarter" in known else ("month", 12)
                 times.append(_in_years(known["year"], known[part], count))
@@ -325,11 +328,11 @@ _RUNS: Final = (
     "repeat"
 )
 _UNITS: Final = "unit units"
-"""Names of the columns of long tables, without capitals, marks, and "id" at the end."""
+"""Names of the columns of long tables, in lower case, without marks and without "id" at the end."""
 
 
 class _LongTable(NamedTuple):
-    """Cells by column, and which columns are what: `runs` tell trajectories apart, `carried` are named by options."""
+    """Cells by column, and the roles of columns: `runs` distinguish trajectories, `carried` are named by options."""
 
     file: str
     raw: RawTable
@@ -343,7 +346,7 @@ class _LongTable(NamedTuple):
 
 
 def may_be_long(names: Iterable[str]) -> bool:
-    """Tell whether columns are called as in long tables."""
+    """Tell whether columns have the names of a long table."""
     plain = _names([*names])
     return all(any(_is_called(name, known) for name in plain) for known in (_OBSERVABLES, _VALUES))
 
@@ -354,7 +357,7 @@ def _is_called(name: str, known: str) -> bool:
 
 
 def _widened(file: str, raw: RawTable, config: DataConfig) -> RawTable:
-    """Return a long table with a column for each observable, the rows of a trajectory by ascending time."""
+    """Return a long table with a column for each observable; the rows of a trajectory are sorted by time."""
     long = _long_table(file, raw, config) if may_be_long(raw.headers) else None
     if long is None:
         return raw
@@ -402,7 +405,7 @@ def _widened(file: str, raw: RawTable, config: DataConfig) -> RawTable:
 
 
 def _long_table(file: str, raw: RawTable, config: DataConfig) -> _LongTable | None:
-    """Return the columns of a long table; None if it is not a long table, or if options use its columns otherwise."""
+    """Return the columns of a long table; None if it is not one, or if options give its columns other roles."""
     headers = _names(raw.headers)
     cells = {name: [cell.strip() for cell in column] for name, column in zip(headers, raw.columns, strict=True) if name}
     if len(cells) < sum(map(bool, headers)):
@@ -442,7 +445,7 @@ def _times_of_rows(long: _LongTable, runs: Sequence[tuple[str, ...]]) -> list[fl
 
 
 def _ascend(times: Sequence[float | None], starts: Sequence[int], trajectories: Sequence[str] | None) -> bool:
-    """Tell whether the table can be read as it stands: times ascend along what would be its trajectories."""
+    """Tell whether the table can be read without reshaping: times ascend along its trajectories."""
     segments = np.searchsorted(starts, np.arange(len(times)), side="right").tolist()
     known = [
         (segments[row], "" if trajectories is None else trajectories[row], time)
@@ -455,7 +458,7 @@ def _ascend(times: Sequence[float | None], starts: Sequence[int], trajectories: 
 def _rows_by_key(
     long: _LongTable, runs: Sequence[tuple[str, ...]], times: Sequence[float | None]
 ) -> dict[tuple[int, float], dict[str, int]]:
-    """Return the row of each observable by the number of its trajectory and its time."""
+    """Return, by trajectory number and time, the row of each observable."""
     numbers = {run: number for number, run in enumerate(dict.fromkeys(runs))}
     rows_by_key: dict[tuple[int, float], dict[str, int]] = {}
     for row, (run, time, name) in enumerate(zip(runs, times, long.cells[long.observable], strict=True)):
@@ -469,7 +472,7 @@ def _rows_by_key(
             raise DataError(
                 f"{long.file} is a long table in which '{name}' has two values at the {long.time} "
                 f"{long.cells[long.time][row]} ({place(long.raw.lines, rows[name])} and {where}); "
-                "tell replicates apart by a column 'replicate', or keep one"
+                "distinguish replicates by a column 'replicate', or keep one"
             )
         rows[name] = row
     return rows_by_key

@@ -1,11 +1,12 @@
 """Text files -> `RawTable`: their encoding, the character between cells, comments, and where the table begins.
 
-1. Bytes are UTF-8, UTF-16 with a byte order mark, else Windows-1252, of which Latin-1 is a part.
+1. Bytes are UTF-8, UTF-16 with a byte order mark, else Windows-1252, which includes the printable characters of
+   Latin-1.
 2. The header is the first line that is not a comment. If that line has numbers, the header is the last comment before
    it with as many cells, as `numpy.savetxt` writes it.
-3. Titles, settings and names of the recorder may stand above the table (a preamble). The first rows of numbers tell
-   where it begins: the header is the row of text above them. Of several rows of text, the header is the one that names
-   a time. If none or several of them do, the header is not clear and the table is refused.
+3. Titles, settings and names of the recorder may stand above the table (a preamble). The first rows of numbers show
+   where the table begins: the header is the row of text above them. If there are several rows of text, the header is
+   the row that names a time. If no row or several rows name a time, the header is not clear and the table is refused.
 
 Lines keep their numbers, because messages name them.
 """
@@ -31,7 +32,7 @@ from atoll_coordinator.data.reading.raw_table import (
     take_header,
 )
 from atoll_coordinator.data.reading.reshaping import has_times
-from atoll_coordinator.data.roles.columns import TIME_NAMES, split_unit
+from atoll_coordinator.data.roles.names_and_options import TIME_NAMES, split_unit
 from atoll_core.errors import DataError
 
 # ----------------------------------------------------------------------------------------------------------- encoding
@@ -46,7 +47,7 @@ _FIRST_BYTES: Final = (
     (b"PAR1", "a Parquet file", ".parquet"),
     (b"\x1f\x8b", "a gzip archive", ".csv, unpacked"),
 )
-"""First bytes of other formats, and the ending of the name under which a file of the format is read."""
+"""First bytes of other formats, and the file name ending under which the format is read."""
 
 
 def decode(name: str, data: bytes) -> tuple[str, str]:
@@ -74,18 +75,20 @@ def decode(name: str, data: bytes) -> tuple[str, str]:
 # ----------------------------------------------------------------------------------------------------------- preamble
 
 SAMPLED: Final = 200
-"""A table with a preamble begins within this number of rows; it limits the time for long files.
+"""A table with a preamble must begin within this number of rows; the limit saves time for long files.
 
-Preambles have a few dozen lines. 498 files that `benchmarks.operations.files` draws are read alike with 20 to 2,000.
+Preambles have a few dozen lines. With any limit from 20 to 2,000, the 498 files that `benchmarks.operations.files`
+draws are read in the same way.
 """
 _ALIKE: Final = 20
-"""The first rows of a table, up to this number, have numbers in the same columns.
+"""This many first rows of a table must have numbers in the same columns.
 
-Of those 498 files, five that are not damaged are refused with 2 rows; with 3 and 10 the same are read as with 20, and
-some damaged ones are refused with another sentence; from 12 on nothing changes. The tables have 6 to 15 rows.
+Measured on the same 498 files, tables of 6 to 15 rows: with 2 rows, five undamaged files are refused. With 3 and with
+10 rows the same files are read as with 20, but some damaged files are refused with another sentence. From 12 rows on
+nothing changes.
 """
 _TIMES: Final = frozenset({"t", "time", "times", "timestamp", "date", "datetime", "day", "hour", "year"})
-"""Names of columns of times, in lower case, which tell a header from other rows of text."""
+"""Names of time columns in lower case, which distinguish a header from other rows of text."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ class Preamble:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Phrases on the lines that are left out."""
+        """Phrases about the lines that are left out."""
         named = {
             where: f"line {lines[0]}" if len(lines) == 1 else f"lines {lines[0]} to {lines[-1]}"
             for lines, where in ((self.above, "above"), (self.below, "below"))
@@ -111,11 +114,11 @@ class Preamble:
 
 
 def find_preamble(rows: Sequence[Record]) -> Preamble | None:
-    """Return the preamble of a table from its nonblank rows; None if there is none, or if it is not clear."""
+    """Return the preamble of a table from its nonblank rows; None if there is no preamble, or if it is not clear."""
     rows = rows[:SAMPLED]
     first = next((place for place in range(len(rows)) if _begins(rows[place:])), None)
     if not first or any(_is_data(cells, rows[first][1]) for _, cells in rows[:first]):
-        return None  # there is no header, it is a comment, or there are two tables
+        return None  # there is no header, the header is a comment, or there are two tables
     if has_times(rows[first][1], [cells for _, cells in rows[first + 1 :]]):
         return Preamble(rows[first][0], tuple(line for line, _ in rows[:first]))
     block = _block(rows, first)
@@ -130,16 +133,16 @@ def find_preamble(rows: Sequence[Record]) -> Preamble | None:
     if between and is_units_row(between[0][1], rows[header][1]):
         between = between[1:]
     if len(block) < 3:
-        between = []  # a word in place of a number is refused, unless a recorder has several rows of such words
+        between = []  # a single word in place of a number is refused; several such rows are the preamble of a recorder
     if not start and not between:
         return None
     return Preamble(rows[start][0], tuple(line for line, _ in rows[:start]), tuple(line for line, _ in between))
 
 
 def _begins(rows: Sequence[Record]) -> bool:
-    """Tell whether rows of numbers begin here: all of one width, with columns of numbers or dates alone.
+    """Tell whether rows of numbers begin here: all of one width, with columns of only numbers or dates.
 
-    A setting such as ``Rate, 100`` fills one of them only.
+    A setting such as ``Rate, 100`` has a number in one column only.
     """
     alike = [cells for _, cells in rows[:_ALIKE]]
     width = len(alike[0])
@@ -156,7 +159,7 @@ def _begins(rows: Sequence[Record]) -> bool:
 
 
 def _is_data(cells: Sequence[str], below: Sequence[str]) -> bool:
-    """Tell whether a row holds nothing but numbers and dates, or has them in all columns where the table has them."""
+    """Tell whether a row holds only numbers and dates, or has them in all columns where the table has them."""
     filled = [cell for cell in cells if not is_missing(cell)]
     of_table = [place for place, cell in enumerate(below) if is_datum(cell)]
     is_like = len(cells) == len(below) and len(of_table) > 1 and all(is_datum(cells[place]) for place in of_table)
@@ -164,7 +167,7 @@ def _is_data(cells: Sequence[str], below: Sequence[str]) -> bool:
 
 
 def _block(rows: Sequence[Record], first: int) -> list[int]:
-    """Return the places of the rows of text that stand right above row `first`, and are not wider."""
+    """Return the indices of the rows of text directly above row `first` that are not wider than it."""
     width = len(rows[first][1])
     block: list[int] = []
     for place in range(first - 1, -1, -1):
@@ -179,7 +182,7 @@ def _block(rows: Sequence[Record], first: int) -> list[int]:
 def _header_of(rows: Sequence[Record], block: Sequence[int]) -> int | None:
     """Return the index of the header among rows of text; None if it is not clear.
 
-    It is the only row that is wide enough, or that names a time; below something else, the first row.
+    It is the only row that is wide enough, or the only row that names a time; below other lines, the first row.
     """
     width = max((len(rows[place][1]) for place in block), default=0)
     wide = [place for place in block if len(rows[place][1]) == width]
@@ -197,7 +200,7 @@ def _header_of(rows: Sequence[Record], block: Sequence[int]) -> int | None:
 # ----------------------------------------------------------------------------------------------------------- the table
 
 SPACES: Final = " "
-"""Stands for any white space between cells."""
+"""Separator that means any white space between cells."""
 _NAMES: Final = {",": "commas", ";": "semicolons", "\t": "tabs", SPACES: "spaces"}
 _LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _COMMENT: Final = re.compile(r"\s*(?:#(?!N/A|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!)|%)", re.IGNORECASE)
@@ -209,7 +212,7 @@ _Line = tuple[int, str]
 
 
 class _Beginning(NamedTuple):
-    """The lines before the first row: a separator that the file names, comments, the `first` line, a preamble.
+    """The lines before the first row: a separator named in the file, comments, the `first` line, a preamble.
 
     With a preamble the `first` line is the header.
     """
@@ -232,9 +235,9 @@ def read_text(name: str, data: bytes) -> RawTable:
     try:
         raw = _split(name, text, beginning, _COMMENT.match)
     except DataError as error:
-        raise (_refused_preamble(name, text, number) or error) from None
+        raise (_preamble_error(name, text, number) or error) from None
     if not raw.lines and any(place > number and _COMMENT.match(line) for place, line in _lines(text)):
-        # the first column begins with the mark of a comment
+        # the name of the first column begins with the comment mark
         raw = _split(name, text, beginning, lambda _: None)
     return replace(raw, remarks=(*raw.remarks, encoding)) if encoding else raw
 
@@ -303,7 +306,7 @@ def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[st
         header, records = take_header(_records(name, body(), separator))
         if not header.is_made:
             _check_header(name, header.names)
-        has_row_names = below.lstrip().startswith('"')  # as R writes them
+        has_row_names = below.lstrip().startswith('"')  # R writes names of rows in this way
         raw = header.applied(table_of_records(name, header.names, records, has_row_names, separator == ","))
     left_out = (f"{comments} comment {'line' if comments == 1 else 'lines'} left out",) if comments else ()
     how = f"text with {_NAMES.get(separator, repr(separator))}"
@@ -355,7 +358,10 @@ def cells_of(line: str, separator: str) -> list[str]:
 
 
 def _separator(header: str, below: str) -> str:
-    """Return the separator in the header outside of quotes and units: tab, semicolon or comma; else perhaps spaces."""
+    """Return the separator in the header, outside of quotes and units: tab, semicolon or comma.
+
+    Otherwise spaces, if possible.
+    """
     bare = re.sub(r'"[^"]*"|\[[^\]]*\]', "", header)
     for separator in "\t;,":
         if separator in bare:
@@ -367,9 +373,9 @@ def _separator(header: str, below: str) -> str:
 def _header_of_comments(
     line: str, below: str, beginning: _Beginning
 ) -> tuple[str, Sequence[str], tuple[str, ...]] | None:
-    """Return separator, names and units where the first line holds data and comments before it name the columns.
+    """Return separator, names and units if the first line holds data and a comment before it names the columns.
 
-    Data may hold text, where the line `below` has text in the same cells.
+    Data may hold text if the line `below` has text in the same cells.
     """
 
     def kinds(cells: Sequence[str]) -> list[bool]:
@@ -391,7 +397,7 @@ def _header_of_comments(
 
 
 def _names_in_comment(comment: str, separator: str, count: int, is_strict: bool) -> list[str] | None:
-    """Return the cells of a comment if there are `count`, separated as data are if `is_strict`, else in any way."""
+    """Return the cells of a comment if it has `count`; if `is_strict`, separated as the data, else in any way."""
     text = comment.strip().lstrip("#% \t")
     for candidate in (separator,) if is_strict else (separator, ",", ";", "\t", SPACES):
         cells = [on_one_line(cell) for cell in cells_of(text, candidate)]
@@ -401,8 +407,8 @@ def _names_in_comment(comment: str, separator: str, count: int, is_strict: bool)
     return cells if not is_strict and len(cells) == count and not any(map(is_numeral, cells)) else None
 
 
-def _refused_preamble(name: str, text: str, first: int) -> DataError | None:
-    """Return the error where most lines have as many cells as a header below line `first`, and the lines above not."""
+def _preamble_error(name: str, text: str, first: int) -> DataError | None:
+    """Return the error if most lines have as many cells as a header below line `first`, and lines above it have not."""
     lines = [(number, line) for number, line in _lines(text) if number >= first and line.strip()]
     for separator in "\t;,":
         counts = [len(cells_of(line, separator)) for _, line in lines]

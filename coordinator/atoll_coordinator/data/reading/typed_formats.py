@@ -1,7 +1,7 @@
 """Formats whose cells have types -> `RawTable`: Excel workbooks, JSON and Parquet files.
 
 Excel is read by openpyxl (``pip install 'atoll[xlsx]'``), Parquet by polars (``pip install 'atoll[parquet]'``). JSON
-holds a list of records, a record a line, or columns by name, as pandas and polars write them.
+holds a list of records, one record per line, or columns by name, as pandas and polars write them.
 """
 
 import json
@@ -31,7 +31,7 @@ _EXPECTED: Final = 'a list of records such as [{"t": 0, "x": 1}] is expected'
 
 
 def check_sheet(files: Sequence[Path], sheet: str | None) -> None:
-    """Raise UsageError where a sheet is named, but no file is a workbook."""
+    """Raise UsageError if options name a sheet, but no file is a workbook."""
     if sheet is not None and not any(file.suffix.lower() in WORKBOOKS for file in files):
         what = files[0].name if files else "the input"
         raise UsageError(
@@ -40,7 +40,7 @@ def check_sheet(files: Sequence[Path], sheet: str | None) -> None:
 
 
 def read_workbook(path: Path, sheet: str | None = None) -> RawTable:
-    """Read the sheet that is named, else the first that holds a table, else the one with the most numbers.
+    """Read the sheet that options name, else the first sheet with a table, else the sheet with the most numbers.
 
     Raises DataError.
     """
@@ -70,7 +70,7 @@ def _sheets(path: Path) -> dict[str, list[Record]]:
         raise DataError(f"reading {path.name} needs openpyxl; run: pip install 'atoll[xlsx]'") from None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of extensions that do not matter here
+            warnings.simplefilter("ignore")  # warnings about extensions, which do not matter here
             book = openpyxl.load_workbook(path, read_only=True, data_only=True)
             try:
                 return {sheet.title: [*_records(sheet)] for sheet in book.worksheets}
@@ -78,7 +78,7 @@ def _sheets(path: Path) -> dict[str, list[Record]]:
                 book.close()
     except OSError:
         raise
-    except Exception as error:  # of many kinds, depending on the damage
+    except Exception as error:  # damaged files raise many kinds of errors
         raise DataError(f"{path.name} cannot be read as an Excel workbook; save the file again, or as CSV") from error
 
 
@@ -93,10 +93,10 @@ def _records(sheet: Any) -> Iterator[Record]:
 
 
 def table_of_rows(file: str, records: Sequence[Record]) -> RawTable:
-    """Return the cells of a sheet, without empty columns at its sides, and without notes above the table.
+    """Return the cells of a sheet without empty columns at both sides and without notes above the table.
 
-    `records` are its rows, of which one at least is not empty; `file` is for messages. Rows above the header whose
-    first cell alone is filled are notes. Raises DataError.
+    `records` are its rows, at least one of them not empty; `file` is for messages. Rows above the header with only the
+    first cell filled are notes. Raises DataError.
     """
     used = [place for _, cells in records for place, cell in enumerate(cells) if cell]
     first, last = min(used), max(used) + 1
@@ -116,7 +116,7 @@ def table_of_rows(file: str, records: Sequence[Record]) -> RawTable:
 
 
 def _is_table(raw: RawTable) -> bool:
-    """Tell whether a sheet has enough rows for a search, and two columns of nothing but numbers or dates."""
+    """Tell whether a sheet has enough rows for a search, and two columns with only numbers or dates."""
     filled = [[cell for cell in column if not is_missing(cell)] for column in raw.columns]
     columns = [cells for cells in filled if cells and all(is_numeral(cell) or is_date(cell) for cell in cells)]
     return len(raw.lines) >= SETTINGS.common.fewest_rows and len(columns) > 1
@@ -149,7 +149,7 @@ def _parsed(name: str, text: str) -> tuple[Any, str]:
         try:
             records.append(json.loads(line))
         except (ValueError, RecursionError) as error:
-            raise DataError(f"line {number} of {name} is not valid JSON; one record a line is expected") from error
+            raise DataError(f"line {number} of {name} is not valid JSON; one record per line is expected") from error
     return records, "JSON lines"
 
 
@@ -158,7 +158,7 @@ def table_of_document(name: str, document: object, remark: str) -> RawTable:
     headers, columns = _columns(name, document)
     for header, column in zip(headers, columns, strict=True):
         if any(isinstance(value, (list, dict)) for value in column):
-            raise DataError(f"column '{header}' of {name} holds lists or objects; write one number a cell")
+            raise DataError(f"column '{header}' of {name} holds lists or objects; write one number into each cell")
     return with_breaks(headers, [[*map(cell_of, column)] for column in columns], (remark,))
 
 
@@ -197,7 +197,9 @@ def read_parquet(path: Path) -> RawTable:
     columns, units = [], []
     for series in frame.get_columns():
         if series.dtype.is_nested():
-            raise DataError(f"column '{series.name}' of {path.name} holds lists or structures; write one number a cell")
+            raise DataError(
+                f"column '{series.name}' of {path.name} holds lists or structures; write one number into each cell"
+            )
         columns.append([cell_of(value) for value in _plain_series(series)])
         units.append("s" if isinstance(series.dtype, polars.Duration) else "")
     return with_breaks(frame.columns, columns, ("Parquet",), units)

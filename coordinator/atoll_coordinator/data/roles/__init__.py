@@ -1,4 +1,5 @@
-"""The roles of the columns of a table, from names and options alone; values are used only for one hint.
+"""The roles of the columns of a table, by their names and the options; values are used only for one hint.
 
-`columns`: names, units and options; `roles`: `assign_roles` and `assign_symbols`.
+`names_and_options`: units in names, columns that options name, contradictions between options; `roles`: `assign_roles`
+and `assign_symbols`.
 """

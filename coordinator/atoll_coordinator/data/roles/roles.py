@@ -10,7 +10,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from atoll_coordinator.data.roles.columns import (
+from atoll_coordinator.data.roles.names_and_options import (
     TIME_NAMES,
     check_options,
     find_time_column,
@@ -30,18 +30,18 @@ RESERVED: Final = frozenset(
     | {"sqrt", "abs", "Abs", "pow", "Pow", "inverse", "square", "neg", "sign"}
     | {"Symbol", "Function", "Integer", "Float", "Rational", "Number"}
 )
-"""Functions of expressions, and the names that sympy's parser itself writes into what it evaluates."""
+"""Functions of expressions, and the names that sympy's parser itself inserts into the code that it evaluates."""
 
 
 @dataclass(frozen=True)
 class Roles:
     """Column names by their role; `inputs` are variables without an equation.
 
-    `target` is set in explicit regression, `derivatives` (one per state) where they are given; with neither, the states
-    are differentiated in time, `order` times. `weights` is the column of the weights of rows. `held` are the inputs
-    that keep their value from one row to the next. `angles` are the states and inputs that are angles, with their unit;
-    `offsets` the states measured up to an offset. Trajectories with different values in column `group` may differ in
-    constants; so may all trajectories if `is_by_trajectory`.
+    `target` is set in explicit regression, `derivatives` (one for each state) if columns hold them; otherwise the
+    states are differentiated in time, `order` times. `weights` is the column of the weights of rows. `held` are the
+    inputs that keep their value from one row to the next. `angles` are the states and inputs that are angles, with
+    their unit; `offsets` are the states measured up to an offset. Trajectories with different values in column `group`
+    may have different constants; if `is_by_trajectory`, each trajectory may.
     """
 
     time: str | None
@@ -60,7 +60,7 @@ class Roles:
 
     @property
     def used(self) -> tuple[str, ...]:
-        """Every column that is used, once."""
+        """Every used column, without repetition."""
         single = (self.time, self.trajectory, self.group, self.target, self.weights)
         every = (*single, *self.states, *self.inputs, *self.derivatives)
         return tuple(dict.fromkeys(name for name in every if name is not None))
@@ -72,11 +72,11 @@ class Roles:
 
     @property
     def equations(self) -> tuple[str, ...]:
-        """Columns for which an equation is sought."""
+        """Columns whose equations are searched."""
         return self.states if self.target is None else (self.target,)
 
     def left_hand_side(self, name: str) -> str:
-        """Return the left-hand side of one equation as it is printed; components of a diffusion have one as well."""
+        """Return the left-hand side of an equation, or of a component of a diffusion, as it is printed."""
         if self.target is not None:
             return self.target
         power = "2" if self.order == 2 else ""
@@ -84,7 +84,7 @@ class Roles:
 
     @property
     def velocities(self) -> tuple[str, ...]:
-        """Names of the velocities that are variables: one for each state for order 2, else none."""
+        """Names of the velocities that are variables: one for each state for order 2, otherwise empty."""
         names = []
         for state in self.states if self.order == 2 else ():
             name = f"{state}_dot"
@@ -100,9 +100,9 @@ class Roles:
 
 
 def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
-    """Return the role of every column, and `config` with columns named as the table does, without units.
+    """Return the role of every column, and `config` with column names as in the table, without units.
 
-    Raises UsageError where options contradict each other, DataError for a column that does not exist or holds text.
+    Raises UsageError if options contradict each other, DataError for a column that does not exist or holds text.
     """
     config = strip_units(config, table.names)
     check_options(config)
@@ -128,7 +128,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
 
 
 def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
-    """Return the roles of columns by their names alone; nothing is checked."""
+    """Return the roles of columns by their names, without any checks."""
     time = find_time_column(names, config)
     taken = {time, trajectory, config.group, config.target, config.weights, *config.inputs, *(config.derivatives or ())}
     rest = tuple(name for name in names if name not in taken)
@@ -184,14 +184,14 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         counts = f"{len(roles.derivatives)} derivatives were named for the states {states}"
         raise UsageError(f"{counts}; name as many states with --states, in the same order")
     if roles.time is None and not roles.is_given:
-        raise _missing_time(table, roles.states, config)
+        raise _missing_time_error(table, roles.states, config)
 
 
 def _check_named_roles(roles: Roles, config: DataConfig) -> None:
-    """Raise UsageError where an option names a column that has not the role that the option needs."""
+    """Raise UsageError if an option names a column without the role that the option needs."""
     for name in config.only or ():
         if name not in roles.equations:
-            sought = f"equations are sought for {', '.join(roles.equations)}{did_you_mean(name, roles.equations)}"
+            sought = f"equations are searched for {', '.join(roles.equations)}{did_you_mean(name, roles.equations)}"
             raise UsageError(f"--only names '{name}', but {sought}")
     for name in config.offsets:
         if name not in roles.states:
@@ -206,12 +206,12 @@ def _check_named_roles(roles: Roles, config: DataConfig) -> None:
             known = ", ".join(roles.inputs) or "none; name it with --inputs"
             raise UsageError(f"--hold names '{name}', but the inputs are {known}")
         if name == roles.time:
-            raise UsageError(f"--hold names '{name}', the time, which does not stay the same between rows; remove it")
+            raise UsageError(f"--hold names '{name}', the time, which is not constant between rows; remove it")
 
 
-def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> DataError:
-    """Return the error of a table without a time; it names a state that may be the time."""
-    breaks = {name: number for name in states if (number := _breaks(table, name)) is not None}
+def _missing_time_error(table: Table, states: Sequence[str], config: DataConfig) -> DataError:
+    """Return the error for a table without a time; its message names a state that may be the time."""
+    breaks = {name: number for name in states if (number := _restarts(table, name)) is not None}
     ascending = next((name for name, number in breaks.items() if number == 0), None)
     restarting = next((name for name, number in breaks.items() if number > 0), None)
     advice = []
@@ -226,10 +226,10 @@ def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> Da
     return DataError(f"no time column was found (looked for {names}); {', or '.join(advice)}")
 
 
-def _breaks(table: Table, name: str) -> int | None:
-    """Return how often the numbers of a column do not increase within a trajectory, like times that restart.
+def _restarts(table: Table, name: str) -> int | None:
+    """Return how often the numbers of a column do not increase within a trajectory, as times do not at a restart.
 
-    None if they are not times: runs between two such rows are too short for a trajectory.
+    None if they cannot be times: the rows between two such places are too few for a trajectory.
     """
     steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
     ends = np.flatnonzero(~(steps > 0.0))
@@ -242,10 +242,10 @@ def _breaks(table: Table, name: str) -> int | None:
 
 
 def assign_symbols(columns: Sequence[str]) -> dict[str, str]:
-    """Return the symbol of each column in expressions: its name where possible, else a rewritten one; all are unique.
+    """Return the unique symbol of each column in expressions: its name if possible, else a rewritten name.
 
-    A symbol must survive being written into the text of an expression and being read by sympy's parser, whose
-    ``local_dict`` is made from these symbols: S, I, N, E and beta do; Python's keywords and names of functions do not.
+    A symbol must stay the same when an expression is written as text and read by sympy's parser, with a ``local_dict``
+    of these symbols. S, I, N, E and beta are possible; Python's keywords and names of functions are not.
     """
     symbols = {column: column for column in columns if _is_symbol(column)}
     taken = set(symbols.values())

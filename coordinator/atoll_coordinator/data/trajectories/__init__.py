@@ -1,6 +1,6 @@
-"""From a table whose columns have roles to measurements that can be smoothed: `measurements.take_measurements`.
+"""A table with roles of columns -> measurements that can be smoothed: `measurements.take_measurements`.
 
-- `checks`: which rows are used, and all checks of the measurements
-- `measurements`: where trajectories begin, their names, centred times and states, full turns taken out of angles, which
-  are held out; trajectories split at gaps in the times
+- `usable_rows`: selects the rows that can be used, and checks the measured values
+- `measurements`: where trajectories begin, their names, centred times, states with unwrapped angles, held-out
+  trajectories; trajectories split at gaps in the times
 """

@@ -1,9 +1,9 @@
-"""The selected rows of a table as trajectories, checked: all information before smoothing. Pure.
+"""The usable rows of a table as checked trajectories: the input of smoothing. Pure.
 
-A trajectory is one continuous measurement. Times are centred over the whole data set, and made exactly even where they
-are even within their own precision, so that an offset of 1900 or of 10**9 costs no precision. Angles are unwrapped.
-Where a gap in the times is longer than the rows that are smoothed together, a trajectory is split: the
-motion within the gap is unknown, and neither a slope nor a simulation should cross it.
+A trajectory is one continuous measurement. Times are centred over the whole data set, so that an offset of 1900 or of
+10**9 costs no precision. They are made exactly even if they are even within their own precision. Angles are unwrapped.
+If a gap in the times is longer than the span of smoothing, the trajectory is split there: the motion within the gap is
+unknown, and no slope or simulation should cross it.
 
 The checks are fast enough to run in a client, before it uploads the data.
 """
@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.trajectories.checks import (
+from atoll_coordinator.data.trajectories.usable_rows import (
     MIN_ROWS,
     check_no_turns,
     check_rates,
@@ -35,14 +35,14 @@ from atoll_core.errors import DataError, UsageError
 
 RADIANS_PER_DEGREE: Final = math.pi / 180.0
 MANY: Final = 10
-"""So many values of a trajectory column are listed in a message."""
+"""Most values of a trajectory column that a message lists."""
 MANY_SPLIT: Final = 5
-"""So many split trajectories are listed in a message."""
+"""Most split trajectories that a message lists."""
 LARGEST_PLAIN: Final = 1e15
 """Whole numbers below this are written without an exponent."""
 _TIME_ROUNDING: Final = 4.0
-"""Times are even when they are so within this many units in the last place of the largest one; steps are longer than
-this many times that rounding."""
+"""Times count as even if they are even within this many units in the last place of the largest time, and if steps are
+more than this many times as long as that unit."""
 Range = tuple[int, int]
 
 
@@ -50,8 +50,8 @@ Range = tuple[int, int]
 class Trajectories:
     """States along trajectories.
 
-    `names[i]` is the user's name of trajectory i; `times[i]` are its times less `offset`, the centre of all times,
-    ascending strictly; `states[name][i]` is a state along it, angles unwrapped and in radians, NaN where it is missing.
+    `names[i]` is the user's name of trajectory i; `times[i]` are its times minus `offset`, the centre of all times, and
+    ascend strictly; `states[name][i]` is a state along it, angles unwrapped and in radians, NaN where it is missing.
     """
 
     names: tuple[str, ...]
@@ -64,11 +64,11 @@ class Trajectories:
 class Measurements:
     """The used rows of a table: R rows, V columns.
 
-    `columns` are the used columns (R,) by name, angles in radians, states not finite where they are missing; `ranges`
-    are half-open ranges of rows, one for each trajectory, and `held_out` says of each whether it is kept from the
-    search; `trajectories` is None where the left-hand sides are given; `warnings` are sentences for the user; `groups`
-    has the group of each trajectory where groups may differ in constants, else nothing. Each row is the mean of about
-    `rows_of_mean` rows of the table.
+    `columns` are the used columns (R,) by name, angles in radians, missing states not finite. `ranges` are half-open
+    ranges of rows, one for each trajectory, and `held_out` tells for each trajectory whether it is held out of the
+    search. `trajectories` is None if columns hold the left-hand sides. `warnings` are sentences for the user. `groups`
+    has the group of each trajectory if groups may have different constants, otherwise it is empty. Each row is the mean
+    of about `rows_of_mean` rows of the table.
     """
 
     roles: Roles
@@ -82,7 +82,7 @@ class Measurements:
 
     @property
     def row_count(self) -> int:
-        """How many rows there are."""
+        """Number of rows."""
         return self.ranges[-1][1]
 
     @property
@@ -105,12 +105,15 @@ class Measurements:
 
     @property
     def group_names(self) -> tuple[str, ...]:
-        """The groups whose constants may differ, in the order of the data; none where all share them."""
+        """The groups whose constants may differ, in the order of the data.
+
+        Empty if all trajectories share the constants.
+        """
         return tuple(dict.fromkeys(self.groups))
 
     @property
     def group_of_row(self) -> IntArray | None:
-        """The group of each row (R,), by its place among `group_names`; None where there are none."""
+        """The group of each row (R,), as an index into `group_names`; None if there are no groups."""
         if not self.groups:
             return None
         names = self.group_names
@@ -126,10 +129,10 @@ class Measurements:
 
 
 def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measurements:
-    """Select the rows that are used and check what was measured; `config` names columns as `table` does.
+    """Select the usable rows and check the measurements; `config` names columns as `table` does.
 
-    Raises UsageError where the column of ``--holdout`` does not tell trajectories apart, DataError where the
-    measurements cannot be used as they are: the message says where and what to do.
+    Raises UsageError if the column of ``--holdout`` does not distinguish trajectories, DataError if the measurements
+    cannot be used: the message names the place and gives advice.
     """
     rows, warnings = select_usable_rows(table, roles, config)
     numbers = np.zeros(table.rows) if roles.trajectory is None else table.column(roles.trajectory)
@@ -165,8 +168,8 @@ def _split_trajectories(
     """Return names, times and states along each trajectory.
 
     `ranges` are half-open ranges into the `rows` of the table that are used; `columns` are at these rows, angles in
-    radians. Raises DataError where a trajectory is too short, its times do not ascend, or a state looks like a wrapped
-    angle.
+    radians. Raises DataError if a trajectory is too short, if its times do not ascend, or if a state looks like a
+    wrapped angle.
     """
     assert roles.time is not None
     times = table.column(roles.time)[rows]
@@ -191,9 +194,10 @@ def _split_trajectories(
 def _name_groups(
     table: Table, roles: Roles, names: Sequence[str], first_rows: Sequence[int], held_out: Sequence[bool]
 ) -> tuple[str, ...]:
-    """Return the group of each trajectory, nothing where constants are the same for all.
+    """Return the group of each trajectory; empty if all trajectories share the constants.
 
-    `first_rows` are rows of the table. Raises DataError where there is one group only, or a group is all held out.
+    `first_rows` are rows of the table. Raises DataError if there is only one group, or if all trajectories of a group
+    are held out.
     """
     if roles.group is None and not roles.is_by_trajectory:
         return ()
@@ -202,20 +206,20 @@ def _name_groups(
     if roles.group is not None:
         groups = tuple(_label(table, roles.group, row) for row in first_rows)
     if len(set(groups)) < 2:
-        raise DataError(f"{option} needs constants of two groups at least, but there is one only; leave it out")
+        raise DataError(f"{option} needs at least two groups, but there is only one; leave it out")
     searched = {group for group, is_out in zip(groups, held_out, strict=True) if not is_out}
     unseen = next((group for group in groups if group not in searched), None)
     if unseen is not None:
-        raise DataError(f"--holdout keeps all trajectories of group {unseen}, so its constants are unknown; keep fewer")
+        raise DataError(f"--holdout takes all trajectories of group {unseen}, so its constants are unknown; take fewer")
     return groups
 
 
 def select_held_out(holdout: int | str | None, trajectory: str | None, values: Sequence[str]) -> tuple[bool, ...]:
-    """Return for each trajectory whether it is held out: kept from every choice, so that equations can be judged by it.
+    """Return for each trajectory whether it is held out: equations are judged by it, and it influences no choice.
 
-    `holdout` is how many of the last trajectories, or ``COLUMN=VALUE``; `values` has the value of the column
-    `trajectory` for each trajectory. Raises UsageError where COLUMN does not tell them apart, DataError where there are
-    too few, or none with that value.
+    `holdout` is the number of trajectories to hold out, from the end, or ``COLUMN=VALUE``; `values` has the value of
+    the column `trajectory` for each trajectory. Raises UsageError if COLUMN does not distinguish them, DataError if
+    there are too few trajectories, or none with this value.
     """
     count = len(values)
     if isinstance(holdout, str):
@@ -223,7 +227,7 @@ def select_held_out(holdout: int | str | None, trajectory: str | None, values: S
         if name != trajectory:
             by = "blank rows or files" if trajectory is None else f"column '{trajectory}'"
             advice = f"add --trajectory {name}, or give the number of trajectories to hold out"
-            raise UsageError(f"--holdout names column '{name}', but trajectories are told apart by {by}; {advice}")
+            raise UsageError(f"--holdout names column '{name}', but trajectories are distinguished by {by}; {advice}")
         try:
             wanted = format_number(float(text) + 0.0)
         except ValueError:
@@ -237,7 +241,7 @@ def select_held_out(holdout: int | str | None, trajectory: str | None, values: S
         held_out = [place >= count - (holdout or 0) for place in range(count)]
     if all(held_out):
         there = "is only one trajectory" if count == 1 else f"are {count} trajectories"
-        raise DataError(f"--holdout {holdout} would keep everything from the search: there {there}; leave at least one")
+        raise DataError(f"--holdout {holdout} would leave nothing for the search: there {there}; leave at least one")
     return tuple(held_out)
 
 
@@ -249,12 +253,12 @@ def _label(table: Table, name: str, row: int) -> str:
 
 
 def format_number(value: float) -> str:
-    """Return a number as a person would write it: without a needless fraction."""
+    """Return a number as text, without a fraction if it is whole."""
     return f"{value:.0f}" if value.is_integer() and abs(value) < LARGEST_PLAIN else repr(value)
 
 
 def distinguish(names: Sequence[str]) -> tuple[str, ...]:
-    """Return `names`, repeated ones with a letter or a number: 2, 2b, 2c, …, 2z, 2aa, or a, a 2, a 3."""
+    """Return unique names: repeated names get a letter or a number, as in 2, 2b, 2c, …, 2z, 2aa, or a, a 2, a 3."""
     distinct: list[str] = []
     taken: set[str] = set()
     for name in names:
@@ -267,7 +271,7 @@ def distinguish(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _suffix(name: str, number: int) -> str:
-    """Return the end of a name that came `number` times before: nothing, b, c, …, z, aa, ab, …, or a number."""
+    """Return the suffix of a name that occurred `number` times before: "", b, c, …, z, aa, ab, …, or a number."""
     if number and name[:1].isalpha():
         return f" {number + 1}"
     text, rest = "", number + 1 if number else 0
@@ -278,11 +282,11 @@ def _suffix(name: str, number: int) -> str:
 
 
 def _center_times(times: FloatArray, centre: float) -> FloatArray:
-    """Return times - centre, exactly even when they are even to within their last bits."""
+    """Return times - centre; they are made exactly even if they are even to within their last bits."""
     precision = _TIME_ROUNDING * float(np.spacing(np.max(np.abs(times))))
     length, count = float(times[-1]) - float(times[0]), len(times) - 1
     step = length / count
-    rounded = (float(f"{step:.{digits}g}") for digits in range(1, 17))  # the fewest digits that span the length
+    rounded = (float(f"{step:.{digits}g}") for digits in range(1, 17))  # the fewest digits that cover the length
     step = next((candidate for candidate in rounded if abs(candidate * count - length) <= precision), step)
     steps: FloatArray = step * np.arange(len(times), dtype=np.float64)
     is_even = np.all(np.abs(times - (float(times[0]) + steps)) <= precision)
@@ -290,7 +294,7 @@ def _center_times(times: FloatArray, centre: float) -> FloatArray:
 
 
 def unwrap(values: FloatArray) -> FloatArray:
-    """Return an angle (radians) of one trajectory with jumps of more than half a turn taken out, NaN passed over."""
+    """Return an angle (radians) of one trajectory without jumps of more than half a turn; NaN is ignored."""
     turn = 2.0 * math.pi
     result = values.copy()
     turns = 0
@@ -306,7 +310,7 @@ def unwrap(values: FloatArray) -> FloatArray:
 def find_pieces(times: FloatArray, span: int) -> list[Range]:
     """Return the half-open ranges of rows between gaps longer than `span` median steps.
 
-    Times drawn at random are k median steps apart once in 2^k: gaps that may be chance are always bridged.
+    Random times have a gap of k median steps with probability 2^-k: gaps that may be chance are always bridged.
     """
     steps = np.diff(times)
     by_chance = int(1.0 / SETTINGS.common.improbable).bit_length()
@@ -315,9 +319,9 @@ def find_pieces(times: FloatArray, span: int) -> list[Range]:
 
 
 def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
-    """Return `measurements` with trajectories split at gaps longer than `span` rows; the same object without gaps.
+    """Return `measurements` with trajectories split at gaps longer than `span` rows; the same object if there are none.
 
-    Pieces that are too short to be differentiated are left out, unless too little would remain: then nothing is split.
+    Pieces that are too short to be differentiated are left out. If too little would remain, no trajectory is split.
     """
     whole = measurements.trajectories
     assert whole is not None
@@ -348,7 +352,7 @@ def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
 
 
 def take_pieces(measurements: Measurements, pieces: Sequence[Sequence[Range]]) -> Measurements:
-    """Return `measurements` with the `pieces` of each trajectory, ranges of its rows, as trajectories of their own."""
+    """Return `measurements` with the `pieces` of each trajectory, ranges of its rows, as separate trajectories."""
     whole = measurements.trajectories
     assert whole is not None
     parts = [(number, slice(*piece)) for number, ranges in enumerate(pieces) for piece in ranges]

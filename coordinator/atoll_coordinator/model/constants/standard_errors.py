@@ -1,7 +1,15 @@
-"""Standard errors, intervals and correlations of the constants of fitted equations, by normal equations. Pure.
+"""Standard errors, intervals and correlations of the constants of fitted equations, from normal equations. Pure.
 
-One way for all fits: to the rows of a target, to trajectories, and to the steps of a process. Letters: P fitted
-constants.
+All fits use this module: to the rows of a target, to trajectories, and to the steps of a process. `estimate_covariance`
+inverts the matrix of the normal equations, scaled to a unit diagonal. Directions with a negligible eigenvalue are not
+determined by the data, and neither are constants that load on them. `ConstantErrors` holds the result, and
+`ConstantErrors.describe` turns it into 95 % intervals (Student's t) for the report.
+
+Doubtful: the covariance is the local, linear one, so intervals of strongly nonlinear constants are too symmetric.
+Constants on a bound are treated as known: the errors of other constants do not include their uncertainty. The limit
+between "determined" and "not determined" (`_LEAST_EIGENVALUE`) is a rounding limit, not a statistical one.
+
+Letters: P fitted constants.
 """
 
 import math
@@ -33,46 +41,49 @@ _HIGH_CORRELATION: Final = 0.95
 """Correlations of at least this size between two constants are reported."""
 _LEAST_EIGENVALUE: Final = 1e-11
 """Smaller eigenvalues of the normal matrix with a unit diagonal are rounding errors."""
-_OPEN_LOADING: Final = 1e-6
-"""Squared component of a constant along a direction that is not determined, from which it is not determined itself."""
-_CANCELLED: Final = 1e-13
-"""Share of its diagonal below which the normal matrix is rounding: initial states then replace a constant."""
-_HELD: Final = 1e-9
-"""Standard error of a constant on its bound, over its size."""
+_UNDETERMINED_LOADING: Final = 1e-6
+"""A constant is not determined if its squared component along an undetermined direction is larger than this."""
+_CANCELLED_SHARE: Final = 1e-13
+"""Diagonal elements of the reduced over the full normal matrix below this ratio are rounding errors: initial states can
+then replace the constant."""
+_ERROR_ON_BOUND: Final = 1e-9
+"""Standard error that is assumed for a constant on its bound, over its size."""
 
 Flags = npt.NDArray[np.bool_]
 
 # ------------------------------------------------------------------------------------------------------- covariances
 
 
-def covariance_of(
-    normal: FloatArray, values: FloatArray, held: Flags, diagonal: FloatArray | None = None
+def estimate_covariance(
+    normal: FloatArray, values: FloatArray, on_bound: Flags, diagonal: FloatArray | None = None
 ) -> tuple[FloatArray, Flags]:
-    """Return the covariance (P, P) of fitted constants, positive definite, and which of them are not determined.
+    """Return the covariance (P, P) of fitted constants, positive definite, and which of them (P,) are not determined.
 
-    A constant is not determined if it loads on a direction that the data do not determine; its variance is large.
-    Constants that are `held` on a bound are as good as given: the others are judged with these where they are.
+    A constant is not determined if it loads on a direction that the data do not determine; its variance is then large.
+    Constants `on_bound` are treated as known: the other constants get their errors with these fixed.
 
     Args:
-        normal: the matrix (P, P) of the normal equations, other fitted numbers eliminated.
-        values: of the constants (P,).
-        held: which constants (P,) lie on a bound.
-        diagonal: of the matrix (P,) before the elimination; None: nothing was eliminated.
+        normal: the matrix (P, P) of the normal equations, after elimination of the other fitted numbers.
+        values: the values of the constants (P,).
+        on_bound: which constants (P,) lie on a bound.
+        diagonal: the diagonal (P,) of the matrix before the elimination; None: nothing was eliminated.
     """
     diagonal = np.diag(normal) if diagonal is None else diagonal
-    if not held.any():
-        return _inverse(diagonal, normal)
-    free, count = np.flatnonzero(~held), len(held)
-    covariances, is_open = np.zeros((count, count)), np.zeros(count, np.bool_)
+    if not on_bound.any():
+        return _invert_normal(diagonal, normal)
+    free, count = np.flatnonzero(~on_bound), len(on_bound)
+    covariances, is_undetermined = np.zeros((count, count)), np.zeros(count, np.bool_)
     if len(free):
-        covariances[np.ix_(free, free)], is_open[free] = _inverse(diagonal[free], normal[np.ix_(free, free)])
-    covariances[held, held] = (_HELD * np.maximum(np.abs(values[held]), _HELD)) ** 2
-    return covariances, is_open
+        covariances[np.ix_(free, free)], is_undetermined[free] = _invert_normal(
+            diagonal[free], normal[np.ix_(free, free)]
+        )
+    covariances[on_bound, on_bound] = (_ERROR_ON_BOUND * np.maximum(np.abs(values[on_bound]), _ERROR_ON_BOUND)) ** 2
+    return covariances, is_undetermined
 
 
-def _inverse(diagonal: FloatArray, normal: FloatArray) -> tuple[FloatArray, Flags]:
-    """Return the inverse of the normal matrix, and which constants are open."""
-    least = np.maximum(_CANCELLED * np.nan_to_num(diagonal), 1e-100)
+def _invert_normal(diagonal: FloatArray, normal: FloatArray) -> tuple[FloatArray, Flags]:
+    """Return the inverse of the normal matrix, and which constants are not determined."""
+    least = np.maximum(_CANCELLED_SHARE * np.nan_to_num(diagonal), 1e-100)
     scale = np.sqrt(np.clip(np.nan_to_num(np.diag(normal)), least, 1e100))
     with np.errstate(all="ignore"):
         unit = np.nan_to_num(normal / np.outer(scale, scale), posinf=0.0, neginf=0.0)
@@ -80,130 +91,137 @@ def _inverse(diagonal: FloatArray, normal: FloatArray) -> tuple[FloatArray, Flag
         values, vectors = np.linalg.eigh(unit)
     except np.linalg.LinAlgError:
         values, vectors = np.zeros(len(scale)), np.eye(len(scale))
-    is_open = (vectors[:, values < _LEAST_EIGENVALUE] ** 2 > _OPEN_LOADING).any(axis=1)
+    is_undetermined = (vectors[:, values < _LEAST_EIGENVALUE] ** 2 > _UNDETERMINED_LOADING).any(axis=1)
     with np.errstate(all="ignore"):
         inverse = (vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale)
-    return np.asarray(inverse), np.asarray(is_open)
+    return np.asarray(inverse), np.asarray(is_undetermined)
 
 
-def one_sided_reaches(normal: FloatArray, gradient: FloatArray | None, held: Flags) -> dict[int, float]:
-    """Return for each constant on a bound, by number, how far from it 95 % of its distribution reach.
+def one_sided_interval_lengths(normal: FloatArray, gradient: FloatArray | None, on_bound: Flags) -> dict[int, float]:
+    """Return for each constant on a bound, by index, the length of its one-sided 95 % interval, which starts at the
+    bound.
 
-    Near the bound the likelihood is a normal distribution whose centre lies beyond it, by the Newton step that
-    the gradient asks for; its part on the near side is the distribution of the constant.
+    Near the bound the likelihood is a normal distribution. Its centre lies beyond the bound, at the Newton step of the
+    gradient. The distribution of the constant is the part within the bounds.
 
     Args:
         normal: the curvature (P, P) of minus the log-likelihood.
         gradient: the slope (P,) of the log-likelihood; None: not known, and taken as zero.
-        held: which constants (P,) lie on a bound.
+        on_bound: which constants (P,) lie on a bound.
     """
     from scipy import special
 
-    free, reaches = np.flatnonzero(~held), {}
-    for number in np.flatnonzero(held).tolist():
+    free, one_sided_lengths = np.flatnonzero(~on_bound), {}
+    for number in np.flatnonzero(on_bound).tolist():
         chosen = np.array([*free, number])
         error = math.sqrt(max(float(inverse(normal[np.ix_(chosen, chosen)])[-1, -1]), 0.0))
         beyond = 0.0 if gradient is None else abs(float(gradient[number])) * error
-        tail = math.log(0.05) + float(special.log_ndtr(-beyond))  # of all that lies beyond the centre
+        tail = math.log(0.05) + float(
+            special.log_ndtr(-beyond)
+        )  # log of the tail probability beyond the end of the interval
         reach = error * (-float(special.ndtri_exp(tail)) - beyond)
-        reaches[number] = reach if math.isfinite(reach) else 0.0
-    return reaches
+        one_sided_lengths[number] = reach if math.isfinite(reach) else 0.0
+    return one_sided_lengths
 
 
 @dataclass(frozen=True, eq=False)
 class ConstantErrors:
     """The estimates of all constants and their errors.
 
-    `values` (P,) have the joint covariance `bounded` (P, P), positive definite: the inverse of the normal equations
-    times `scale`. Constants that are `open` (P,) are not determined by the data. `degrees_of_freedom` is for Student's
-    t. `lower` and `upper` (P,) are bounds, None without bounds; a constant on a bound has a one-sided interval that
-    `reaches` this far from it. Where several constants are multiples of one number, `columns` (P,) say of which.
-    Without `has_intervals` the errors of rows are not independent.
+    `values` (P,) have the joint covariance `finite_covariance` (P, P), positive definite: the inverse of the normal
+    equations times `scale`. `undetermined` (P,) tells which constants the data do not determine. `degrees_of_freedom`
+    is for Student's t. `lower` and `upper` (P,) are bounds, None without bounds. For a constant on a bound,
+    `one_sided_lengths` has the length of its interval, by index. Where several constants are multiples of one fitted
+    number, `columns` (P,) has the index of this number. `has_intervals` is False if the errors of rows are correlated.
     """
 
     values: FloatArray
-    bounded: FloatArray
-    open: Flags
+    finite_covariance: FloatArray
+    undetermined: Flags
     degrees_of_freedom: float
     scale: float = 1.0
     lower: FloatArray | None = None
     upper: FloatArray | None = None
-    reaches: Mapping[int, float] = field(default_factory=dict)
+    one_sided_lengths: Mapping[int, float] = field(default_factory=dict)
     columns: Ints | None = None
     has_intervals: bool = True
 
     @classmethod
-    def of_fit(  # noqa: PLR0913, as much as normal equations have
+    def from_fit(  # noqa: PLR0913, as much as normal equations have
         cls, values: FloatArray, normal: FloatArray, degrees_of_freedom: float, scale: float = 1.0,
         bounds: Sequence[FloatArray] | FloatArray | None = None, gradient: FloatArray | None = None,
         diagonal: FloatArray | None = None, *, has_intervals: bool = True,
     ) -> "ConstantErrors":  # fmt: skip
-        """Return the errors by the normal equations of a fit, see `covariance_of` and `one_sided_reaches`."""
-        held = np.zeros(len(values), np.bool_)
+        """Return the errors from normal equations, see `estimate_covariance` and `one_sided_interval_lengths`."""
+        on_bound = np.zeros(len(values), np.bool_)
         if bounds is not None:
-            held = (values <= bounds[0]) | (values >= bounds[1])
-        covariance, is_open = covariance_of(normal, values, held, diagonal)
-        reaches = one_sided_reaches(normal / scale, None if gradient is None else gradient / scale, held)
+            on_bound = (values <= bounds[0]) | (values >= bounds[1])
+        covariance, is_undetermined = estimate_covariance(normal, values, on_bound, diagonal)
+        one_sided_lengths = one_sided_interval_lengths(
+            normal / scale, None if gradient is None else gradient / scale, on_bound
+        )
         lower, upper = (None, None) if bounds is None else bounds
         return cls(
             values,
             covariance * scale,
-            is_open,
+            is_undetermined,
             degrees_of_freedom,
             scale,
             lower,
             upper,
-            reaches,
+            one_sided_lengths,
             has_intervals=has_intervals,
         )
 
     @property
     def covariance(self) -> FloatArray:
         """The covariance (P, P), with infinite variances of constants that are not determined."""
-        covariance = self.bounded.copy()
-        covariance[self.open, self.open] = math.inf
+        covariance = self.finite_covariance.copy()
+        covariance[self.undetermined, self.undetermined] = math.inf
         return covariance
 
     @property
     def standard_errors(self) -> FloatArray:
         """The standard errors (P,)."""
-        return np.where(self.open, math.inf, np.sqrt(np.maximum(np.diag(self.bounded), 0.0)))
+        return np.where(self.undetermined, math.inf, np.sqrt(np.maximum(np.diag(self.finite_covariance), 0.0)))
 
-    def of_multiples(self, columns: Ints, multiples: FloatArray) -> "ConstantErrors":
-        """Return the errors of constants, of which each is one of these numbers (`columns`) times a multiple."""
+    def for_multiples(self, columns: Ints, multiples: FloatArray) -> "ConstantErrors":
+        """Return the errors of constants (C,): constant c is fitted number `columns[c]` times `multiples[c]`."""
         scale = np.outer(multiples, multiples)
         lower = upper = None
         if self.lower is not None and self.upper is not None:
             lower, upper = np.sort([multiples * self.lower[columns], multiples * self.upper[columns]], axis=0)
         return ConstantErrors(
-            multiples * self.values[columns], scale * self.bounded[np.ix_(columns, columns)], self.open[columns],
-            self.degrees_of_freedom, self.scale, lower, upper,
+            multiples * self.values[columns], scale * self.finite_covariance[np.ix_(columns, columns)],
+            self.undetermined[columns], self.degrees_of_freedom, self.scale, lower, upper,
             {
-                place: abs(float(multiples[place])) * self.reaches[number]
+                place: abs(float(multiples[place])) * self.one_sided_lengths[number]
                 for place, number in enumerate(columns.tolist())
-                if number in self.reaches
+                if number in self.one_sided_lengths
             },
             columns,
         )  # fmt: skip
 
-    def described(self, number: int, value: float, **more: bool) -> Constant:
-        """Return a constant shown as `value`: its estimate, the standard error, and the 95 % interval (Student's t)."""
+    def describe(self, number: int, value: float, **more: bool) -> Constant:
+        """Return a constant shown as `value`, with its estimate, standard error and 95 % interval (Student's t)."""
         fitted, error = float(self.values[number]), float(self.standard_errors[number])
         constant = Constant(value=value, fitted=fitted, std_error=error, **more)
         if self.has_intervals:
-            reach = student_95(self.degrees_of_freedom) * error
+            reach = student_quantile_95(self.degrees_of_freedom) * error
             interval = (fitted - reach, fitted + reach) if math.isfinite(error) else None
             constant = constant.replaced(interval=interval, identifiable=reach < abs(fitted))
         if self.lower is None or self.upper is None:
             return constant
-        return _within_bounds(constant, float(self.lower[number]), float(self.upper[number]), self.reaches.get(number))
+        return _clip_to_bounds(
+            constant, float(self.lower[number]), float(self.upper[number]), self.one_sided_lengths.get(number)
+        )
 
 
-def _within_bounds(constant: Constant, lower: float, upper: float, reach: float | None) -> Constant:
-    """Return a constant with its interval clipped to its bounds; on a bound, with the one-sided interval of `reach`.
+def _clip_to_bounds(constant: Constant, lower: float, upper: float, reach: float | None) -> Constant:
+    """Return a constant with its interval clipped to its bounds.
 
-    Its `bounds` are given then, infinite on an open side. There is no standard error on a bound: the data would have
-    the constant beyond.
+    On a bound, the interval is one-sided and has the length `reach`; there is no standard error, since the minimum of
+    the misfit lies beyond the bound. `bounds` are set if at least one is finite.
     """
     if not (math.isfinite(lower) or math.isfinite(upper)):
         return constant
@@ -218,8 +236,8 @@ def _within_bounds(constant: Constant, lower: float, upper: float, reach: float 
     )
 
 
-def student_95(degrees_of_freedom: float) -> float:
-    """Return how many standard errors lie on either side of a 95 % interval (Student's t); infinite without freedom."""
+def student_quantile_95(degrees_of_freedom: float) -> float:
+    """Return half the width of a 95 % interval over the standard error (Student's t); infinite without freedom."""
     from scipy import special
 
     return float(special.stdtrit(degrees_of_freedom, 0.975)) if degrees_of_freedom > 0.0 else math.inf
@@ -229,64 +247,64 @@ def student_95(degrees_of_freedom: float) -> float:
 
 
 @dataclass(frozen=True)
-class Known:
-    """The constants of one equation with their errors: the written constants, and factors of one, which are not."""
+class EquationConstants:
+    """The constants of one equation with their errors: `written` ones, and factors of one that are not written."""
 
     written: tuple[Constant, ...]
     unit_coefficients: tuple[UnitCoefficient, ...] = ()
 
     @property
     def refuted_factors(self) -> list[int]:
-        """The factors of one, by number, that the data refute: their intervals do not hold one."""
+        """The indices of factors of one that the data refute: their intervals do not contain one."""
         return [number for number, one in enumerate(self.unit_coefficients) if not one.constant.is_within]
 
-    def with_simple(self, simple: Sequence[SimpleNumber | None]) -> "Known":
-        """Return the same with the simple numbers near the constants that are written; none for a given equation."""
+    def with_simple(self, simple: Sequence[SimpleNumber | None]) -> "EquationConstants":
+        """Return the constants with the simple number near each; `simple` is empty for a given equation."""
         if not simple:
             return self
         pairs = zip(self.written, simple, strict=True)
         return replace(self, written=tuple(constant.replaced(simple=number) for constant, number in pairs))
 
 
-def explicit_coefficients(program: Program, restrictions: Restrictions, *, is_given: bool) -> ExplicitCoefficients:
-    """Return an equation with its factors of one as constants; as it is written if it is given, or has bounds."""
+def make_explicit_if_free(program: Program, restrictions: Restrictions, *, is_given: bool) -> ExplicitCoefficients:
+    """Return an equation with its factors of one as constants; unchanged if it is given, or has bounds."""
     is_written = is_given or restrictions.bounds is not None
     return as_written(program) if is_written else make_coefficients_explicit(program)
 
 
 def describe_constants(
     given: Collection[int], explicit: Sequence[ExplicitCoefficients], shown: Sequence[Program], errors: ConstantErrors
-) -> list[Known]:
+) -> list[EquationConstants]:
     """Return the constants of each program with standard errors and 95 % intervals.
 
     Args:
-        given: the equations, by number, whose constants were not fitted.
+        given: the equations, by index, whose constants were not fitted.
         explicit: the programs of the `errors`, with factors of one as constants.
         shown: the same programs as they are written.
-        errors: of all constants of `explicit`, one program after the other.
+        errors: the errors of all constants of `explicit`, one program after the other.
     """
-    described: list[Known] = []
+    described: list[EquationConstants] = []
     number = 0
     for equation, (coefficients, program) in enumerate(zip(explicit, shown, strict=True)):
         values = program.constants[constant_places(program)].tolist()
         written, units = [Constant(value=value) for value in values], list[UnitCoefficient]()
         for origin in () if equation in given else coefficients.origins:
             if origin is None:
-                units.append(UnitCoefficient(coefficients.terms[len(units)], errors.described(number, ONE)))
+                units.append(UnitCoefficient(coefficients.terms[len(units)], errors.describe(number, ONE)))
             else:
-                written[origin] = errors.described(number, values[origin])
+                written[origin] = errors.describe(number, values[origin])
             number += 1
-        described.append(Known(tuple(written), tuple(units)))
+        described.append(EquationConstants(tuple(written), tuple(units)))
     return described
 
 
-def with_refuted_factors(
+def write_refuted_factors(
     explicit: Sequence[ExplicitCoefficients], fitted: Sequence[Program], shown: Sequence[Program],
-    known: Sequence[Known],
+    known: Sequence[EquationConstants],
 ) -> list[Program]:  # fmt: skip
-    """Return the programs `shown` with those factors of one written out that the data refute.
+    """Return the programs `shown`, with factors of one written as fitted constants where the data refute one.
 
-    `fitted` are the programs of `explicit` with fitted constants, `known` are the constants of these.
+    `fitted` are the programs of `explicit` with fitted constants, and `known` are their constants with errors.
     """
     return [
         write_factors(coefficients, program, constants.refuted_factors) if constants.refuted_factors else written
@@ -294,10 +312,10 @@ def with_refuted_factors(
     ]
 
 
-def fitted_places(
+def list_fitted_places(
     given: Collection[int], variables: Sequence[str], explicit: Sequence[ExplicitCoefficients]
 ) -> list[Place]:
-    """Return variable and place of each fitted constant, None for a factor of one, in the order of the fit."""
+    """Return variable and place of each fitted constant, in the order of the fit; None for a factor of one."""
     return [
         Place(variable=variable, constant=origin)
         for equation, (variable, coefficients) in enumerate(zip(variables, explicit, strict=True))
@@ -307,7 +325,7 @@ def fitted_places(
 
 
 def find_correlations(places: Sequence[Place], errors: ConstantErrors) -> tuple[Correlation, ...]:
-    """Return the pairs of constants that are written and highly correlated, the highest first."""
+    """Return the pairs of written constants that are highly correlated, the highest correlation first."""
     spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 1e-300))
     with np.errstate(invalid="ignore"):  # infinite variances
         unit = (errors.covariance / np.outer(spreads, spreads)).tolist()
@@ -323,7 +341,7 @@ def find_correlations(places: Sequence[Place], errors: ConstantErrors) -> tuple[
 
 
 def joint_covariance(places: Sequence[Place], matrix: FloatArray, degrees_of_freedom: float) -> Covariance | None:
-    """Return the covariance (P, P) of the constants at these places; None without any. Infinite variances are null."""
+    """Return the covariance (P, P) of the constants at these places; None without constants. Infinity is null."""
     if not places:
         return None
     rows = tuple(tuple(map(finite, row)) for row in matrix.tolist())

@@ -1,7 +1,7 @@
 """Inference on the selected model: a `SelectedModel` goes in, a `Refinement` comes out.
 
-- `conclusion`: the way through this list, on one page: `conclude`
-- `final_model`: the equations as they are shown, fitted to all rows, rounded, simulated in whole
+- `conclusion`: `conclude` calls everything below, in order; read it first
+- `final_model`: the equations as they are shown: fitted to all rows, rounded, simulated along whole trajectories
 - `groups`: which constants groups of trajectories share; `shared_terms`: terms that equations share, fitted together
 - `trajectory_simulation`: the model along measured trajectories, with bands
 - `long_run`: whether whole trajectories are described, and whether a chaotic model keeps the measured averages
@@ -9,8 +9,11 @@
 - `verdict`: the table of checks, and the grade that follows from it
 - `checks`: quantity, limit and clause of each check; further checks, and where quantities come from, in
   `trajectory_checks` for a simulated equation, in `target_checks` for the rows of a target
-- `residuals`: whether residuals are as large as the noise, and without a pattern; `quadratic_forms`: how large they may
-  be by chance; `residual_covariance`: their covariance in few rows, and how much larger standard errors are if these
-  rows do not show whether errors are correlated; `null_models`: comparison with having no equation
-- `remarks`: warnings about the pattern of residuals: noise of the process, runs, a forcing, a hidden state
+- `residuals`: tests of the size and of the pattern of residuals
+- `quadratic_forms`: probabilities of ratios of variances, for the tests
+- `residual_covariance`: the covariance of residuals if there are few rows, and how much it increases standard errors
+  that a correlation of the errors cannot be excluded
+- `null_models`: evidence for an equation against a constant and a random walk
+- `remarks`: warnings about a pattern of residuals: process noise, differences between trajectories, forcing, hidden
+  states
 """

@@ -1,9 +1,14 @@
 """The checks of an equation in every kind of job: the quantity, its limit, and the clause for the sentence. Pure.
 
-An object of `EquationChecks` stands for one equation. Its methods `check_...` are the checks, whose names are listed in
-the table of `verdict`; its properties are the quantities, computed when the first check asks for them.
-`trajectory_checks`, `target_checks` and `stochastic.checks` say where the quantities come from, and have the further
-checks of their kind.
+`EquationChecks` belongs to one equation. Its properties are quantities, such as the residuals over the noise; each is
+computed when a check first needs it. Each method `check_...` compares a quantity with a limit of `InferenceSettings`
+and returns a `Finding`: outcome, reason, value, limit, power. `verdict.RULES` lists the checks, and `verdict.judge`
+decides the grade from all findings. The subclasses in `trajectory_checks`, `target_checks` and `stochastic.checks` set
+the quantities and add checks.
+
+Doubtful: most limits are conventions (a tenth of a variance, 3 nats, p < 0.01), and no correction is made for the
+number of checks. The power of a test is computed for a slow pattern and for larger noise, not for every possible
+departure.
 """
 
 import math
@@ -25,7 +30,7 @@ from atoll_core.data.dataset import FloatArray, Target
 from atoll_core.expression.program import constant_places
 
 _UNKNOWN: Final = 10.0
-"""Standard errors over an estimate from which on a percentage is not shown: of an estimate of 0 it is infinite."""
+"""From this standard error over estimate on, no percentage is shown: it is infinite for an estimate of 0."""
 
 
 class Finding(NamedTuple):
@@ -50,20 +55,21 @@ UNSIMULATED: Final = Finding("not made", "it was not simulated along the traject
 class EquationChecks:
     """The checks that apply to an equation in every kind of job.
 
-    A check returns None if the equation was not simulated or has no value on some rows: the outcome is `unmade` then.
+    A check returns None if the equation was not simulated or has no value on some rows. Its finding is then
+    `default_finding`.
 
     The quantities of the residuals are in the unit of the state or target. `residuals` has (R,) numbers for each piece
-    of a trajectory: measured minus simulated values of this state, or target minus equation; the rows stand in the one
-    of `orders` possible orders in which neighbours are most alike. `innovations` are the whitened residuals if the
-    errors of a sensor are correlated. `covariance` (R, R) is the covariance of the residuals for independent errors of
-    variance one, None if it is not known. `parameters` is the count of numbers fitted to the residuals: constants and
-    initial values, each divided by the number of states that it was fitted to. `noise` is the standard deviation of the
-    measurement errors, 0 without noise; `reference` the smoother by which it was estimated, None if it is known.
-    `has_outliers` makes the tests robust.
+    of a trajectory: measured minus simulated values of this state, or target minus equation. For a target, `orders`
+    orders of the rows were tried, and the rows have the order in which neighbouring residuals are most similar.
+    `innovations` are the whitened residuals if the errors of a sensor are correlated. `covariance` (R, R) is the
+    covariance of the residuals for independent errors of variance one, None if it is not known. `parameters` is the
+    count of numbers fitted to the residuals: constants and initial values, each divided by the number of states that it
+    was fitted to. `noise` is the standard deviation of the measurement errors, 0 without noise; `reference` the
+    smoother by which it was estimated, None if it is known. `has_outliers` makes the tests robust.
     """
 
     kind: ClassVar[JobKind]
-    unmade: ClassVar[Finding]
+    default_finding: ClassVar[Finding]
     null_models: ClassVar[str]
     residuals: Sequence[FloatArray] = ()
     parameters: float = 0.0
@@ -87,7 +93,7 @@ class EquationChecks:
     ) -> None:
         """Take the equation as it is `shown`, and its `target` on the rows of the search.
 
-        The equation was given if it `is_known`. `stopped` names the stage that the time limit or, with `is_cancelled`,
+        `is_known`: the user gave the equation. `stopped` names the stage that the time limit or, with `is_cancelled`,
         the user stopped.
         """
         self.shown, self.target = shown, target
@@ -112,20 +118,20 @@ class EquationChecks:
 
     @property
     def merit(self) -> str:
-        """Why an equation is good of which the checks say nothing better."""
+        """Why the equation is good, if no check gives a more specific reason."""
         return "all checks have passed"
 
     @cached_property
     def statistics(self) -> ResidualStatistics:
         """The tests of the residuals."""
         residuals, innovations = self.residuals, self.innovations
-        if self.has_outliers:  # outliers must not decide
+        if self.has_outliers:  # outliers must not dominate the tests
             residuals = clip_outliers(residuals)
             innovations = None if innovations is None else clip_outliers(innovations)
         statistics = residual_statistics(
             residuals, self.noise, self.parameters, self.reference, innovations, self.covariance
         )
-        return replace(statistics, patterned=min(self.orders * statistics.patterned, 1.0))
+        return replace(statistics, pattern_probability=min(self.orders * statistics.pattern_probability, 1.0))
 
     @property
     def rows(self) -> int:
@@ -133,8 +139,8 @@ class EquationChecks:
         return sum(map(len, self.residuals))
 
     @property
-    def left(self) -> float:
-        """The standard deviation of the residuals over that of the measured values."""
+    def relative_residuals(self) -> float:
+        """The standard deviation of the residuals over the standard deviation of the measured values."""
         return self.statistics.standard_deviation / self.standard_deviation
 
     @property
@@ -144,43 +150,43 @@ class EquationChecks:
 
     @property
     def is_noisy(self) -> bool:
-        """Whether the noise is more than bias and rounding."""
+        """Whether the noise is larger than bias and rounding errors."""
         return self.relative_noise > SETTINGS.common.clean
 
     @property
     def are_integration_errors(self) -> bool:
-        """Whether the residuals are as small as integration errors may be, which always have a pattern."""
-        return self.left <= (SETTINGS.inference.exact if self.is_noisy else SETTINGS.common.negligible)
+        """Whether the residuals may be integration errors, which always have a pattern."""
+        return self.relative_residuals <= (SETTINGS.inference.exact if self.is_noisy else SETTINGS.common.negligible)
 
     @property
     def largest_departure(self) -> float:
-        """The largest share of a variance that residuals of this size can hide, at 95 %: their own upper bound."""
+        """The largest departure that residuals of this size can hide: a 95 % bound of their variance."""
         from scipy import special
 
         free = self.rows - self.parameters
         if free < 1.0:
             return math.inf
-        sum_of_squares = free * self.left**2
+        sum_of_squares = free * self.relative_residuals**2
         return float(sum_of_squares / special.chdtri(free, 1.0 - math.exp(-SETTINGS.inference.distinct_nats)))
 
     def departure(self, share: float) -> float:
         """Return `share` times the variance of the noise, over the variance of the state.
 
-        At most the largest departure that residuals of this size can hide.
+        The result is at most `largest_departure`.
         """
         return min(share * self.relative_noise**2, self.largest_departure) if self.rows else math.inf
 
     # ----------------------------------------------------------------------------------------------- rows and their fit
 
     def check_explained_variance(self) -> Finding:
-        """Check the R2: an equation that explains less than a tenth of the variance is no model."""
+        """Check that R2 is at least 0.1; below, the grade is `no model`."""
         if not math.isfinite(self.error):
             return Finding("failed", "its error is not finite", None, SETTINGS.inference.part)
         if self.target_r2 is None:
             return Finding("not made", "the target does not vary")
         what = "it is not" if self.is_known else "no equation was found that is"
-        what += f" much better than a constant (R2 {r2_text(self.target_r2)} on the target)"
-        return by_r2(self.target_r2, SETTINGS.inference.part, f"R2 {r2_text(self.target_r2)}", what)
+        what += f" much better than a constant (R2 {format_r2(self.target_r2)} on the target)"
+        return judge_r2(self.target_r2, SETTINGS.inference.part, f"R2 {format_r2(self.target_r2)}", what)
 
     def check_time(self) -> Finding:
         """Check that no stage was stopped."""
@@ -192,7 +198,7 @@ class EquationChecks:
         return Finding("not made", reason, advice="give more time with --max-time")
 
     def check_degrees_of_freedom(self) -> Finding | None:
-        """Check that there are more rows than numbers that were fitted to them."""
+        """Check that there are more rows than fitted numbers."""
         if not self.residuals:
             return None
         rows = self.rows if self.distinct_rows is None else min(self.rows, self.distinct_rows)
@@ -214,7 +220,7 @@ class EquationChecks:
         return Finding("failed", reason, count, least, advice="measure at other times or points")
 
     def check_no_equation(self) -> Finding | None:
-        """Check that the equation describes the rows better than no equation does."""
+        """Check that the equation describes the rows better than the null models do."""
         nats, least = self.null_nats, SETTINGS.inference.chance_nats
         if nats is None:
             return None
@@ -232,13 +238,14 @@ class EquationChecks:
         if not statistics.standard_deviation > 0.0:
             return Finding("not applicable", "there are no residuals")
         if self.are_integration_errors:
-            reason = f"a term of {percent(self.left)} of the standard deviation would look like integration errors"
+            size = format_percent(self.relative_residuals)
+            reason = f"a term of {size} of the standard deviation would look like integration errors"
             return Finding("passed", reason, statistics.correlation, limit, self.largest_departure)
-        seen = statistics.seen_correlation
+        seen = statistics.detectable_correlation
         power = self.departure(seen / (1.0 - seen) if seen < 1.0 else math.inf)
-        if statistics.correlation > limit and statistics.patterned < SETTINGS.inference.improbable:
-            share = percent(min(statistics.correlation, 1.0))
-            reason = f"{share} of the residual variance follows a pattern (p = {statistics.patterned:.1g})"
+        if statistics.correlation > limit and statistics.pattern_probability < SETTINGS.inference.improbable:
+            share = format_percent(min(statistics.correlation, 1.0))
+            reason = f"{share} of the residual variance follows a pattern (p = {statistics.pattern_probability:.1g})"
             return Finding("failed", reason, statistics.correlation, limit, power)
         reason = "the residuals show no pattern"
         if self.innovations is not None:
@@ -283,14 +290,14 @@ class EquationChecks:
     # -------------------------------------------------------------------------------------------------------- exactness
 
     def check_precision(self) -> Finding:
-        """Check that the residuals are as small as rounding and integration errors."""
+        """Check that the error is as small as rounding errors."""
         limit = self.target.convergence_threshold()
         is_met = self.target.uncertainty <= SETTINGS.common.clean and self.error <= limit
         reason = f"the error, {self.error:.1g} of the target's standard deviation, is at the level of rounding"
         return Finding("passed" if is_met else "failed", reason, self.error, limit)
 
     def check_odds_against_chance(self) -> Finding | None:
-        """Check that the equation is likelier than no equation by odds of 200, as `exact` requires."""
+        """Check that the odds of the equation against the null models are at least 200."""
         nats, least = self.null_nats, SETTINGS.inference.exact_nats
         if nats is None:
             return None
@@ -298,11 +305,11 @@ class EquationChecks:
         return Finding("passed" if nats >= least else "failed", reason, nats, least)
 
     def check_precision_of_constants(self) -> Finding:
-        """Check that all constants are known as precisely as in an exact law.
+        """Check that the relative standard errors of all constants are at most 0.1 %.
 
-        Dropping a constant whose estimate is t standard errors away from zero costs about t^2/2 nats. In data without
-        noise a term of the law gains millions of nats, a term that follows integration errors gains tens. Redundant
-        factors of one, such as the factors of x*y in x*y - x*(y - x), have no errors and do not count.
+        Dropping a constant whose estimate is t standard errors from zero costs about t^2/2 nats. In data without noise,
+        a term of the law gains millions of nats, and a term that describes integration errors gains tens of nats.
+        Redundant factors of one, such as the factors of x*y in x*y - x*(y - x), have no errors and do not count.
         """
         limit = SETTINGS.common.negligible
         shares = [
@@ -314,28 +321,28 @@ class EquationChecks:
             return Finding("not applicable", "no constant has a standard error")
         share, value = max(shares)
         if share <= limit:
-            return Finding("passed", f"all constants are known to {percent(share)} or better", share, limit)
-        certainty = f"is known to {percent(share)} only" if share < _UNKNOWN else "is not distinguishable from 0"
+            return Finding("passed", f"all constants are known to {format_percent(share)} or better", share, limit)
+        certainty = f"is known to {format_percent(share)} only" if share < _UNKNOWN else "is not distinguishable from 0"
         return Finding(
             "failed", f"the constant {value:.3g} {certainty}: its term may describe errors of the data", share, limit
         )
 
 
-def by_r2(r2: float, least: float, merit: str, fault: str) -> Finding:
-    """Return the outcome of a check by an R2; NaN explains nothing."""
+def judge_r2(r2: float, least: float, merit: str, fault: str) -> Finding:
+    """Return the finding of a check that R2 is at least `least`; it fails for NaN."""
     return Finding("passed", merit, r2, least) if r2 >= least else Finding("failed", fault, r2, least)
 
 
-def where(known: Prediction) -> str:
-    """Return the initial state from which a measurement is most informative, in words."""
+def describe_initial_state(known: Prediction) -> str:
+    """Return the initial state from which a measurement is most informative, such as "x = 1, y = 2"."""
     return ", ".join(f"{name} = {value:.3g}" for name, value in (known.measure_from or {}).items())
 
 
-def percent(share: float) -> str:
-    """Return a share in percent, two digits of it."""
+def format_percent(share: float) -> str:
+    """Return a share in percent, with two digits."""
     return f"{100.0 * share:.2g} %" if share < 0.995 else f"{100.0 * share:.0f} %"
 
 
-def r2_text(value: float) -> str:
+def format_r2(value: float) -> str:
     """Return R2 in up to four decimals, never rounded up to 1."""
     return f"{math.floor(value * 1e4) / 1e4:.4g}" if math.isfinite(value) else str(value)

@@ -1,7 +1,12 @@
 """From the chosen system to the reported model: constants with errors, alternatives, verdicts, simulations.
 
-`final_model` decides how the equations are shown; here they are simulated, compared with their alternatives, and judged
-(`trajectory_checks`, `verdict`). Constants of groups of trajectories are another set of numbers of the same model.
+`conclude` works in this order. `final_model.finalize` fixes the equations as they are shown. `estimate_errors` gives
+the errors of the constants. `long_run` tests whole trajectories or chaos. `prediction` compares the model with its
+alternatives from other initial states. `verdict.judge` grades each equation by its `TrajectoryChecks`. Simulations with
+bands are listed. If groups of trajectories have their own constants, the same steps use one set of constants per group.
+
+Doubtful: all errors and bands are conditional on the structure that was chosen. The selection of the structure from the
+same data adds uncertainty, which appears only in the comparison with the alternatives.
 """
 
 import math
@@ -13,30 +18,30 @@ import numpy as np
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.constants.standard_errors import (
     ConstantErrors,
-    Known,
+    EquationConstants,
     describe_constants,
     find_correlations,
-    fitted_places,
     joint_covariance,
-    student_95,
+    list_fitted_places,
+    student_quantile_95,
 )
 from atoll_coordinator.model.description_length import structure_length
 from atoll_coordinator.model.inference.final_model import FinalModel, estimate_errors, finalize
-from atoll_coordinator.model.inference.long_run import long_run_of
-from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
-from atoll_coordinator.model.inference.remarks import stochastic_remarks
+from atoll_coordinator.model.inference.long_run import assess_long_run
+from atoll_coordinator.model.inference.prediction import AlternativeSystem, compare_predictions, draw_systems
+from atoll_coordinator.model.inference.remarks import warn_of_random_walk
 from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
-    bands,
-    fit_starts,
-    listed_trajectories,
-    r2_of,
+    compute_r2,
+    fit_initial_states,
+    list_trajectories,
     rows_by_trajectory,
+    simulated_standard_errors,
     simulated_states,
 )
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
-from atoll_coordinator.model.regression.errors import grouped_errors_on
+from atoll_coordinator.model.regression.errors import measure_grouped_errors
 from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import piece_remarks
@@ -56,52 +61,52 @@ from atoll_core.expression.writing.expansion import expand_program
 
 
 def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement | None:
-    """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
+    """Return the refinement for the chosen system; None if it cannot be simulated on all rows."""
     final = finalize(selection)
     if final is None:
         return None
     task, system = final.task, final.free.fit.system
     errors = estimate_errors(final.comparison, final.free)
-    of_groups = [errors.of_multiples(columns, system.multiples) for columns in system.columns]
-    constants, by_group = _constants(final, of_groups)
-    out = None if final.unseen is None else _held_out(final, final.unseen, errors)
-    long_run = long_run_of(final)
+    of_groups = [errors.for_multiples(columns, system.multiples) for columns in system.columns]
+    constants, by_group = _describe_constants(final, of_groups)
+    out = None if final.held_out_comparison is None else _simulate_held_out(final, final.held_out_comparison, errors)
+    long_run = assess_long_run(final)
     chaos = long_run.chaos
-    predictions = _predictions(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
+    predictions = _predict_states(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
     held_out_r2: Sequence[float | None] = final.ranking.validated or (None,) * len(task.variables)
-    if out is not None and final.unseen is not None:
-        unseen = final.unseen.estimator.measurements
-        held_out_r2 = [-math.inf for _ in held_out_r2] if out[0] is None else r2_of(unseen, out[0], slice(None))
+    if out is not None and final.held_out_comparison is not None:
+        unseen = final.held_out_comparison.estimator.measurements
+        held_out_r2 = [-math.inf for _ in held_out_r2] if out[0] is None else compute_r2(unseen, out[0], slice(None))
     compared: list[TrajectoryChecks] = []
     for index, prediction in enumerate(predictions):
-        equation = _equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
+        equation = _describe_equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
         compared.append(TrajectoryChecks(final, long_run, index, equation, held_out_r2[index], compared))
     equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
-    measurements = final.seen.estimator.measurements
+    measurements = final.shown_comparison.estimator.measurements
     if measurements.rows > final.comparison.estimator.measurements.rows:
-        spread = _carried_bands(final, final.seen, final.seen_fit, errors)
+        spread = _errors_along_trajectories(final, final.shown_comparison, final.shown_fit, errors)
     else:
-        spread = bands(measurements, final.free.fit, errors.bounded, errors.scale)
-    recording, quantile = preparation.recording, student_95(errors.degrees_of_freedom)
+        spread = simulated_standard_errors(measurements, final.free.fit, errors.finite_covariance, errors.scale)
+    recording, quantile = preparation.recording, student_quantile_95(errors.degrees_of_freedom)
     assert recording is not None
-    trajectories = listed_trajectories(measurements, final.seen_fit, spread, task.variables, preparation, quantile)
-    if out is not None and final.unseen is not None:
-        trajectories += listed_trajectories(
-            final.unseen.estimator.measurements, *out, task.variables, preparation, quantile
+    trajectories = list_trajectories(measurements, final.shown_fit, spread, task.variables, preparation, quantile)
+    if out is not None and final.held_out_comparison is not None:
+        trajectories += list_trajectories(
+            final.held_out_comparison.estimator.measurements, *out, task.variables, preparation, quantile
         )
-    values, _ = simulated_states(measurements, final.seen_fit, task.variables)
+    values, _ = simulated_states(measurements, final.shown_fit, task.variables)
     simulated = [values[:, rows] for _, rows in rows_by_trajectory(measurements)]
-    places = fitted_places(final.comparison.fixed, task.variables, final.explicit)
+    places = list_fitted_places(final.comparison.fixed, task.variables, final.explicit)
     covariances = [joint_covariance(places, one.covariance, one.degrees_of_freedom) for one in of_groups]
     return Refinement(
         equations,
         Simulation(trajectories=tuple(trajectories)),
         () if final.by_group else find_correlations(places, of_groups[0]),
-        _state_errors(final),
+        _estimate_state_errors(final),
         (
             *piece_remarks(task, is_tested_in_whole=long_run.fits is True),
-            *_pole_remarks(final),
-            *stochastic_remarks(recording, task.variables, simulated),
+            *_warn_of_poles(final),
+            *warn_of_random_walk(recording, task.variables, simulated),
         ),
         chaos,
         fluxes=final.fluxes,
@@ -110,12 +115,12 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     )
 
 
-def _constants(
+def _describe_constants(
     final: FinalModel, of_groups: Sequence[ConstantErrors]
-) -> tuple[Sequence[Known], Sequence[Sequence[tuple[Constant, ...]]]]:
+) -> tuple[Sequence[EquationConstants], Sequence[Sequence[tuple[Constant, ...]]]]:
     """Return the estimates of the constants of each equation, and of each group if groups have their own.
 
-    All groups together have the constants that they share with their errors, and the means of the others without.
+    For all groups together, shared constants have their errors; other constants are means over groups, without errors.
     """
     fixed, columns = final.comparison.fixed, final.free.fit.system.columns
     described = [
@@ -126,24 +131,24 @@ def _constants(
         pairs = zip(described[0], final.rounded.simple, strict=True)
         return [known.with_simple(simple) for known, simple in pairs], [[] for _ in final.programs]
     are_shared = iter((columns == columns[0]).all(axis=0).tolist())
-    together, by_group = list[Known](), list[list[tuple[Constant, ...]]]()
+    together, by_group = list[EquationConstants](), list[list[tuple[Constant, ...]]]()
     for equation, program in enumerate(final.programs):
         groups = [known[equation].written for known in described]
         if equation in fixed:
-            together.append(Known(groups[0]))
+            together.append(EquationConstants(groups[0]))
             by_group.append([])
             continue
         flags = [next(are_shared) for _ in groups[0]]
         groups = [tuple(one.replaced(shared=flag) for one, flag in zip(group, flags, strict=True)) for group in groups]
         values = program.constants[constant_places(program)].tolist()
-        written = [_together(value, constants) for value, *constants in zip(values, *groups, strict=True)]
-        together.append(Known(tuple(written)))
+        written = [_combine_groups(value, constants) for value, *constants in zip(values, *groups, strict=True)]
+        together.append(EquationConstants(tuple(written)))
         by_group.append(groups)
     return together, by_group
 
 
-def _together(value: float, constants: Sequence[Constant]) -> Constant:
-    """Return a constant of all groups together: the shared one, or the mean of those of the groups without errors."""
+def _combine_groups(value: float, constants: Sequence[Constant]) -> Constant:
+    """Return a constant for all groups together: the shared one, or the mean over the groups, without errors."""
     if constants[0].shared:
         return constants[0]
     fitted = float(np.mean([constant.fitted or 0.0 for constant in constants]))
@@ -151,16 +156,16 @@ def _together(value: float, constants: Sequence[Constant]) -> Constant:
     return Constant(value=value, fitted=fitted, identifiable=is_known, shared=False)
 
 
-def _equation(
-    final: FinalModel, index: int, known: Known, by_group: Sequence[tuple[Constant, ...]],
+def _describe_equation(
+    final: FinalModel, index: int, known: EquationConstants, by_group: Sequence[tuple[Constant, ...]],
     held_out_r2: float | None, prediction: Prediction,
 ) -> Refined:  # fmt: skip
-    """Return one equation as it is shown, compared with its alternatives."""
+    """Return one equation as it is shown, with its alternatives."""
     task, ranking = final.task, final.ranking
     name, program = task.variables[index], final.programs[index]
     programs = [group_programs[index] for group_programs in final.by_group]
     problem = task.dataset.problem(name)
-    error, mse = grouped_errors_on(problem, programs or [program], task.config.evolution.loss)
+    error, mse = measure_grouped_errors(problem, programs or [program], task.config.evolution.loss)
     together = final.rounded.together
     return Refined(
         task.candidates[name].member_of(program),
@@ -169,7 +174,7 @@ def _equation(
         mse,
         known.written,
         known.unit_coefficients,
-        _alternatives(final, index, held_out_r2),
+        _describe_alternatives(final, index, held_out_r2),
         origin=final.origin(index, ranking.selection.model.programs[index]),
         prediction=prediction,
         by_group=dict(zip(task.recording.groups, zip(programs, by_group, strict=True), strict=True))
@@ -179,45 +184,46 @@ def _equation(
     )
 
 
-def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> tuple[Alternative, ...]:
-    """Return the equation that is shown and its closest alternatives, all other equations as they are."""
+def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> tuple[Alternative, ...]:
+    """Return the equation that is shown and its closest alternatives; all other equations stay the same."""
     ranking = final.ranking
     comparison, best = ranking.selection.comparison, ranking.selection.model
-    r2 = r2_of(final.seen.estimator.measurements, final.seen_fit, slice(None))[index]
+    r2 = compute_r2(final.shown_comparison.estimator.measurements, final.shown_fit, slice(None))[index]
     origin = final.origin(index, best.programs[index])
-    is_crossed = final.unseen is None and ranking.validated is not None
+    is_crossed = final.held_out_comparison is None and ranking.validated is not None
     alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
     for alternative in ranking.alternatives[index]:
         programs, nats = alternative.model.programs, alternative.model.nats - best.nats
-        r2 = r2_of(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
+        r2 = compute_r2(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
         held_out_r2 = None if alternative.validated is None else alternative.validated[index]
-        if nats <= SETTINGS.inference.distinct_nats and final.unseen is not None and not final.by_group:
-            fit = fit_starts(final.unseen, programs)
-            measurements = final.unseen.estimator.measurements
-            held_out_r2 = -math.inf if fit is None else r2_of(measurements, fit, slice(None))[index]
+        if nats <= SETTINGS.inference.distinct_nats and final.held_out_comparison is not None and not final.by_group:
+            fit = fit_initial_states(final.held_out_comparison, programs)
+            measurements = final.held_out_comparison.estimator.measurements
+            held_out_r2 = -math.inf if fit is None else compute_r2(measurements, fit, slice(None))[index]
         is_crossed = alternative.validated is not None
         origin = final.origin(index, programs[index])
         alternatives.append(Alternative(programs[index], nats, r2, held_out_r2, False, is_crossed, origin))
     return tuple(alternatives)
 
 
-def _held_out(
+def _simulate_held_out(
     final: FinalModel, unseen: ModelComparison, errors: ConstantErrors
 ) -> tuple[TrajectoryFit | None, FloatArray | None]:
-    """Return the simulation of the held-out trajectories from initial states that are fitted to them, and its bands.
+    """Return the simulation of the held-out trajectories, with fitted initial states, and its standard errors.
 
-    None if it failed; without bands if there are groups.
+    The simulation is None if it failed; there are no standard errors if there are groups.
     """
-    fit = final.simulated_by(unseen)
-    return fit, None if fit is None or final.by_group else _carried_bands(final, unseen, fit, errors)
+    fit = final.simulate_along(unseen)
+    return fit, None if fit is None or final.by_group else _errors_along_trajectories(final, unseen, fit, errors)
 
 
-def _carried_bands(
+def _errors_along_trajectories(
     final: FinalModel, comparison: ModelComparison, fit: TrajectoryFit, errors: ConstantErrors
 ) -> FloatArray | None:
-    """Return the standard errors (O, N) of trajectories that constants were not fitted to; None when they fail.
+    """Return the standard errors (O, N) of simulations along trajectories to which constants were not fitted.
 
-    One trajectory after another: with dozens of states, all sensitivities together would not fit into memory.
+    None if a simulation fails. Trajectories are simulated one after another: with dozens of states, all sensitivities
+    together would not fit into memory.
     """
     free, trajectory_bands = final.free.fit, []
     for owner in sorted(set(comparison.estimator.measurements.owners.tolist())):
@@ -225,15 +231,17 @@ def _carried_bands(
         near = estimator.fit(free.system, None, 0, starts, free.errors, is_stiff=fit.is_stiff)
         if near is None:
             return None
-        trajectory_bands.append(bands(estimator.measurements, near, errors.bounded, errors.scale))
+        trajectory_bands.append(
+            simulated_standard_errors(estimator.measurements, near, errors.finite_covariance, errors.scale)
+        )
     return np.concatenate(trajectory_bands, axis=1)
 
 
-def _predictions(final: FinalModel, errors: ConstantErrors, *, is_near: bool) -> list[Prediction]:
-    """Return how far each state can be predicted from other initial states, see `predict`.
+def _predict_states(final: FinalModel, errors: ConstantErrors, *, is_near: bool) -> list[Prediction]:
+    """Return how far each state can be predicted from other initial states, see `compare_predictions`.
 
-    The odds that the data alone give an alternative are shared by all alternatives of its equation: these were chosen
-    from many because they describe the data well (Bonferroni).
+    The odds of an alternative by the data alone are divided by the number of alternatives of its equation, since these
+    were chosen from many equations because they describe the data well (Bonferroni).
     """
     ranking = final.ranking
     own = ranking.selection.model
@@ -242,26 +250,29 @@ def _predictions(final: FinalModel, errors: ConstantErrors, *, is_near: bool) ->
             alternative.model.fit.system,
             equation,
             _odds(alternative.model.nats - own.nats),
-            _odds_of_data(alternative.model, own, equation, final.visited) / len(alternatives),
+            _odds_without_prices(alternative.model, own, equation, final.visited_points) / len(alternatives),
         )
         for equation, alternatives in enumerate(ranking.alternatives)
         for alternative in alternatives
     ]
-    drawn = draws(final.free.fit.system, errors.bounded)
-    seen = final.seen.estimator
-    return predict(seen.measurements, final.seen_fit.system, others, seen.tolerance, drawn, is_near=is_near)
+    drawn = draw_systems(final.free.fit.system, errors.finite_covariance)
+    seen = final.shown_comparison.estimator
+    return compare_predictions(
+        seen.measurements, final.shown_fit.system, others, seen.tolerance, drawn, is_near=is_near
+    )
 
 
 def _odds(nats: float) -> float:
-    """Return the odds of a description that is longer by this many nats, at most one."""
+    """Return the odds, at most one, of a description that is longer by this many nats."""
     return math.exp(-max(nats, 0.0))
 
 
-def _odds_of_data(other: FittedModel, own: FittedModel, equation: int, points: FloatArray) -> float:
-    """Return the odds of another model by misfit and constants (Schwarz 1978), without the prices of structures.
+def _odds_without_prices(other: FittedModel, own: FittedModel, equation: int, points: FloatArray) -> float:
+    """Return the odds of another model by misfit and number of constants (Schwarz 1978), without the price of
+    structures.
 
-    An elaboration, whose equation as a sum is the model's own with some values of its constants, has no other odds than
-    with it: there are many of them, each of which describes about as much.
+    An elaboration is an equation that equals the model's equation for some values of its constants. Its odds include
+    the price of the structure: there are many elaborations, and each describes the data about as well.
     """
     program, contained = other.programs[equation], own.programs[equation]
     expansion = expand_program(program)
@@ -272,8 +283,8 @@ def _odds_of_data(other: FittedModel, own: FittedModel, equation: int, points: F
     return _odds(lengths[0] - lengths[1])
 
 
-def _state_errors(final: FinalModel) -> dict[str, Errors]:
-    """Return the errors of each state as estimated from residuals, by name; empty without noise."""
+def _estimate_state_errors(final: FinalModel) -> dict[str, Errors]:
+    """Return the measurement errors of each state, estimated from residuals, by name; empty without noise."""
     comparison, fit = final.comparison, final.free.fit
     if comparison.score.is_exact(final.free):
         return {}
@@ -297,8 +308,8 @@ def _state_errors(final: FinalModel) -> dict[str, Errors]:
     return errors_by_state
 
 
-def _pole_remarks(final: FinalModel) -> Iterator[str]:
-    """Yield a sentence for each pole of an equation in the region that the data visit."""
+def _warn_of_poles(final: FinalModel) -> Iterator[str]:
+    """Yield a warning for each pole of an equation within the measured region."""
     dataset = final.task.dataset
     for name, program in zip(final.task.variables, final.programs, strict=True):
         for part in find_poles(program, dataset.inputs):

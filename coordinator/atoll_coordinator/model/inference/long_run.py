@@ -1,9 +1,16 @@
-"""Whether a model describes whole trajectories, and whether a chaotic one stays on the attractor that was measured.
+"""Whether a model describes whole trajectories, and whether a chaotic model stays on the measured attractor.
 
-No trajectory of a chaotic system can be predicted beyond some Lyapunov times, but averages can: a long simulation has
-the means and variances of the measurements, up to sampling errors. Both are compared by Welch's t, with averages over
-blocks that are long against the time in which errors grow: the later halves of trajectories, which begin where they
-were made to begin and come to the attractor first, or where there are few trajectories, parts of them.
+Constants may have been fitted to short pieces of trajectories. `assess_long_run` decides which test applies. A model
+that cannot be chaotic must describe whole trajectories (`_fits_in_whole`). For a chaotic model, `compare_averages`
+compares a long simulation with the measurements.
+
+A trajectory of a chaotic system cannot be predicted beyond some Lyapunov times, but averages can: a long simulation has
+the means and variances of the measurements, up to sampling errors. Both are compared by Welch's t test on averages over
+blocks, which are long compared with the time in which errors grow. Blocks are the later halves of trajectories, since
+the first halves may still approach the attractor; if there are few trajectories, blocks are parts of trajectories.
+
+Doubtful: means and variances do not identify an attractor, so a wrong model can pass. Block averages are treated as
+independent. The growth rate of errors is estimated along the measured trajectories only.
 """
 
 import math
@@ -14,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.inference.final_model import FinalModel
-from atoll_coordinator.model.inference.trajectory_simulation import r2_of
+from atoll_coordinator.model.inference.trajectory_simulation import compute_r2
 from atoll_coordinator.model.selection.shortcut import predictable_rows
 from atoll_coordinator.model.shooting.integration import Unsimulated
 from atoll_coordinator.model.shooting.measurements import Measurements
@@ -25,19 +32,20 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _BLOCKS: Final = 4
-"""Blocks that there are at least: the variance of fewer averages is not known."""
+"""Fewest blocks: the variance of fewer averages is not known."""
 _MOST_ROWS: Final = 4_000
-"""Rows of the long simulation, at most: where it has to be longer, they stand for several measured ones each."""
+"""Most rows of the long simulation: in a longer one, each row represents several measured rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class LongRun:
-    """The description of trajectories that are longer than the pieces of the fit.
+    """How the model describes trajectories that are longer than the pieces of the fit.
 
-    The model `fits` whole trajectories up to their noise or not; None if not known, for instance with `chaos`.
-    `r2` has the R2 of each state by simulations of whole trajectories of the equations as they are shown, only the
-    initial states fitted; None if they were not simulated, minus infinity if the simulation failed. For a driven model
-    whose errors grow exponentially, `predictable_rows` can be predicted, if these are fewer than a piece.
+    `fits`: whether the model describes whole trajectories up to their noise; None if not known, for instance with
+    `chaos`. `r2` has the R2 of each state in simulations of the shown equations along whole trajectories, with fitted
+    initial states; None if they were not simulated, minus infinity if the simulation failed. `predictable_rows` is set
+    for a driven model whose errors grow exponentially: the number of rows that can be predicted, if it is less than a
+    piece.
     """
 
     fits: bool | None
@@ -46,37 +54,38 @@ class LongRun:
     predictable_rows: int | None = None
 
 
-def long_run_of(final: FinalModel) -> LongRun:
+def assess_long_run(final: FinalModel) -> LongRun:
     """Return how a model describes whole trajectories.
 
-    It is chaotic where initial states are of no use for these, errors growing faster than the trajectories do: growth
-    has no attractor to stay on. That a model that is, or may be, does not fit whole trajectories says nothing; one that
-    cannot be chaotic is tested along them however fast errors grow.
+    The model is treated as chaotic if errors grow so fast that initial states do not determine whole trajectories. This
+    growth rate is taken relative to the growth of the trajectories, since a growing trajectory has no attractor. A
+    model that may be chaotic cannot be refuted by a bad fit to whole trajectories. A model that cannot be chaotic is
+    always tested along whole trajectories.
     """
     if final.task.piece >= final.task.longest:
         return LongRun(True, None)
     fit = final.free.fit
     rate = growth_rate(fit)
     growths = (rate, rate - speed_growth(fit))
-    may_be = may_be_chaotic(final.seen.estimator.measurements)
-    fits = None if may_be and all(_is_exponential(final, growth) for growth in growths) else _fits_in_whole(final)
+    may_be = may_be_chaotic(final.shown_comparison.estimator.measurements)
+    fits = None if may_be and all(_grows_exponentially(final, growth) for growth in growths) else _fits_in_whole(final)
     if fits:
         return LongRun(fits, None)
     may_be = may_be and not final.by_group
     predictable = max(predictable_rows(fit, final.comparison, growth) for growth in growths)
     if may_be and predictable < final.task.longest:
-        if len(final.seen.estimator.measurements.inputs) and predictable < final.task.piece:
+        if len(final.shown_comparison.estimator.measurements.inputs) and predictable < final.task.piece:
             return LongRun(fits, None, None, round(predictable))
-        chaos = look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
-        return LongRun(None, chaos, None if chaos is not None else _whole_r2(final))
-    fits = None if final.task.is_nearly_clean else fits  # errors of a solver add up
-    return LongRun(fits, None, _whole_r2(final) if fits is None else None)
+        chaos = compare_averages(final.shown_fit, rate, final.shown_comparison.estimator.tolerance)
+        return LongRun(None, chaos, None if chaos is not None else _whole_trajectory_r2(final))
+    fits = None if final.task.is_nearly_clean else fits  # errors of a solver add up: a bad fit proves nothing
+    return LongRun(fits, None, _whole_trajectory_r2(final) if fits is None else None)
 
 
-def _whole_r2(final: FinalModel) -> list[float | None] | None:
-    """Return R2 (O,) of the equations as they are shown along whole trajectories; None where time is over.
+def _whole_trajectory_r2(final: FinalModel) -> list[float | None] | None:
+    """Return R2 (O,) of the shown equations along whole trajectories; None after the time limit.
 
-    Without inputs, of very many rows every so-manyth is simulated.
+    Without inputs, very many rows are thinned evenly.
     """
     task = replace(final.task, piece=final.task.longest)
     if task.is_over:
@@ -85,17 +94,17 @@ def _whole_r2(final: FinalModel) -> list[float | None] | None:
     if not len(measurements.inputs):
         measurements = measurements.strided(-(-measurements.rows // SETTINGS.rows.most))
     comparison = task.make_comparison(measurements, task.variables, is_precise=True, measured_rows=measurements.rows)
-    fit = final.simulated_by(comparison)
+    fit = final.simulate_along(comparison)
     if fit is None:
         return None if task.is_over else [-math.inf for _ in measurements.observed]
-    return r2_of(measurements, fit, slice(None))
+    return compute_r2(measurements, fit, slice(None))
 
 
-def _is_exponential(final: FinalModel, rate: float) -> bool:
-    """Tell whether errors that grow at this rate grow more along a trajectory than a power of time does.
+def _grows_exponentially(final: FinalModel, rate: float) -> bool:
+    """Tell whether errors that grow at this rate outgrow a power of time along the longest trajectory.
 
-    Without exponential growth, errors of D linear equations grow at most like t^(D - 1): over N rows less than N^D
-    times.
+    Without exponential growth, errors of D linear equations grow at most like t^(D - 1): over N rows by a factor below
+    N^D.
     """
     measurements = final.comparison.estimator.measurements
     rows = final.task.longest
@@ -103,11 +112,11 @@ def _is_exponential(final: FinalModel, rate: float) -> bool:
 
 
 def _fits_in_whole(final: FinalModel) -> bool | None:
-    """Tell whether the shown equations describe whole trajectories up to their noise; None: this was not tested.
+    """Tell whether the shown equations describe whole trajectories up to their noise; None if this was not tested.
 
-    Errors of a phase grow in proportion to time, which is fast at first, unlike errors of slow chaos. Constants are
-    fitted once more, in pieces that grow to whole trajectories, with very many rows to a subset. A model that does not
-    describe the pieces is not tested, and no model is when the time is over.
+    Phase errors grow in proportion to time: fast at first, unlike errors of slow chaos. So constants are fitted once
+    more, in pieces that grow to whole trajectories; very many rows are thinned. There is no test after the time limit,
+    or for a model that does not describe the pieces.
     """
     task, programs = final.task, final.programs
     limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
@@ -134,18 +143,18 @@ def _fits_in_whole(final: FinalModel) -> bool | None:
 def may_be_chaotic(measurements: Measurements) -> bool:
     """Tell whether a model of these measurements can be chaotic at all.
 
-    A bounded trajectory of fewer than three states without inputs comes to a fixed point or a cycle, or is one
+    A bounded trajectory of fewer than three states without inputs is, or approaches, a fixed point or a cycle
     (Poincaré and Bendixson; Strogatz 1994, section 7.3); equations of second order have two states each.
     """
     return len(measurements.inputs) > 0 or len(measurements.smoothed) > 2
 
 
-def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
-    """Return the findings on chaos of a model whose errors grow at this `rate`; None if it has inputs.
+def compare_averages(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
+    """Compare a long simulation with the measured means and variances; None if the model has inputs.
 
     Args:
         fit: the model as it is shown, along the measured trajectories.
-        rate: e-folds per unit of time, above zero.
+        rate: growth rate of errors in e-folds per unit of time, above zero.
         tolerance: error of an integration step over a state's standard deviation.
     """
     measurements = fit.estimator.measurements
@@ -157,7 +166,7 @@ def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos |
     block = int(lengths.max()) // (_BLOCKS if are_few else 2)
     rows = max(_BLOCKS * block, min(measurements.rows, _MOST_ROWS))
     stride = -(-rows // _MOST_ROWS)
-    simulated = _simulated(fit, rows, stride, step, tolerance)
+    simulated = _simulate_long_run(fit, rows, stride, step, tolerance)
     if isinstance(simulated, str):
         return Chaos(lyapunov_time=1.0 / rate, is_kept=False, is_unfinished=simulated == "out of steps")
     measured = [measurements.smoothed[:, measurements.owners_of_rows == owner] for owner in range(len(lengths))]
@@ -169,25 +178,27 @@ def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos |
         measured_means = np.concatenate(
             [_block_means((trajectory - centre) ** power, block) for trajectory in measured], axis=1
         )
-        probability = min(probability, *_welch(simulated_means, measured_means))
+        probability = min(probability, *_welch_probabilities(simulated_means, measured_means))
     is_kept = probability >= SETTINGS.inference.improbable / (2.0 * len(centre))
     return Chaos(lyapunov_time=1.0 / rate, is_kept=is_kept, is_unfinished=False, probability=probability)
 
 
-def _simulated(fit: TrajectoryFit, rows: int, stride: int, step: float, tolerance: float) -> FloatArray | Unsimulated:
-    """Return every `stride`-th of this many rows simulated from the end of the last trajectory on, or why not."""
+def _simulate_long_run(
+    fit: TrajectoryFit, rows: int, stride: int, step: float, tolerance: float
+) -> FloatArray | Unsimulated:
+    """Return every `stride`-th of `rows` rows, simulated from the end of the last trajectory, or why it failed."""
     times = step * np.arange(0.0, rows, stride)
-    estimator = along(fit.estimator.measurements, times, tolerance, rows)
+    estimator = make_simulator(fit.estimator.measurements, times, tolerance, rows)
     return estimator.simulate(fit.system, fit.simulated[:, -1])
 
 
-def along(
+def make_simulator(
     measurements: Measurements, times: FloatArray, tolerance: float, measured_rows: int, owner: int = 0
 ) -> MultipleShooting:  # fmt: skip
-    """Return an estimator that simulates systems without inputs along these `times`, where nothing was measured.
+    """Return an estimator that simulates systems without inputs at these `times` (N,), without measurements.
 
-    This time has about `measured_rows` rows, each with its own allowance of steps. The constants are those of the
-    group of trajectory `owner`.
+    The allowed number of integration steps is proportional to `measured_rows`. Constants are taken from the group of
+    trajectory `owner`.
     """
     rows, count = len(times), len(measurements.observed)
     low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
@@ -210,13 +221,13 @@ def along(
 
 
 def _block_means(values: FloatArray, block: int) -> FloatArray:
-    """Return the means (D, B) of whole blocks of rows."""
+    """Return the means (D, B) over B blocks of `block` rows each, of values (D, N); an incomplete block is dropped."""
     count = max(values.shape[1] // block, 1)
     return np.array([part.mean(axis=1) for part in np.array_split(values[:, : count * block], count, axis=1)]).T
 
 
-def _welch(simulated_means: FloatArray, measured_means: FloatArray) -> list[float]:
-    """Return for each state the probability of means as different as these (B. L. Welch 1947)."""
+def _welch_probabilities(simulated_means: FloatArray, measured_means: FloatArray) -> list[float]:
+    """Return for each state the probability of at least this difference of means (B. L. Welch 1947)."""
     from scipy import special
 
     probabilities = []

@@ -1,10 +1,13 @@
-"""Is an equation a better description than having no equation? Evidence against a constant and a random walk. Pure.
+"""Evidence for an equation against null models without an equation: a constant and a random walk. Pure.
 
-A search that tries thousands of structures on few rows finds one that passes through all of them. The evidence of the
-rows for it is the marginal likelihood, with the variance of the errors and the constants integrated out: n rows minus
-the numbers fitted to them count, so that a model with as many numbers as rows gains nothing. By the inequality of
-Markov a description that is shorter than without an equation by t nats comes about by chance with a probability of at
-most exp(-t), however many structures were tried, as these are part of its length.
+A search that tries thousands of structures on few rows finds one that fits all of them. So `log_bayes_factor` compares
+marginal likelihoods, with the constants and the variance of the errors integrated out: a model with as many fitted
+numbers as rows gains nothing. `structure_price` is subtracted for the choice of the structure. By Markov's inequality,
+a description becomes shorter than the null model by t nats by chance with a probability of at most exp(-t). This holds
+for any number of tried structures, since the price of the structure is part of the length.
+
+Doubtful: the rows must be independent, so callers pass effective numbers of rows. The g prior (a = 3) and the prices of
+structures are conventions. The evidence is for a linear regression; nonlinear constants count like linear ones.
 
 Letters: n rows, k fitted constants in addition to the location.
 """
@@ -22,17 +25,17 @@ from atoll_core.expression.program import Program
 
 _POINTS: Final = 4_001
 _TAIL: Final = 60.0
-"""Nats beyond its knee to which the integrand is followed: it falls as exp(-t/2) there at least."""
+"""The integral ends this far beyond the knee of the integrand, which decreases there at least as exp(-t/2)."""
 _LEAVES: Final = 4.0
-"""Number of leaves to choose from, according to the price of a structure."""
+"""Number of possible leaves that the price of a structure assumes."""
 _LEAST_LEFT: Final = 1e-30
-"""Guard: smallest share of a variance that counts as more than zero."""
+"""Smallest share of a variance, to avoid the logarithm of zero."""
 
 
 def log_bayes_factor(rows: float, constants: float, left: float) -> float:
-    """Return the nats for a regression with k constants against the mean alone, n rows; 0 where k >= n - 1.
+    """Return the log Bayes factor in nats of a regression with k constants against the mean, n rows; 0 if k >= n - 1.
 
-    A model without constants has errors of a size of its own, and nothing else is fitted.
+    A model without constants fits only the variance of its errors.
 
     The hyper-g prior with a = 3 (Liang et al. 2008, J. Am. Stat. Assoc. 103:410, equation 17), with the variance of the
     errors unknown:
@@ -42,8 +45,8 @@ def log_bayes_factor(rows: float, constants: float, left: float) -> float:
     Args:
         rows: n.
         constants: k.
-        left: 1 - R2, the squared residuals over the squared differences from the mean; over the squared steps of a
-            random walk, which have one number less than there are rows as well.
+        left: 1 - R2: the sum of squared residuals over the sum of squared differences from the mean, or over the sum of
+            squared steps of a random walk. Both denominators have n - 1 degrees of freedom.
     """
     if rows - 1.0 <= constants:
         return 0.0
@@ -60,9 +63,9 @@ def log_bayes_factor(rows: float, constants: float, left: float) -> float:
 
 
 def squared_steps(series: Sequence[FloatArray], times: Sequence[FloatArray] | None = None) -> float:
-    """Return the sum of squared steps from row to row of all series (R,): the residuals of a random walk.
+    """Return the sum of squared differences of neighbouring rows of all series (R,): the residuals of a random walk.
 
-    With the `times` (R,) of each series the walk has a drift, the same for all.
+    If `times` (R,) of each series are passed, the walk has a drift, which all series share.
     """
     steps = np.concatenate([np.diff(values) for values in series])
     if times is not None:
@@ -72,9 +75,9 @@ def squared_steps(series: Sequence[FloatArray], times: Sequence[FloatArray] | No
 
 
 def structure_price(program: Program, columns: int) -> float:
-    """Return the nats of a structure (`structure_length`), each of its variables one of this many columns.
+    """Return the price of a structure in nats (`structure_length`), corrected for the number of columns.
 
-    That price counts a leaf as one of four, regardless of the number of columns.
+    `structure_length` counts each leaf as a choice among four. With more columns, each variable costs more.
     """
     leaves = int((program.operators == VARIABLE).sum())
     return structure_length(program) + leaves * max(math.log(max(columns, 1) / _LEAVES), 0.0)

@@ -1,15 +1,17 @@
-"""What a model predicts from other initial states within the measured range, and whether alternatives predict it, too.
+"""Whether the model and its alternatives predict the same from other initial states within the measured range.
 
-Where there are inputs, or groups of trajectories with constants of their own, each initial state takes the inputs and
-the group of one of the measured trajectories.
+Two equations may fit the measurements about as well, and still predict different values from other initial states. Then
+the data do not decide which values are right. So `compare_predictions` simulates the model, its alternatives and draws
+of its constants from such states. An alternative agrees if the R2 of its simulation, with the model's simulation as the
+truth, is above 0.9. The share of the odds that agrees is the probability that the predictions can be trusted.
 
-Data decide between two equations only if these describe the measurements unequally well. If two equations describe them
-about as well but predict different values from other initial states, the data do not decide which values are right. So
-the model, its alternatives and draws of its constants are simulated from such states. The share of the odds that
-predicts the same as the model is the probability that its predictions can be trusted.
+Within the measured range a short equation is more plausible. Outside, no data support its structure. If a simulation
+leaves the measured range, the odds of the alternatives therefore follow from the data alone, without prices of
+structures. With inputs, or with groups that have their own constants, each initial state takes the inputs and the group
+of one measured trajectory.
 
-Within the measured range a short equation is more plausible. Outside of it nothing supports its structure, so that the
-odds of other structures there follow from the data alone, without prices of structures.
+Doubtful: only the compared alternatives count, so a law that was never a candidate is missing from the odds. About a
+dozen initial states represent the measured range. Draws of the constants are normal, by the linear covariance.
 
 Letters: D states, O measured ones, N rows, P fitted constants, G initial states.
 """
@@ -24,7 +26,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.model.inference.long_run import along
+from atoll_coordinator.model.inference.long_run import make_simulator
 from atoll_coordinator.model.shooting.integration import Unsimulated
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
@@ -39,10 +41,10 @@ from atoll_core.expression.kernels.tape import Ints
 
 @dataclass(frozen=True, eq=False)
 class AlternativeSystem:
-    """A system that may be right in place of the model: another equation for one variable, or other constants.
+    """A system that may be right instead of the model: another equation for one variable, or other constants.
 
-    Alternatives of one `group` exclude one another; `odds` are the odds against the model, whose own are one,
-    `odds_of_data` the same without the price of structures.
+    Alternatives of one `group` exclude one another. `odds` are relative to the model, whose odds are one;
+    `odds_of_data` are the odds without the price of structures.
     """
 
     system: System
@@ -51,22 +53,23 @@ class AlternativeSystem:
     odds_of_data: float
 
 
-def predict(
+def compare_predictions(
     measurements: Measurements, model: System, alternatives: Sequence[AlternativeSystem], tolerance: float,
     drawn: Iterable[System] = (), *, is_near: bool = False,
 ) -> list[Prediction]:  # fmt: skip
-    """Return the prediction of each measured state; states without an equation are inputs as smoothed.
+    """Return how well each measured state can be predicted; states without an equation have their smoothed values.
 
     Args:
         measurements: the trajectories that were measured.
         model: the system that is shown.
         alternatives: other systems that describe the measurements.
         tolerance: error of an integration step over a state's standard deviation.
-        drawn: the model with constants drawn from their distribution, of which as many are taken as decide.
-        is_near: whether initial states are near measured ones: an attractor's box has parts that lead elsewhere.
+        drawn: the model with constants drawn from their distribution; draws stop when the result is decided.
+        is_near: whether initial states are near measured ones: parts of the box around an attractor lie outside of its
+            basin.
     """
-    elsewhere = _Elsewhere(measurements, tolerance, is_near=is_near)
-    own = elsewhere.own_courses(model)
+    other_states = _OtherInitialStates(measurements, tolerance, is_near=is_near)
+    own = other_states.simulate_model(model)
     followed = [place for place, course in enumerate(own) if not isinstance(course, str)]
     unfinished = sum(isinstance(course, str) and course == "out of steps" for course in own)
     states = range(len(measurements.observed))
@@ -75,12 +78,12 @@ def predict(
             starts=len(own), followed=0, unfinished=unfinished, probability=0.0, novelty=math.inf, is_disputed=False
         )
         return [nothing for _ in states]
-    horizon = elsewhere.horizon(model, own)
+    horizon = other_states.horizon(model, own)
     courses = [course[:, :horizon] for course in own if not isinstance(course, str)]
-    misses, misses_of_data = _Misses(len(states)), _Misses(len(states))
+    misses, misses_of_data = _Disagreement(len(states)), _Disagreement(len(states))
 
     def add(alternative: AlternativeSystem) -> None:
-        rival_courses = elsewhere.courses(alternative.system, followed)
+        rival_courses = other_states.simulate(alternative.system, followed)
         compared = [course if isinstance(course, str) else course[:, :horizon] for course in rival_courses]
         differences = _differences(compared, courses, len(states))
         if differences is not None:
@@ -93,15 +96,15 @@ def predict(
         add(AlternativeSystem(system, _DRAWN, 1.0, 1.0))
         if count >= SETTINGS.effort.beam and all(misses.is_decided(state) for state in states):
             break
-    distances = elsewhere.distances(courses)
-    farthest = int(np.argmax([course_distances.max() for course_distances in distances]))
-    novelty = float(np.median(np.concatenate(distances)))
+    distances_from_measured = other_states.distances_from_measured(courses)
+    farthest = int(np.argmax([course_distances.max() for course_distances in distances_from_measured]))
+    novelty = float(np.median(np.concatenate(distances_from_measured)))
 
     def predicted(state: int) -> Prediction:
-        reached = elsewhere.reached(courses, state)
-        probability, disputed = misses.agreement(state), misses.unlike(state)
+        reached = other_states.farthest_value(courses, state)
+        probability, disputed = misses.agreement(state), misses.most_disputed_place(state)
         if reached is not None and misses_of_data.agreement(state) < probability:
-            probability, disputed = misses_of_data.agreement(state), misses_of_data.unlike(state)
+            probability, disputed = misses_of_data.agreement(state), misses_of_data.most_disputed_place(state)
         return Prediction(
             starts=len(own),
             followed=len(followed),
@@ -110,31 +113,31 @@ def predict(
             novelty=novelty,
             reached=reached,
             is_disputed=disputed is not None,
-            measure_from=elsewhere.named(followed[farthest if disputed is None else disputed]),
+            measure_from=other_states.named_state(followed[farthest if disputed is None else disputed]),
         )
 
     return [predicted(state) for state in states]
 
 
 _DRAWN: Final = -1
-"""The group of what is drawn."""
+"""The group of the draws."""
 _MOST_DRAWS: Final = SETTINGS.effort.beam**2
-"""Number of draws: a share of 0.95 has a standard error of 0.02."""
+"""Most draws: a share of 0.95 then has a standard error of 0.02."""
 _STRIDE: Final = 4
 """One in this many simulated rows is compared with the measured rows."""
 
 
 Flags = npt.NDArray[np.bool_]
 Course = FloatArray | Unsimulated
-"""The measured states (O, N) from an initial state, or why there are none."""
+"""The simulated values (O, N) of the measured states, or the reason why the simulation failed."""
 
 
-class _Elsewhere:
-    """Simulates systems from initial states among measured ones, for as long as the longest trajectory.
+class _OtherInitialStates:
+    """Simulates systems from initial states between measured states, for the duration of the longest trajectory.
 
-    If measured trajectories end on their way out of the measured range, as in growth, other trajectories may leave it,
-    too: simulations that leave it on the same side are followed for as long as a measured trajectory lasts from about
-    there.
+    If measured trajectories end at a limit of the measured range, as in growth, other trajectories may leave the range
+    as well. A simulation that leaves the range on the same side is shortened: to the rows that the nearest measured
+    trajectory still has from a similar state.
     """
 
     def __init__(self, measurements: Measurements, tolerance: float, *, is_near: bool) -> None:
@@ -144,14 +147,14 @@ class _Elsewhere:
         self._estimators = _estimators(measurements, tolerance)
         self._is_near = is_near
         self._rows: dict[int, int] = {}
-        """Of the courses that are not followed to their end, by initial state."""
+        """Number of rows of shortened simulations, by initial state."""
 
     @cached_property
     def starts(self) -> FloatArray:
-        """Initial states (G, D): between two measured ones of one group, or near measured ones.
+        """Initial states (G, D): each between two measured states of one group, or near a measured state.
 
-        Where states without an equation are inputs as they were measured, initial states are a tenth of the way from
-        initial states of trajectories to others: farther away, these inputs would not be as they are.
+        If states without an equation are used as inputs with their measured values, each initial state is a tenth of
+        the way from the start of a trajectory to such a point: farther away, the measured inputs would not fit.
         """
         measurements = self._measurements
         if self._is_near and not measurements.has_smoothed_inputs:
@@ -165,7 +168,7 @@ class _Elsewhere:
         return np.asarray(begun + SETTINGS.inference.part * (points - begun))
 
     def _starts_of_groups(self, groups: Ints) -> FloatArray:
-        """Return initial states (G, D), each between two measured states of the group whose constants it takes."""
+        """Return initial states (G, D), each between two measured states of the group whose constants apply."""
         measurements, points = self._measurements, []
         between: dict[int, FloatArray] = {}
         for place in range(SETTINGS.effort.beam):
@@ -178,31 +181,31 @@ class _Elsewhere:
 
     @cached_property
     def _shift(self) -> FloatArray:
-        """Moves an initial state (D,) a little, without changing sums that are constant in the measured states."""
+        """A small shift (D,) of an initial state that keeps sums of states that are constant in the measurements."""
         measurements, noise = self._measurements, np.zeros(len(self._measurements.smoothed))
         noise[measurements.observed] = measurements.noise
         shift = SETTINGS.common.negligible * measurements.scales
         return np.asarray(remove_conserved_directions(shift[None], measurements.smoothed, noise)[0])
 
-    def own_courses(self, model: System) -> list[Course]:
-        """Return the model's courses from all initial states; from now on all are followed for as long as these."""
+    def simulate_model(self, model: System) -> list[Course]:
+        """Return the model's simulations from all initial states; other systems are then simulated for as many rows."""
         courses = []
         for place, start in enumerate(self.starts):
             simulated, why = self._estimator(place).simulate_until_blow_up(model, start)
             if why == "ran away" and self._leaves_as_measured(simulated[:, np.isfinite(simulated).all(axis=0)]):
                 self._rows[place] = self._rows_measured_from(start, place)
-            courses.append(self._followed(simulated, why, self._rows.get(place)))
+            courses.append(self._select_rows(simulated, why, self._rows.get(place)))
         return courses
 
-    def courses(self, system: System, places: Sequence[int]) -> list[Course]:
-        """Return the courses from these of the initial states."""
-        return [self._course(system, place, self.starts[place], self._rows.get(place)) for place in places]
+    def simulate(self, system: System, places: Sequence[int]) -> list[Course]:
+        """Return the simulations of a system from the initial states `places`, by index."""
+        return [self._simulate(system, place, self.starts[place], self._rows.get(place)) for place in places]
 
     def horizon(self, model: System, own: Sequence[Course]) -> int:
-        """Return for how many rows slightly different initial states lead to about the same course: chaos ends it."""
+        """Return for how many rows slightly shifted initial states give about the same values; chaos limits it."""
         moved = self.starts + self._shift
         whole = [place for place, course in enumerate(own) if not isinstance(course, str) and place not in self._rows]
-        others = ((own[place], self._course(model, place, moved[place])) for place in whole)
+        others = ((own[place], self._simulate(model, place, moved[place])) for place in whole)
         pairs = [
             (own_course, moved_course)
             for own_course, moved_course in others
@@ -216,22 +219,23 @@ class _Elsewhere:
             rows //= 2
         return rows
 
-    def distances(self, courses: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return how far rows of each course are from the nearest measured one, over the widths of the box."""
+    def distances_from_measured(self, courses: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return the distance (n,) of thinned rows of each course from the nearest measured row, over the ranges."""
         observed = self._measurements.observed
         width = self._width[observed]
         known = self._measurements.smoothed[observed].T[thinned_places(self._measurements.rows, MOST_POINTS)] / width
 
-        def looked_at(course: FloatArray) -> FloatArray:
+        def thinned_rows(course: FloatArray) -> FloatArray:
             count = course.shape[1]
             return np.asarray(course[:, thinned_places(count, max(1, count // _STRIDE))].T / width)
 
         return [
-            np.array([float(np.abs(known - row).max(axis=1).min()) for row in looked_at(course)]) for course in courses
+            np.array([float(np.abs(known - row).max(axis=1).min()) for row in thinned_rows(course)])
+            for course in courses
         ]
 
-    def reached(self, courses: Sequence[FloatArray], state: int) -> float | None:
-        """Return the value farthest beyond the measured range that a state takes, None where it stays about within."""
+    def farthest_value(self, courses: Sequence[FloatArray], state: int) -> float | None:
+        """Return the value of a state farthest beyond its measured range; None if it stays about within."""
         index = self._measurements.observed[state]
         low, width = self._low[index], self._width[index]
         values = np.concatenate([course[state] for course in courses])
@@ -241,25 +245,25 @@ class _Elsewhere:
             return None
         return highest if above >= below else lowest
 
-    def named(self, place: int) -> dict[str, float]:
-        """Return one of the initial states by name."""
+    def named_state(self, place: int) -> dict[str, float]:
+        """Return the values of one initial state by the names of the states."""
         names = self._measurements.variables[: len(self._low)]
         return dict(zip(names, self.starts[place].tolist(), strict=True))
 
     def _estimator(self, place: int) -> MultipleShooting:
-        """Return the function that simulates systems from one of the initial states."""
+        """Return the estimator that simulates systems from one of the initial states."""
         return self._estimators[place % len(self._estimators)]
 
-    def _course(self, system: System, place: int, start: FloatArray, rows: int | None = None) -> Course:
-        return self._followed(*self._estimator(place).simulate_until_blow_up(system, start), rows)
+    def _simulate(self, system: System, place: int, start: FloatArray, rows: int | None = None) -> Course:
+        return self._select_rows(*self._estimator(place).simulate_until_blow_up(system, start), rows)
 
-    def _followed(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
-        """Return the measured states of this many rows, all by default, or why the simulation ended earlier."""
+    def _select_rows(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
+        """Return the measured states in the first `rows` rows (default: all), or why the simulation ended earlier."""
         course = simulated[self._measurements.observed, :rows]
         return course if why is None or (rows is not None and np.isfinite(course).all()) else why
 
     def _leaves_as_measured(self, simulated: FloatArray) -> bool:
-        """Tell whether a course (D, K) leaves the measured range where a measured trajectory ends."""
+        """Tell whether a course (D, K) leaves the measured range on a side where a measured trajectory ends."""
         if not simulated.shape[1]:
             return False
         beyond = np.array([self._low - simulated[:, -1], simulated[:, -1] - self._low - self._width]) / self._width
@@ -269,7 +273,7 @@ class _Elsewhere:
         return bool(beyond[side, state] > 0.0 and np.any(ends >= end if side else ends <= end))
 
     def _rows_measured_from(self, start: FloatArray, place: int = 0) -> int:
-        """Return for how many rows the trajectory was measured that has the state nearest to this one."""
+        """Return how many rows follow in the measured trajectory after the measured state nearest to `start`."""
         measurements, times = self._measurements, self._estimator(place).measurements.times
         nearest = int(np.argmin(np.abs((measurements.smoothed.T - start) / self._width).max(axis=1)))
         last = self._last_rows[np.searchsorted(self._last_rows, nearest)]
@@ -284,10 +288,10 @@ class _Elsewhere:
 
 
 def _estimators(measurements: Measurements, tolerance: float) -> list[MultipleShooting]:
-    """Return the function that simulates systems from initial states, which take these in turn.
+    """Return the estimators that simulate systems; initial states use them in turn.
 
-    Without inputs that is for as long as the longest trajectory. With inputs it is along a few of the trajectories, up
-    to as many rows as a search is given.
+    Without inputs, a simulation lasts as long as the longest trajectory. With inputs, it follows one of a few measured
+    trajectories, for at most `RowSettings.most` rows.
     """
     lengths = np.bincount(measurements.owners_of_rows)
     owners = np.flatnonzero(lengths)
@@ -298,25 +302,25 @@ def _estimators(measurements: Measurements, tolerance: float) -> list[MultipleSh
         owners = owners[:1]
     if has_inputs:
         return [
-            MultipleShooting(_in_one_piece(measurements.part([owner]), owner), tolerance) for owner in owners.tolist()
+            MultipleShooting(_join_pieces(measurements.part([owner]), owner), tolerance) for owner in owners.tolist()
         ]
     length, rows = max(
         (float(np.ptp(measurements.times[measurements.owners_of_rows == owner])), int(lengths[owner]))
         for owner in np.flatnonzero(lengths).tolist()
     )
     times = np.linspace(0.0, length, SETTINGS.shooting.lengths[-1])
-    return [along(measurements, times, tolerance, rows, owner) for owner in owners.tolist()]
+    return [make_simulator(measurements, times, tolerance, rows, owner) for owner in owners.tolist()]
 
 
-def _in_one_piece(measurements: Measurements, owner: int) -> Measurements:
-    """Return the beginning of one trajectory, simulated without a break."""
+def _join_pieces(measurements: Measurements, owner: int) -> Measurements:
+    """Return the first rows of one trajectory as a single piece, simulated without a break."""
     rows = min(measurements.rows, SETTINGS.rows.most)
     beginning = measurements.pieces([(0, rows, owner)])
     return replace(beginning, resting=None, offset=np.zeros(0, dtype=np.int64))
 
 
-class _Misses:
-    """The odds of alternatives that predict something different, by group and state."""
+class _Disagreement:
+    """Sums the odds of alternatives that predict something different, by group and state."""
 
     def __init__(self, states: int) -> None:
         self._odds: dict[int, float] = {}
@@ -324,7 +328,7 @@ class _Misses:
         self._unlike = [(0.0, -1)] * states
 
     def add(self, group: int, odds: float, agrees: Flags, sizes: FloatArray) -> None:
-        """Add an alternative, by its differences from the model."""
+        """Add an alternative: whether it `agrees` with the model (O,), and its largest differences `sizes` (O, G)."""
         self._odds[group] = self._odds.get(group, 0.0) + odds
         against = self._against.setdefault(group, np.zeros(len(agrees)))
         against += odds * ~agrees
@@ -335,35 +339,35 @@ class _Misses:
                 self._unlike[state] = (largest, place)
 
     def agreement(self, state: int) -> float:
-        """Return the share of the odds that predicts the same as the model."""
+        """Return the share of the odds, of the model and its alternatives, that predicts the same as the model."""
         shares = [1.0 - self._against[group][state] / (1.0 + odds) for group, odds in self._odds.items()]
         return math.prod(float(share) for share in shares)
 
     def is_decided(self, state: int) -> bool:
         """Tell whether the share of agreeing draws is significantly above or below the limit of a good model.
 
-        It is beta distributed, from Jeffreys' prior on; 38 draws that all agree are enough.
+        The posterior of the share is a beta distribution, with Jeffreys' prior. 38 draws that all agree are enough.
         """
         from scipy import special
 
         if _DRAWN not in self._odds:
-            return True  # all draws take too many steps
+            return True  # all draws needed too many integration steps
         count, against = self._odds[_DRAWN], float(self._against[_DRAWN][state])
         wrong = math.exp(-SETTINGS.inference.distinct_nats)
         below = float(special.betainc(count - against + 0.5, against + 0.5, 1.0 - wrong))
         return min(below, 1.0 - below) <= wrong
 
-    def unlike(self, state: int) -> int | None:
-        """Return the place of the initial state from which predictions differ most, None: nowhere."""
+    def most_disputed_place(self, state: int) -> int | None:
+        """Return the index of the initial state from which predictions differ most; None if none differ."""
         place = self._unlike[state][1]
         return place if place >= 0 else None
 
 
 def _differences(courses: Sequence[Course], own: Sequence[FloatArray], states: int) -> tuple[Flags, FloatArray] | None:
-    """Return which states (O,) an alternative predicts as the model does, and the largest differences (O, G).
+    """Return which states (O,) an alternative predicts like the model, and the largest differences (O, G).
 
-    An alternative that diverges predicts something different; where it needs too many steps, its prediction is not
-    known: None if it is known from no initial state.
+    An alternative that diverges predicts something different. If a simulation needs too many steps, its prediction is
+    unknown; None if all predictions are unknown.
     """
     sizes = np.zeros((states, len(own)))
     pairs = []
@@ -382,25 +386,26 @@ def _differences(courses: Sequence[Course], own: Sequence[FloatArray], states: i
 
 
 def _r2(predicted: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArray:
-    """Return R2 (O,) of courses (O, N), all together."""
+    """Return R2 (O,) over all courses (O, N) together."""
     predicted_rows, true_rows = np.concatenate(predicted, axis=1), np.concatenate(true, axis=1)
     errors = ((predicted_rows - true_rows) ** 2).sum(axis=1)
     spread = ((true_rows - true_rows.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
     return np.asarray(1.0 - errors / np.maximum(spread, 1e-300))
 
 
-def draws(system: System, covariance: FloatArray) -> Iterator[System]:
-    """Yield `system` with all its constants drawn together from their distribution, without end; nothing without any.
+def draw_systems(system: System, covariance: FloatArray) -> Iterator[System]:
+    """Yield endlessly `system` with constants drawn from their joint normal distribution; yield nothing without
+    constants.
 
     Args:
-        system: with its constants as fitted.
-        covariance: theirs (P, P), finite.
+        system: has the fitted constants.
+        covariance: the covariance (P, P) of the constants, finite.
     """
     if not system.count:
         return
     deviations = np.sqrt(np.diag(covariance))
     deviations = np.where(deviations > 0.0, deviations, 1.0)
-    values, vectors = np.linalg.eigh(covariance / deviations[:, None] / deviations)  # in any units
+    values, vectors = np.linalg.eigh(covariance / deviations[:, None] / deviations)  # independent of units
     scales = deviations[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(0)
     while True:

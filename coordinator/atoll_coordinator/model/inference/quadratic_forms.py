@@ -1,7 +1,14 @@
-"""Sums of squares of the same normal errors compared: quadratic forms, their eigenvalues and tail probabilities. Pure.
+"""Tail probabilities of quadratic forms in normal errors, to compare two sums of squares of the same errors. Pure.
 
-Letters: n rows, p fitted parameters, S the matrix (n, n) by which loess makes smoothed values of measured ones, B the
-matrix (I - S)'(I - S) of its sum of squared residuals.
+`variance_ratio_tail` compares the residual variance of a model with the noise that loess estimates from the same rows.
+Both are quadratic forms in the same errors, so that their ratio has no F distribution. `probability_of_positive_sum`
+computes the tail from the eigenvalues of the difference of both forms.
+
+Doubtful: errors must be normal and independent. The derivatives by the parameters are assumed to be smooth, so that
+they lie in the space of the smallest eigenvalues. The saddlepoint approximation has relative errors of a few percent.
+
+Letters: n rows, p fitted parameters; S is the matrix (n, n) of loess, with smoothed values S y for measured values y; B
+is the matrix (I - S)'(I - S) of its sum of squared residuals.
 """
 
 import math
@@ -16,39 +23,40 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _REPRESENTED: Final = 8
-"""Lengths that represent the lengths of many trajectories: eigenvalues hardly differ between them."""
+"""Number of lengths that represent the lengths of many trajectories: eigenvalues hardly depend on the length."""
 _MOST_BINS: Final = 6 * SETTINGS.smoothing.bins
-"""Bins of a trajectory whose eigenvalues are computed; of more a stretch is taken."""
+"""Most bins of a trajectory whose eigenvalues are computed; a longer trajectory is represented by a part."""
 
 
 def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float, span: int, degree: int) -> float:
     """Return the probability of at least this ratio of two variances of the same errors if the model is right.
 
-    The numerator has the residuals of a model with p parameters, e'(I - H)e/(n - p) with the projection H on the
-    derivatives by the parameters; the denominator has the residuals of loess, e'Be/tr B. These derivatives are smooth,
-    so H takes the p smallest eigenvalues of B, and the ratio exceeds r where a sum of squares weighted by 1/(n - p) - r
-    b/tr B, over the other eigenvalues b, is positive. Compare Cleveland & Devlin (1988), section 4, who match two
-    moments.
+    The numerator is the residual variance of a model with p parameters, e'(I - H)e/(n - p), with the projection H on
+    the derivatives by the parameters. The denominator is the residual variance of loess, e'Be/tr B. The derivatives are
+    smooth, so H removes the p smallest eigenvalues of B. The ratio exceeds r if the sum of squares with the weights
+    1/(n - p) - r b/tr B, over the other eigenvalues b, is positive. Compare Cleveland & Devlin (1988), section 4, who
+    match two moments.
 
     Args:
         ratio: r, of variances, each over its degrees of freedom.
         lengths: rows of each trajectory.
         parameters: p.
-        span: rows that loess looks at together.
+        span: rows in one window of loess.
         degree: the degree of its polynomials.
     """
     values, counts = _residual_eigenvalues(tuple(sorted(lengths)), span, degree)
     trace = float(values @ counts)
     free = max(float(counts.sum()) - parameters, 1.0)
     left = np.clip(np.cumsum(counts) - parameters, 0.0, counts)
-    return positive_tail(1.0 / free - ratio * values / trace, left) if trace > 0.0 else 0.0
+    return probability_of_positive_sum(1.0 / free - ratio * values / trace, left) if trace > 0.0 else 0.0
 
 
-def positive_tail(weights: FloatArray, counts: FloatArray) -> float:
-    """Return the probability that the sum of w z^2, with z normal and each weight w repeated as given, is positive.
+def probability_of_positive_sum(weights: FloatArray, counts: FloatArray) -> float:
+    """Return the probability that the sum of w z^2 is positive, with standard normal z; `counts` has how often w
+    occurs.
 
-    By the saddlepoint approximation of Lugannani & Rice (1980), as Kuonen (1999) uses it: the relative error is a few
-    hundredths at most, also far out in the tail.
+    This is the saddlepoint approximation of Lugannani & Rice (1980), as used by Kuonen (1999). Its relative error is a
+    few hundredths at most, also far out in the tail.
     """
     from scipy import special
 
@@ -83,9 +91,9 @@ def _saddlepoint(weights: FloatArray, counts: FloatArray) -> float:
 
 @lru_cache(maxsize=64)
 def _residual_eigenvalues(lengths: tuple[int, ...], span: int, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return the eigenvalues of B, rising, of all trajectories together, and how often each counts.
+    """Return the eigenvalues of B for all trajectories together, in rising order, and how often each occurs.
 
-    Many trajectories are represented by some of their lengths, long ones by a stretch.
+    Many trajectories are represented by some of their lengths, a long trajectory by a part.
     """
     values, counts = [], []
     for group in np.array_split(np.array(lengths), min(len(lengths), _REPRESENTED)):
@@ -99,10 +107,10 @@ def _residual_eigenvalues(lengths: tuple[int, ...], span: int, degree: int) -> t
 
 
 def _eigenvalues(rows: int, span: int, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return the eigenvalues of B for one trajectory of evenly spaced rows, and how often each counts.
+    """Return the eigenvalues of B for one trajectory of evenly spaced rows, and how often each occurs.
 
-    If the span is wide, bins of several rows are smoothed: the differences within bins are not smoothed away, so that
-    all other eigenvalues are one. If there are too many bins for the matrix, a part of the trajectory is used.
+    If the span is wide, bins of several rows are smoothed. Differences within bins remain in the residuals: their
+    eigenvalues are one. If there are too many bins for the matrix, a part of the trajectory is used.
     """
     degree = min(degree, rows - 2)
     if degree < 0:

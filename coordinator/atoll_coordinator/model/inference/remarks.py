@@ -1,12 +1,16 @@
-"""Warnings about the pattern of residuals: noise of the process, constants of runs, a forcing, a hidden state. Pure.
+"""Warnings about a pattern of residuals: process noise, differences between trajectories, forcing, hidden states. Pure.
 
-Do the residuals of a state grow like a random walk? Then noise is part of the law. The mean square of second
-differences of rows l apart is constant for errors of measurement, grows with l for a random walk and with l^4 for what
-is smooth (compare variograms, Matheron 1963). An exponent between 1/2 and 5/2 is nearest to a walk's; a mixture of the
-other two passes through these values, but not over three doublings of the lag.
+`warn_of_random_walk` decides whether the residuals of a state grow like a random walk; then noise is part of the law.
+The mean square of second differences of rows l apart is constant for measurement errors. It grows with l for a random
+walk, and with l^4 for a smooth curve (compare variograms, Matheron 1963). An exponent between 1/2 and 5/2 is nearest to
+a random walk. A mixture of errors and a smooth curve has such an exponent too, but not over three doublings of the lag.
 
-The other warnings are decided by residuals of rates: derivatives estimated from the data minus the derivatives that the
-equation has at the smoothed states.
+`warn_of_residual_pattern` explains the residuals of rates: derivatives estimated from the data minus the derivatives by
+the equation at the smoothed states. It tries, in this order: a constant for each trajectory, a wave in time, a hidden
+state.
+
+Doubtful: these are hints and never change a grade. Rates are smoothed, so that neighbouring residuals are correlated;
+the number of independent rows is a rough estimate.
 """
 
 import math
@@ -28,19 +32,19 @@ from atoll_core.expression.program import Program
 _LAGS: Final = (1, 2, 4, 8)
 
 
-def stochastic_remarks(
+def warn_of_random_walk(
     recording: Recording, states: Sequence[str] = (), simulated: Sequence[FloatArray] = ()
 ) -> list[str]:
-    """Return a sentence that proposes ``--stochastic``, if the residuals of states look like it.
+    """Return a sentence that proposes ``--stochastic`` if residuals grow like a random walk, or an empty list.
 
-    `states` are simulated along the trajectories that were not held out (O, R). Without a simulation the
-    measurements are used as residuals: models of a stochastic process can rarely be simulated.
+    `simulated` has the simulated values (O, R) of the `states` along each trajectory that was not held out. Without
+    simulations the measurements replace the residuals: models of a stochastic process can rarely be simulated.
     """
     walking = []
     for index, state in enumerate(recording.states):
         measured = [part.measured[index] for part in recording.trajectories if not part.held_out]
         residuals = _residuals(measured, state, states, simulated) if simulated else measured
-        if _walks(measured, residuals, _rounding(recording, index)):
+        if _grows_like_walk(measured, residuals, _rounding(recording, index)):
             walking.append(state)
     if not walking:
         return []
@@ -67,15 +71,15 @@ def _residuals(
 
 
 def _rounding(recording: Recording, index: int) -> float:
-    """Return the variance of the rounding errors of a state; these stay the same from row to row, like a walk."""
+    """Return the variance of the rounding errors of a state; these may stay the same for several rows."""
     quantisation = recording.smoothing[index].quantisation if index < len(recording.smoothing) else None
     return 0.0 if quantisation is None else quantisation.error**2
 
 
-def _walks(measured: Sequence[FloatArray], residuals: Sequence[FloatArray], rounding: float) -> bool:
-    """Tell whether residuals grow like a walk with at least a tenth of the state's variance in a trajectory.
+def _grows_like_walk(measured: Sequence[FloatArray], residuals: Sequence[FloatArray], rounding: float) -> bool:
+    """Tell whether residuals grow like a random walk that explains at least 0.1 of the state's variance.
 
-    Not where they are no larger than errors of rounding, whose variance is given.
+    This is False if the residuals are only as large as rounding errors, whose variance is `rounding`.
     """
     if residuals and float(np.nanvar(np.concatenate(residuals))) <= SETTINGS.inference.excess**2 * rounding:
         return False
@@ -91,7 +95,7 @@ def _walks(measured: Sequence[FloatArray], residuals: Sequence[FloatArray], roun
 
 
 def _mean_square(residuals: Sequence[FloatArray], lag: int) -> float:
-    """Return the mean square of second differences of rows this far apart, over that of a walk; NaN left out."""
+    """Return half the mean square of second differences of rows `lag` apart; NaN is left out."""
     parts = [
         series[2 * lag :] - 2.0 * series[lag:-lag] + series[: -2 * lag] for series in residuals if len(series) > 2 * lag
     ]
@@ -101,16 +105,17 @@ def _mean_square(residuals: Sequence[FloatArray], lag: int) -> float:
 
 
 _FEWEST_RUNS: Final = 3
-"""Fewest trajectories that distinguish a constant of each trajectory from one wrong run."""
+"""Fewest trajectories that can show a difference between trajectories: with two, one may just be faulty."""
 _HALF: Final = 0.5
-"""Share of the residuals' variance that is most of it."""
+"""Share of the variance of the residuals that a pattern must explain."""
 
 
 @dataclass(frozen=True, eq=False)
 class RateResiduals:
-    """Residuals of the rate of one state (n,), their times and trajectories, and the variables at these rows (V, n).
+    """Residuals (n,) of the rate of one state, with `times` (n,) and the trajectory (`run`) of each row.
 
-    `rates` are the derivatives that the equation has; values of the states were smoothed over `span` rows.
+    `variables` (V, n) are the variables at these rows and `rates` (n,) the derivatives by the equation. States were
+    smoothed over `span` rows.
     """
 
     residuals: FloatArray
@@ -122,20 +127,20 @@ class RateResiduals:
 
     @property
     def rows(self) -> float:
-        """How many independent numbers there are, about: smoothing joins the rows of half a span."""
+        """About how many independent rows there are: smoothing correlates the rows within half a span."""
         return max(1.0, 2.0 * len(self.residuals) / max(2, self.span))
 
 
-def unexplained_remarks(recording: Recording, equations: Mapping[str, Refined], time: str = "t") -> Iterator[str]:
-    """Yield a sentence about the pattern in most of the residuals, for equations that are not good."""
+def warn_of_residual_pattern(recording: Recording, equations: Mapping[str, Refined], time: str = "t") -> Iterator[str]:
+    """Yield a warning about a pattern that explains most of the residuals, for equations that are not good."""
     found: dict[str, list[str]] = {}
     period = 0.0
     for place, state in enumerate(recording.states):
         equation = equations.get(state)
         if equation is None or equation.grade in ("exact", "good") or recording.groups:
             continue
-        rest = rate_residuals(recording, place, equation.program)
-        kind, wave = (None, None) if rest is None else _explanation(rest)
+        rest = compute_rate_residuals(recording, place, equation.program)
+        kind, wave = (None, None) if rest is None else _explain_residuals(rest)
         if kind is not None:
             found.setdefault(kind, []).append(f"'{state}'")
         period = period or wave or 0.0
@@ -158,8 +163,8 @@ def unexplained_remarks(recording: Recording, equations: Mapping[str, Refined], 
         )
 
 
-def rate_residuals(recording: Recording, place: int, program: Program) -> RateResiduals | None:
-    """Return the residuals of the rate of one state, None where they are not far larger than their errors."""
+def compute_rate_residuals(recording: Recording, place: int, program: Program) -> RateResiduals | None:
+    """Return the residuals of the rate of one state; None if they are about as small as their errors."""
     parts = [part for part in recording.trajectories if not part.held_out and part.rates is not None]
     if not parts or len(recording.smoothing) <= place:
         return None
@@ -186,26 +191,26 @@ def _variables(part: Trajectory, order: int) -> FloatArray:
     return np.concatenate(rows, axis=0)
 
 
-def _explanation(rest: RateResiduals) -> tuple[str | None, float | None]:
+def _explain_residuals(rest: RateResiduals) -> tuple[str | None, float | None]:
     """Return the pattern that explains most of the residuals, and the period of a forcing."""
     if _differ_by_run(rest):
         return "runs", None
-    if not _is_open(rest):
+    if not _depends_on_hidden_state(rest):
         return None, None
-    period = None if len(rest.variables) == 1 else _period(rest)  # one state alone does not swing in any case
+    period = None if len(rest.variables) == 1 else _find_period(rest)  # one state alone cannot oscillate
     return ("hidden" if period is None else "forcing"), period
 
 
 def _differ_by_run(rest: RateResiduals) -> bool:
-    """Say whether an addend, or a factor, of each run explains most of the residuals, and not by chance (F test)."""
+    """Tell whether a summand or a factor for each trajectory explains most of the residuals significantly (F test)."""
     from scipy.special import fdtrc
 
     runs = int(np.max(rest.run)) + 1
     if runs < _FEWEST_RUNS:
         return False
     for column in (np.ones(len(rest.rates)), rest.rates):
-        whole = _left(rest.residuals, column)
-        left = sum(_left(rest.residuals[rest.run == run], column[rest.run == run]) for run in range(runs))
+        whole = _residual_squares(rest.residuals, column)
+        left = sum(_residual_squares(rest.residuals[rest.run == run], column[rest.run == run]) for run in range(runs))
         free = rest.rows - runs
         if free < 1.0 or not 0.0 <= left < (1.0 - _HALF) * whole:
             continue
@@ -215,15 +220,15 @@ def _differ_by_run(rest: RateResiduals) -> bool:
     return False
 
 
-def _left(values: FloatArray, column: FloatArray) -> float:
-    """Return the sum of squared residuals after fitting a multiple of the column."""
+def _residual_squares(values: FloatArray, column: FloatArray) -> float:
+    """Return the sum of squared residuals after fitting a multiple of `column` (n,) to `values` (n,)."""
     square = float(np.sum(column * column))
     factor = float(np.sum(column * values)) / square if square > 0.0 else 0.0
     return float(np.sum((values - factor * column) ** 2))
 
 
-def _is_open(rest: RateResiduals) -> bool:
-    """Say whether rows of other passes with nearly the same states have other residuals."""
+def _depends_on_hidden_state(rest: RateResiduals) -> bool:
+    """Tell whether rows at other times with nearly the same states have different residuals."""
     every = max(1, len(rest.residuals) // SETTINGS.rows.compared)
     coordinates = [np.ascontiguousarray(row[::every]) for row in rest.variables]
     pairs = neighbours(coordinates, rest.run[::every], rest.span // every + 1)
@@ -231,10 +236,11 @@ def _is_open(rest: RateResiduals) -> bool:
     return found is not None and found.is_open
 
 
-def _period(rest: RateResiduals) -> float | None:
-    """Return the period of a wave in time that explains most of the residuals, None where there is none.
+def _find_period(rest: RateResiduals) -> float | None:
+    """Return the period of a wave in time that explains most of the residuals; None if there is none.
 
-    Least squares by frequency (Lomb 1976), up to four rows a period; two periods were measured at least.
+    Least squares for each frequency (Lomb 1976). A period has at least four rows, and at least two periods fit into the
+    measured time.
     """
     length = float(np.max(rest.times) - np.min(rest.times))
     steps = np.diff(rest.times)

@@ -1,4 +1,14 @@
-"""Few rows: the covariance of their residuals, and how sure constants are where errors may be correlated. Pure.
+"""For few rows: the covariance of residuals, and larger standard errors as errors may be correlated. Pure.
+
+*Covariance.* Fitting correlates residuals. Their covariance is I - H, with the projection H on the derivatives by all
+fitted numbers. `residual_covariances` returns it, so that the test for a pattern is exact in few rows.
+
+*Inflation.* Few rows cannot show whether neighbouring errors are correlated, and a correlation increases the variance
+of constants. `expected_variance_inflation` averages the variances over correlations from 0 to 0.9, weighted by the
+probability of the residuals and a prior that favours small correlations.
+
+Doubtful: the prior was chosen by simulation, so that intervals are about right for correlations of 0 and of 0.6. One
+correlation for all states is assumed.
 
 Letters: N rows, O measured states, P fitted constants, L numbers of an initial state, G pieces, n rows of one state,
 M measured numbers, K fitted numbers.
@@ -16,8 +26,8 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 _MOST_NUMBERS: Final = 750
-"""Measured numbers up to which the matrix is made, for its eigenvalues: the work grows with their cube. With more rows
-the distribution of correlations is about normal."""
+"""Most measured numbers for which the matrix is computed: the work for its eigenvalues grows with their cube. With more
+rows the distribution of correlations is about normal."""
 _INDEPENDENT: Final = 1e-9
 """Singular values of unit columns, over the largest, below which they are linearly dependent."""
 
@@ -25,19 +35,21 @@ _INDEPENDENT: Final = 1e-9
 def residual_covariances(measurements: Measurements, fit: TrajectoryFit) -> list[FloatArray] | None:
     """Return the covariance (n, n) of the residuals of each state in units of the variance of its errors.
 
-    These are blocks of I - H with the projection H on the derivatives by constants and initial states. None where there
-    are too many rows.
+    The matrices are blocks of I - H, with the projection H on the derivatives by constants and initial states. None if
+    there are too many rows.
     """
-    columns = whitened_columns(measurements, fit)
+    columns = scaled_derivatives(measurements, fit)
     if columns is None:
         return None
     ends = np.cumsum((measurements.weights > 0.0).sum(axis=1))
-    return [np.eye(len(rows)) - rows @ rows.T for rows in np.split(orthonormal(columns), ends[:-1])]
+    return [np.eye(len(rows)) - rows @ rows.T for rows in np.split(orthonormal_basis(columns), ends[:-1])]
 
 
-def whitened_columns(measurements: Measurements, fit: TrajectoryFit) -> FloatArray | None:
-    """Return by how much each measured number, one state after another, in units of its error, grows with each fitted
-    number: (n, P + L G), constants first. None where there are too many numbers."""
+def scaled_derivatives(measurements: Measurements, fit: TrajectoryFit) -> FloatArray | None:
+    """Return the derivatives (M, P + L G) of the measured numbers, in units of their errors, by the fitted numbers.
+
+    Rows are ordered state by state; the columns of constants come first. None if there are too many numbers.
+    """
     states, rows = measurements.weights.shape
     if states * rows > _MOST_NUMBERS:
         return None
@@ -53,26 +65,29 @@ def whitened_columns(measurements: Measurements, fit: TrajectoryFit) -> FloatArr
     return np.asarray(columns[measurements.weights > 0.0])
 
 
-def orthonormal(columns: FloatArray) -> FloatArray:
-    """Return orthonormal columns that span the same space as the columns (M, K), as many as are independent."""
+def orthonormal_basis(columns: FloatArray) -> FloatArray:
+    """Return orthonormal columns (M, k) that span the same space as the columns (M, K); k of these are independent."""
     sizes = np.sqrt((columns**2).sum(axis=0))
     basis, singular, _ = np.linalg.svd(columns[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
     return np.asarray(basis[:, singular > _INDEPENDENT * singular.max(initial=0.0)])
 
 
 _CORRELATIONS: Final = tuple(step / 10 for step in range(10))
-"""Correlations of neighbouring rows that are integrated over. Before the data are seen, r is as likely as 1 - r says:
-intervals of 8 to 20 rows then hold the truth in 99 % of the tables with independent errors, and in 91 to 94 % with a
-correlation of 0.6 (`benchmarks.noise.intervals`). No prior reaches 95 % for both, and none at all was 74 %."""
+"""Correlations r of neighbouring rows over which variances are averaged. The prior density is proportional to 1 - r.
+With it, 95 % intervals from 8 to 20 rows contain the truth in 99 % of the tables with independent errors, and in 91 to
+94 % of the tables with a correlation of 0.6 (`benchmarks.noise.intervals`). No prior reaches 95 % for both. Without the
+correction, intervals contained the truth in 74 %."""
 
 
-def widening(measurements: Measurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]) -> float:
-    """Return the variances of constants over the variances for independent errors, the correlation integrated out.
+def estimate_variance_inflation(
+    measurements: Measurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]
+) -> float:
+    """Return the variances of constants, averaged over correlations, over the variances for independent errors.
 
-    1 where there are so many rows that a correlation would have been found. The residuals of states that are not noisy
-    (O,) are correlated, and do not show errors of measurement.
+    1 if there are so many rows that a correlation would have been found. Only states with `is_noisy` (O,) are used: the
+    residuals of other states do not consist of measurement errors.
     """
-    columns = whitened_columns(measurements, fit)
+    columns = scaled_derivatives(measurements, fit)
     if columns is None or not fit.system.count:
         return 1.0
     counts = measurements.weights > 0.0
@@ -81,27 +96,27 @@ def widening(measurements: Measurements, fit: TrajectoryFit, is_noisy: npt.NDArr
     residuals = (np.sqrt(measurements.weights) * fit.residuals / sigmas)[counts]
     states, rows = np.nonzero(counts)
     owners = measurements.owners_of_rows[rows] + states * len(measurements.names)
-    return expected_widening(
+    return expected_variance_inflation(
         columns[noisy], residuals[noisy], owners[noisy], measurements.times[rows][noisy], fit.system.count
     )
 
 
-def expected_widening(
+def expected_variance_inflation(
     columns: FloatArray, residuals: FloatArray, owners: Ints, times: FloatArray, constants: int
 ) -> float:
-    """Return by how much the variances of the first `constants` fitted numbers grow in the mean over correlations.
+    """Return the factor, averaged over correlations, by which variances of the first `constants` fitted numbers grow.
 
-    Errors have the correlation r**(gap) within one owner, the gap in median steps. The probability of r is the
-    probability of the residuals with fitted numbers and variance integrated out (Harville 1974), and variances are the
-    second moments about the least-squares estimate. For several constants the geometric mean is returned: the
-    generalised variance.
+    Errors have the correlation r**(gap) within one owner, with the gap in median time steps. The weight of r is the
+    marginal likelihood of the residuals, with fitted numbers and variance integrated out (Harville 1974), times the
+    prior. Variances are second moments about the least-squares estimate. For several constants, the result is the
+    geometric mean, from the generalised variance.
 
     Args:
         columns: (M, K), derivatives of the measured numbers by the fitted numbers, in units of the errors.
         residuals: (M,), in the same units.
-        owners: (M,), the series that a number belongs to.
-        times: (M,).
-        constants: how many of the fitted numbers are constants; they come first.
+        owners: (M,), the series to which each measured number belongs.
+        times: (M,), the time of each measured number.
+        constants: the number of constants, which come first among the fitted numbers.
     """
     scales = np.sqrt((columns**2).sum(axis=0))
     if not (scales[:constants] > 0.0).all():

@@ -1,9 +1,20 @@
-"""Residuals of a simulated state: are they as large as the noise, and without a pattern? Pure.
+"""Tests of the residuals of a simulated state: their size against the noise, and their pattern. Pure.
 
 The residuals of a right model are the measurement errors: their variance is the variance of the noise, and neighbours
-are independent. Both are tested over all trajectories together, with p-values, and with the power of each test: the
-smallest departure of the model that it would have seen. Letters: R rows of one trajectory, n rows of all, p fitted
-parameters.
+are independent. `residual_statistics` tests both, over all trajectories together:
+
+- size: the residual variance over the noise variance. The distribution is chi-square if the noise is known, and a ratio
+  of quadratic forms if loess estimated the noise from the same errors (`quadratic_forms`).
+- pattern: the sum of correlations over a few lags, corrected for fitted parameters. The distribution is normal, or
+  exact if the covariance of the residuals is known (few rows).
+
+Each test has a p-value and a power: the smallest departure of the model that the test detects in five of six tables.
+Without this power, a test that passes would show nothing.
+
+Doubtful: errors must be normal and independent, or whitened. The correction for fitted parameters assumes smooth
+derivatives. A pattern whose sign changes from row to row is not looked for.
+
+Letters: R rows of one trajectory, n rows of all trajectories, p fitted parameters.
 """
 
 import math
@@ -14,18 +25,17 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.differentiation.smoothing import REACH
-from atoll_coordinator.model.inference.quadratic_forms import positive_tail, variance_ratio_tail
+from atoll_coordinator.model.inference.quadratic_forms import probability_of_positive_sum, variance_ratio_tail
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _LAGS: Final = 3
-"""Rows up to this far apart are compared; the residuals of a model that lacks a term have the same sign for several
-rows."""
+"""Largest lag in rows. The residuals of a model that lacks a term have the same sign for several rows."""
 
 
 @dataclass(frozen=True)
 class ReferenceSmoother:
-    """Loess of the same measurements, by which residuals are judged: its `span` (rows), its `degree`, its `noise`."""
+    """Loess of the same measurements, the reference for the residuals: `span` in rows, `degree`, estimated `noise`."""
 
     span: int
     degree: int
@@ -37,37 +47,39 @@ class ResidualStatistics:
     """Tests of the residuals of one state.
 
     `standard_deviation` is corrected for the fitted parameters. `ratio` is the standard deviation over the noise and
-    `too_large` the probability of at least that ratio if the residuals were noise. `correlation` is the correlation of
-    neighbours, as far as it exceeds what fitting causes: about the share of the residual variance that follows a
-    pattern; `patterned` is the probability of at least that much, over a few lags, if the residuals were noise.
+    `size_probability` the probability of at least that ratio if the residuals were noise. `correlation` is the
+    correlation of neighbours, as far as it exceeds what fitting causes: about the share of the residual variance that
+    follows a pattern; `pattern_probability` is the probability of at least that much, over a few lags, if the residuals
+    were noise.
 
-    `seen_ratio` and `seen_correlation` are the power of both tests: the smallest true ratio, and the smallest share of
-    a pattern, that they find in five of six tables (infinite: none).
+    `detectable_ratio` and `detectable_correlation` are the power of both tests: the smallest true ratio, and the
+    smallest share of a pattern, that they find in five of six tables (infinite: none).
     """
 
     standard_deviation: float
     ratio: float
-    too_large: float
+    size_probability: float
     correlation: float
-    patterned: float
-    seen_ratio: float = math.inf
-    seen_correlation: float = math.inf
+    pattern_probability: float
+    detectable_ratio: float = math.inf
+    detectable_correlation: float = math.inf
 
 
 def residual_statistics(
     residuals: Sequence[FloatArray], noise: float, parameters: float = 0.0, reference: ReferenceSmoother | None = None,
     innovations: Sequence[FloatArray] | None = None, covariance: FloatArray | None = None,
 ) -> ResidualStatistics:  # fmt: skip
-    """Return the tests of one state's residuals.
+    """Return the tests of the residuals of one state.
 
     Args:
         residuals: (R,) for each trajectory, measured minus simulated, finite.
         noise: standard deviation of the measurement errors, in the same unit. 0 gives an infinite ratio.
-        parameters: p, how many numbers were fitted to these residuals: constants and initial values, by share where
-            other states decide as well.
-        innovations: the whitened residuals where errors of measurement are correlated, for both probabilities; None:
-            errors are independent.
-        reference: the smoother that estimates the noise from the same errors, for `too_large`; None: `noise` is known.
+        parameters: p, the number of constants and initial values fitted to these residuals; numbers that several
+            states determine count in part.
+        innovations: the whitened residuals if measurement errors are correlated, for both probabilities; None: errors
+            are independent.
+        reference: the smoother that estimates the noise from the same errors, for `size_probability`; None: `noise` is
+            known.
         covariance: (n, n) of the residuals of noise of variance one, all rows one after another, which makes the
             distribution of correlations exact; None: they are about normal, since the fitted curves are smooth.
     """
@@ -85,41 +97,43 @@ def residual_statistics(
         errors = innovations
         square = float(sum(series @ series for series in errors))
         correlations, weights = _correlations(errors, square, parameters)
-    patterned = _patterned(errors, correlations, weights)
+    pattern_probability = _pattern_probability(errors, correlations, weights)
     if covariance is not None and len(covariance) == rows and rows - parameters >= 1.0 and correlations:
-        correlations[0], patterned = _exact_pattern(errors, square, covariance, _reach(rows, parameters))
+        correlations[0], pattern_probability = _exact_pattern(errors, square, covariance, _count_lags(rows, parameters))
     is_testable = rows - parameters >= 1.0
     return ResidualStatistics(
         standard_deviation,
         ratio,
-        _too_large(errors, square / free, noise, parameters, reference),
+        _size_probability(errors, square / free, noise, parameters, reference),
         correlations[0] if correlations else 0.0,
-        patterned,
-        _seen_ratio(errors, noise, parameters, reference) if is_testable else math.inf,
-        _seen_correlation(weights, rows) if is_testable else math.inf,
+        pattern_probability,
+        _detectable_ratio(errors, noise, parameters, reference) if is_testable else math.inf,
+        _detectable_correlation(weights, rows) if is_testable else math.inf,
     )
 
 
-def _patterned(errors: Sequence[FloatArray], correlations: Sequence[float], variances: Sequence[float]) -> float:
-    """Return the probability of at least these correlations, all together, in noise: they are about normal."""
+def _pattern_probability(
+    errors: Sequence[FloatArray], correlations: Sequence[float], variances: Sequence[float]
+) -> float:
+    """Return the probability of at least this sum of correlations in noise, which is about normal."""
     from scipy import special
 
     return float(special.ndtr(-sum(correlations) / math.sqrt(sum(variances)))) if sum(variances) else 0.5
 
 
-def _reach(rows: float, parameters: float) -> int:
-    """Return how many rows apart are compared: what p fitted curves leave turns within n/p rows."""
+def _count_lags(rows: float, parameters: float) -> int:
+    """Return the largest lag in rows: residuals after fitting p numbers change their sign within n/p rows."""
     return max(1, min(_LAGS, int(rows / (2.0 * max(parameters, 1.0)))))
 
 
 def _exact_pattern(
     errors: Sequence[FloatArray], square: float, covariance: FloatArray, reach: int
 ) -> tuple[float, float]:
-    """Return the correlation of neighbours in excess of noise, and the probability of the sum over all lags.
+    """Return the correlation of neighbours minus its mean in noise, and the probability of the sum over all lags.
 
-    Residuals e of noise have the covariance I - H, with the projection H on the derivatives by the fitted numbers. The
-    sum of correlations exceeds r where the quadratic form e'(A - r I)e is positive, with 1/2 in the off-diagonals of A
-    as far as the lags reach within a trajectory.
+    If the errors are noise, residuals e have the covariance I - H, with the projection H on the derivatives by the
+    fitted numbers. The sum of correlations exceeds r if the quadratic form e'(A - r I)e is positive. A has 1/2 on the
+    off-diagonals up to the largest lag, within each trajectory.
     """
     owners = np.repeat(np.arange(len(errors)), list(map(len, errors)))
     places = np.concatenate([np.arange(len(series)) for series in errors])
@@ -132,20 +146,22 @@ def _exact_pattern(
     weights = np.linalg.eigvalsh(root.T @ (near - ratio * np.eye(len(near))) @ root)
     first = float(sum(series[:-1] @ series[1:] for series in errors)) / square
     expected = float((covariance * (lags == 1)).sum()) / 2.0 / max(float(np.trace(covariance)), 1.0)
-    return first - expected, positive_tail(weights, np.ones(len(weights)))
+    return first - expected, probability_of_positive_sum(weights, np.ones(len(weights)))
 
 
-def _seen_ratio(
+def _detectable_ratio(
     errors: Sequence[FloatArray], noise: float, parameters: float, reference: ReferenceSmoother | None
 ) -> float:
-    """Return the ratio of standard deviations, model to noise, that the test finds in five of six tables.
+    """Return the ratio of residuals to noise, as standard deviations, that the test detects in five of six tables.
 
-    That is the ratio whose variance, less one standard deviation of it, is still too large.
+    The variance at this ratio, minus one standard deviation of the estimated variance, is just significant.
     """
     free = max(sum(map(len, errors)) - parameters, 1.0)
 
     def is_too_large(ratio: float) -> bool:
-        return _too_large(errors, (ratio * unit) ** 2, noise, parameters, reference) < SETTINGS.inference.improbable
+        return (
+            _size_probability(errors, (ratio * unit) ** 2, noise, parameters, reference) < SETTINGS.inference.improbable
+        )
 
     unit = noise if reference is None else reference.noise
     if not unit > 0.0:
@@ -155,14 +171,14 @@ def _seen_ratio(
         critical *= SETTINGS.inference.excess
         if critical > most:
             return math.inf
-    spread = 1.0 - math.sqrt(2.0 / free)  # of a variance, relative
+    spread = 1.0 - math.sqrt(2.0 / free)  # relative variance at one standard deviation below its mean
     return critical / math.sqrt(spread) if spread > 0.0 else math.inf
 
 
-def _seen_correlation(weights: Sequence[float], rows: int) -> float:
-    """Return the share of a slow pattern in the residual variance that the test finds in five of six tables.
+def _detectable_correlation(weights: Sequence[float], rows: int) -> float:
+    """Return the share of a slow pattern in the residual variance that the test detects in five of six tables.
 
-    A slow pattern with this share correlates the rows at each lag by about as much.
+    The correlation of rows at each lag is about equal to the share of a slow pattern.
     """
     from scipy import special
 
@@ -174,7 +190,7 @@ def _seen_correlation(weights: Sequence[float], rows: int) -> float:
     return max(share, SETTINGS.inference.part) if share < 1.0 else math.inf
 
 
-def _too_large(
+def _size_probability(
     errors: Sequence[FloatArray], variance: float, noise: float, parameters: float, reference: ReferenceSmoother | None
 ) -> float:
     """Return the probability of at least this variance if the residuals were noise."""
@@ -190,15 +206,15 @@ def _too_large(
 
 
 def _correlations(errors: Sequence[FloatArray], square: float, parameters: float) -> tuple[list[float], list[float]]:
-    """Return the correlation at each lag beyond what fitting causes, and the variance it has in noise.
+    """Return the correlation at each lag, corrected for the effect of fitting, and its variance in noise.
 
     With the projection H on the derivatives by p parameters, residuals of noise have E sum e_i e_(i+k) = - sigma^2 sum
-    H_(i,i+k) over n_k pairs; that is about - sigma^2 p n_k/n, since these derivatives are smooth. The variance is
-    from Ljung & Box (1978), n_k/(n (n + 2)).
+    H_(i,i+k) over n_k pairs. This is about - sigma^2 p n_k/n, since the derivatives are smooth. The variance is
+    n_k/(n (n + 2)) (Ljung & Box 1978).
     """
     rows = sum(len(series) for series in errors)
     correlations, variances = [], []
-    for lag in range(1, _reach(rows, parameters) + 1):
+    for lag in range(1, _count_lags(rows, parameters) + 1):
         pairs = sum(max(len(series) - lag, 0) for series in errors)
         if pairs:
             product = float(sum(series[:-lag] @ series[lag:] for series in errors if len(series) > lag))
@@ -208,6 +224,6 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
 
 
 def clip_outliers(residuals: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return the residuals, outliers (by the median of their size) clipped."""
+    """Return the residuals, clipped at a multiple (`REACH`) of their median absolute value."""
     limit = REACH * float(np.median(np.abs(np.concatenate(list(residuals)))))
     return [np.clip(series, -limit, limit) for series in residuals]

@@ -1,9 +1,13 @@
 """Terms that several equations share, fitted together: a flux that leaves one state and enters another (ADR 0058).
 
-With brackets expanded, each term has a factor and numbers inside. Two terms of the same shape are one flux if their
-numbers inside are equal; if one factor is a simple multiple of the other, the factors are the stoichiometry. Near its
-minimum the misfit is a quadratic form, which says which numbers may be equal, one decision after another, as for simple
-numbers; a fit with all decisions is then compared.
+With brackets expanded, each term has a factor and numbers inside, such as 2 and c in 2*u/(c + u). Two terms of the same
+shape are one flux if their numbers inside are equal. If one factor is a simple multiple of the other, the factors are
+the stoichiometry. `fit_shared_terms` decides: near its minimum the misfit is a quadratic form, so the cost of making
+two numbers equal is known. Decisions are made one after another, as for simple numbers. The model is then fitted with
+all decisions, and used if its description is shorter.
+
+Doubtful: decisions are greedy and depend on the order of the terms. Terms are only compared after expansion, so an
+equation that must stay factored (known, or with bounds) shares nothing.
 
 Letters: P fitted constants.
 """
@@ -39,7 +43,7 @@ _ROUNDING: Final = 2.0**-50
 
 
 @dataclass(frozen=True, eq=False)
-class FittedTogether:
+class SharedTermsFit:
     """A model whose equations share the `numbers` of these terms."""
 
     model: FittedModel
@@ -47,36 +51,37 @@ class FittedTogether:
     numbers: list[SharedNumber]
 
 
-def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence[Program]) -> FittedTogether | None:
-    """Return `shown` with brackets expanded and shared terms fitted together; None where that is no shorter.
+def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequence[Program]) -> SharedTermsFit | None:
+    """Return `shown` with brackets expanded and shared terms fitted together; None if the description is no shorter.
 
-    Equations that are given or have bounds are left as they are.
+    Equations that are given or have bounds are not changed.
     """
-    sums = _sums(comparison, shown)
+    sums = _expand_equations(comparison, shown)
     expansions = [None if summands is None else write_expansion(summands) for summands in sums]
-    common = _common(expansions)
+    common = _find_common_terms(expansions)
     if not common:
         return None
     programs = [
         expansion.program if expansion is not None else shown[equation] for equation, expansion in enumerate(expansions)
     ]
-    free, apart = comparison.fit_from(near, programs), comparison.fit_from(near, shown)
-    if free is None or apart is None:
+    free, unshared = comparison.fit_from(near, programs), comparison.fit_from(near, shown)
+    if free is None or unshared is None:
         return None
-    savings = {shape: _saving(shape, sums) for shape in common}
+    savings = {shape: _price_of_repetition(shape, sums) for shape in common}
     costs = [structure_length(made) - structure_length(program) for made, program in zip(programs, shown, strict=True)]
-    terms = _worthwhile(_found(comparison, free, common, savings), costs)
+    terms = _drop_costly_terms(_find_fluxes(comparison, free, common, savings), costs)
     if not terms:
         return None
     touched = {equation for term in terms for equation in term.multiples}
     chosen = [
-        free.programs[equation] if equation in touched else apart.programs[equation] for equation in range(len(shown))
+        free.programs[equation] if equation in touched else unshared.programs[equation]
+        for equation in range(len(shown))
     ]
     numbers = [number for term in terms for number in term.numbers]
     together = comparison.fit_from(free, chosen, shared=numbers)
-    if together is None or together.nats - sum(term.saving for term in terms) >= apart.nats:
+    if together is None or together.nats - sum(term.saving for term in terms) >= unshared.nats:
         return None
-    return FittedTogether(together, terms, numbers)
+    return SharedTermsFit(together, terms, numbers)
 
 
 # ----------------------------------------------------------------------------------------------- terms and their places
@@ -84,10 +89,10 @@ def fit_together(comparison: ModelComparison, near: FittedModel, shown: Sequence
 
 @dataclass(frozen=True)
 class _Occurrence:
-    """A term of an equation: the place of its factor, None for a factor of one, and those of its numbers inside.
+    """A term of an equation: the place of its `factor` (None for a factor of one) and of its numbers inside (`inner`).
 
-    Each comes with the sign that the constant there acts with. Numbers inside are in the order of their paths;
-    `layout` has these, and the numbers that are one or minus one by their form.
+    Each place has the sign of its constant. Numbers inside are in the order of their paths in the term. `layout` has
+    these paths, and the paths of numbers that are one or minus one by the form of the term.
     """
 
     equation: int
@@ -96,12 +101,12 @@ class _Occurrence:
     layout: Hashable
 
 
-def _sums(comparison: ModelComparison, shown: Sequence[Program]) -> list[Sum | None]:
-    """Return the terms of each equation, None for equations that stay as they are.
+def _expand_equations(comparison: ModelComparison, shown: Sequence[Program]) -> list[Sum | None]:
+    """Return the terms of each equation; None for equations that must not change.
 
-    Where another equation has n*u/(c + u), this one has it in place of n/(c + u).
+    A term n/(c + u) is written with n*u/(c + u) if another equation has a term of this shape.
     """
-    sums = [_terms(comparison, equation, program) for equation, program in enumerate(shown)]
+    sums = [_expand_equation(comparison, equation, program) for equation, program in enumerate(shown)]
     shapes = [{shape_of(monomial) for monomial, _ in summands or ()} for summands in sums]
     for equation, summands in enumerate(sums):
         others = set().union(*shapes[:equation], *shapes[equation + 1 :])
@@ -111,18 +116,18 @@ def _sums(comparison: ModelComparison, shown: Sequence[Program]) -> list[Sum | N
     return sums
 
 
-def _saving(shape: Shape, sums: Sequence[Sum | None]) -> float:
-    """Return by how many nats a term is shorter where it is written once more, its numbers being known.
+def _price_of_repetition(shape: Shape, sums: Sequence[Sum | None]) -> float:
+    """Return the nats saved when a term with known numbers occurs again.
 
-    A part that a program uses again costs as little within one equation.
+    A repeated term then costs as little as a part that a program uses again within one equation.
     """
     monomials = (monomial for summands in sums for monomial, _ in summands or () if shape_of(monomial) == shape)
     made = write_expansion(((next(monomials), 1.0),))
     return 0.0 if made is None else structure_length(made.program) - SETTINGS.criterion.common
 
 
-def _terms(comparison: ModelComparison, equation: int, program: Program) -> Sum | None:
-    """Return the terms of an equation that may be written in another way, None of others."""
+def _expand_equation(comparison: ModelComparison, equation: int, program: Program) -> Sum | None:
+    """Return the terms of an equation; None if it must not change or has too many terms."""
     if equation in comparison.fixed or comparison.restrictions(equation).bounds is not None:
         return None
     try:
@@ -131,12 +136,14 @@ def _terms(comparison: ModelComparison, equation: int, program: Program) -> Sum 
         return None
 
 
-def _common(expansions: Sequence[Expansion | None]) -> dict[Shape, list[_Occurrence]]:
-    """Return the terms that two equations or more have, by shape; terms that one equation has several times are left
-    out."""
+def _find_common_terms(expansions: Sequence[Expansion | None]) -> dict[Shape, list[_Occurrence]]:
+    """Return the terms that occur in at least two equations, by shape.
+
+    Terms that occur several times in one equation are left out.
+    """
     occurrences: dict[Shape, list[_Occurrence]] = {}
     for equation, expansion in enumerate(expansions):
-        for shape, occurrence in _occurrences(equation, expansion) if expansion is not None else ():
+        for shape, occurrence in _list_occurrences(equation, expansion) if expansion is not None else ():
             occurrences.setdefault(shape, []).append(occurrence)
     return {
         shape: alike
@@ -145,7 +152,7 @@ def _common(expansions: Sequence[Expansion | None]) -> dict[Shape, list[_Occurre
     }
 
 
-def _occurrences(equation: int, expansion: Expansion) -> Iterator[tuple[Shape, _Occurrence]]:
+def _list_occurrences(equation: int, expansion: Expansion) -> Iterator[tuple[Shape, _Occurrence]]:
     """Yield the terms of an equation that have a variable, with their shapes."""
     places = [(equation, node) for node in constant_places(expansion.program)]
     by_shape: dict[Shape, list[tuple[Role, Place]]] = {}
@@ -161,19 +168,19 @@ def _occurrences(equation: int, expansion: Expansion) -> Iterator[tuple[Shape, _
             yield shape, _Occurrence(equation, factors[0] if factors else None, inner, (paths, units))
 
 
-# --------------------------------------------------------------------------------------------------- what they share
+# ----------------------------------------------------------------------------------------------------- shared numbers
 
 
 @dataclass(eq=False)
-class _Estimates:
-    """Fitted constants by place, their `values` (P,) and `covariance` (P, P), as decisions move them."""
+class _PlacedEstimates:
+    """Fitted constants by place, with `values` (P,) and `covariance` (P, P), given the decisions so far."""
 
     index: Mapping[Place, int]
     values: FloatArray
     covariance: FloatArray
 
     def value(self, place: Place) -> float:
-        """Return what a constant is."""
+        """Return the value of a constant."""
         return float(self.values[self.index[place]])
 
     def row(self, *parts: tuple[tuple[Place, float], float]) -> FloatArray:
@@ -188,21 +195,21 @@ class _Estimates:
         least = _ROUNDING * float(np.abs(row * self.values).max())
         return max(float(row @ self.covariance @ row), least * least, 1e-300)
 
-    def decided(self, row: FloatArray) -> tuple["_Estimates", float]:
-        """Return the estimates if a sum of constants is zero, and the nats that the misfit grows by."""
+    def with_zero_sum(self, row: FloatArray) -> tuple["_PlacedEstimates", float]:
+        """Return the estimates given that a sum of constants is zero, and by how many nats the misfit grows."""
         variance, away = self.variance(row), float(row @ self.values)
         column = self.covariance @ row
         values = self.values - column * (away / variance)
         covariance = self.covariance - np.outer(column, column) / variance
-        return _Estimates(self.index, values, covariance), 0.5 * away * away / variance
+        return _PlacedEstimates(self.index, values, covariance), 0.5 * away * away / variance
 
 
 @dataclass(eq=False)
 class Flux:
-    """Terms of this `shape` that have the same numbers inside, each in another equation.
+    """Terms of this `shape` with the same numbers inside, each in a different equation.
 
-    The description gets about `nats` shorter; the `saving` is the part of a flux that is written only once. `ratios`
-    are the factors over the factor of the `reference`, which is their smallest, where they are simple; by equation.
+    The description gets about `nats` shorter; `saving` is the part due to writing the flux only once. `reference` is
+    the smallest factor. `ratios` has, by equation, the factors over the reference that are simple numbers.
     """
 
     shape: Shape
@@ -220,13 +227,13 @@ class Flux:
 
     @property
     def multiples(self) -> dict[int, float | None]:
-        """How many times the flux stands in each equation, None where the factor is fitted by itself."""
+        """The multiple of the flux in each equation; None if the factor is fitted separately."""
         equations = [term.equation for term in self.alike]
         return {one: self.ratios[one] * self.direction if one in self.ratios else None for one in equations}
 
     @property
     def numbers(self) -> list[SharedNumber]:
-        """The fitted numbers that stand in all the terms."""
+        """The fitted numbers that these terms share."""
         numbers: list[SharedNumber] = [
             tuple((term.inner[number][0], term.inner[number][1] * sign) for term in self.alike)
             for number, (_, sign) in enumerate(self.terms[0].inner)
@@ -240,27 +247,27 @@ class Flux:
         return numbers
 
 
-def _found(
+def _find_fluxes(
     comparison: ModelComparison, free: FittedModel, common: Mapping[Shape, Sequence[_Occurrence]],
     savings: Mapping[Shape, float],
 ) -> list[Flux]:  # fmt: skip
     """Return the terms that share numbers and factors, by the estimates of a fit."""
     system = free.fit.system
     index = {place: number for number, place in enumerate(comparison.places(system))}
-    estimates = _Estimates(index, system.values, comparison.score.inflation(free) * bounded_covariance(free.fit))
+    estimates = _PlacedEstimates(index, system.values, comparison.score.inflation(free) * bounded_covariance(free.fit))
     found: list[Flux] = []
     for shape, alike in common.items():
-        estimates, fluxes = _alike(estimates, shape, alike, comparison.score.constant_nats, savings[shape])
+        estimates, fluxes = _group_equal_terms(estimates, shape, alike, comparison.score.constant_nats, savings[shape])
         for flux in fluxes:
-            estimates = _with_multiples(estimates, flux, comparison.score.constant_nats)
+            estimates = _decide_multiples(estimates, flux, comparison.score.constant_nats)
         found += [flux for flux in fluxes if len(flux.alike) > 1]
     return found
 
 
-def _alike(
-    estimates: _Estimates, shape: Shape, alike: Sequence[_Occurrence], constant_nats: float, saving: float
-) -> tuple[_Estimates, list[Flux]]:
-    """Return terms of one shape by the numbers inside, which are the same where that shortens the description."""
+def _group_equal_terms(
+    estimates: _PlacedEstimates, shape: Shape, alike: Sequence[_Occurrence], constant_nats: float, saving: float
+) -> tuple[_PlacedEstimates, list[Flux]]:
+    """Group terms of one shape into fluxes: numbers inside become equal if that shortens the description."""
     fluxes: list[Flux] = []
     for term in alike:
         for flux in fluxes:
@@ -268,7 +275,7 @@ def _alike(
             if flux.terms[0].layout != term.layout:
                 continue
             for reference, constant in zip(flux.terms[0].inner, term.inner, strict=True):
-                trial, grown = trial.decided(trial.row((reference, 1.0), (constant, -1.0)))
+                trial, grown = trial.with_zero_sum(trial.row((reference, 1.0), (constant, -1.0)))
                 nats += constant_nats - grown
             if nats > 0.0 or not term.inner:
                 estimates, flux.nats = trial, flux.nats + nats
@@ -280,8 +287,8 @@ def _alike(
     return estimates, fluxes
 
 
-def _with_multiples(estimates: _Estimates, flux: Flux, constant_nats: float) -> _Estimates:
-    """Fill in which factors are simple multiples of the smallest, and return the estimates with these decided."""
+def _decide_multiples(estimates: _PlacedEstimates, flux: Flux, constant_nats: float) -> _PlacedEstimates:
+    """Set the factors that are simple multiples of the smallest, and return the estimates given these decisions."""
     factors = {term.equation: term.factor for term in flux.terms if term.factor is not None}
     if len(factors) < 2:
         return estimates
@@ -292,27 +299,29 @@ def _with_multiples(estimates: _Estimates, flux: Flux, constant_nats: float) -> 
     for equation, factor in factors.items():
         ratio = _simple_ratio(estimates, reference, factor)
         if ratio is not None:
-            estimates, grown = estimates.decided(estimates.row((factor, 1.0), (reference, -ratio)))
+            estimates, grown = estimates.with_zero_sum(estimates.row((factor, 1.0), (reference, -ratio)))
             flux.nats += constant_nats - grown
             flux.ratios |= {least: 1.0, equation: ratio}
     return estimates
 
 
-def _simple_ratio(estimates: _Estimates, base: tuple[Place, float], constant: tuple[Place, float]) -> float | None:
-    """Return the fraction that the data single out as the factor `constant` over `base`, None where there is none."""
+def _simple_ratio(
+    estimates: _PlacedEstimates, base: tuple[Place, float], constant: tuple[Place, float]
+) -> float | None:
+    """Return the simple fraction that the data support as the factor `constant` over `base`; None if there is none."""
     below, above = (sign * estimates.value(place) for place, sign in (base, constant))
     if below == 0.0:
         return None
     ratio = above / below
     variance = estimates.variance(estimates.row((constant, 1.0 / below), (base, -ratio / below)))
-    number = Estimates(np.array([ratio]), np.array([[variance]])).singled_out.get(0)
+    number = Estimates(np.array([ratio]), np.array([[variance]])).accepted_numbers.get(0)
     denominators = SETTINGS.inference.denominators
     is_simple = number is not None and any((number * denominator).is_integer() for denominator in denominators)
     return number if is_simple else None
 
 
-def _worthwhile(terms: Sequence[Flux], costs: Sequence[float]) -> tuple[Flux, ...]:
-    """Return the terms that gain more than the `costs` of expanding their equations."""
+def _drop_costly_terms(terms: Sequence[Flux], costs: Sequence[float]) -> tuple[Flux, ...]:
+    """Return the fluxes that gain more nats than the `costs` of expanding their equations."""
 
     def gain(terms: Sequence[Flux]) -> float:
         expanded = {equation for term in terms for equation in term.multiples}

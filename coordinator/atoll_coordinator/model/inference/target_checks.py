@@ -1,5 +1,13 @@
 """The checks of an equation on the rows of its target, without trajectories: quantities, limits, clauses. Pure.
 
+`TargetChecks` linearises the equation about its constants and sets the quantities of `EquationChecks`: residuals, their
+covariance, leave-one-out R2, number of distinct rows, evidence against a constant. Rows of a target have no natural
+order, so the rows are sorted by each input and by the fitted values, and the order with the strongest correlation of
+neighbouring residuals is tested.
+
+Doubtful: there is no independent estimate of the noise, so the size of the residuals cannot be tested. Leave-one-out R2
+does not account for the choice of the structure.
+
 Letters: R rows, K constants.
 """
 
@@ -10,9 +18,9 @@ from typing import ClassVar, Final
 import numpy as np
 
 from atoll_coordinator.data.differentiation.quantisation import find_quantisation
-from atoll_coordinator.model.inference.checks import EquationChecks, Finding, by_r2, percent, r2_text
+from atoll_coordinator.model.inference.checks import EquationChecks, Finding, format_percent, format_r2, judge_r2
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, structure_price
-from atoll_coordinator.model.inference.residual_covariance import orthonormal
+from atoll_coordinator.model.inference.residual_covariance import orthonormal_basis
 from atoll_coordinator.model.refinement import JobKind, Refined
 from atoll_coordinator.model.selection.comparison import differ
 from atoll_coordinator.model.shooting.points_between import points_between
@@ -23,17 +31,17 @@ from atoll_core.expression.evaluation import values_and_gradient, values_of
 from atoll_core.expression.program import constant_places, variables_of
 
 _MOST_ROWS: Final = 250
-"""Rows up to which the covariance of residuals is made; of more the distribution of correlations is about normal."""
+"""Most rows for which the covariance of residuals is computed; with more, correlations are about normal."""
 
 
 class TargetChecks(EquationChecks):
-    """The checks of an equation on the rows of its target, of which at most about `RowSettings.most` are used.
+    """The checks of an equation on at most about `RowSettings.most` rows of its target.
 
-    `predicted_r2` is the R2 of rows left out one at a time; None if the equation has no finite value on some rows.
+    `predicted_r2` is the leave-one-out R2; None if the equation has no finite value on some rows.
     """
 
     kind: ClassVar[JobKind] = "target"
-    unmade: ClassVar[Finding] = Finding(
+    default_finding: ClassVar[Finding] = Finding(
         "not made", "the equation has no finite value on some rows",
         advice="leave out divisions and logarithms, or these rows",
     )  # fmt: skip
@@ -44,19 +52,19 @@ class TargetChecks(EquationChecks):
         self, shown: Refined, problem: Problem, weights: FloatArray | None, *, is_known: bool = False,
         stopped: str = "", is_cancelled: bool = False,
     ) -> None:  # fmt: skip
-        """Take the equation that is shown and the rows; `weights` (R,) are 1 on average, None: all alike."""
+        """Take the equation that is shown and the rows; `weights` (R,) are 1 on average, None: equal weights."""
         super().__init__(shown, problem.target, is_known=is_known, stopped=stopped, is_cancelled=is_cancelled)
         self._problem = problem
         places = thinned_places(len(problem.target.values), SETTINGS.rows.most)
         roots = np.ones(len(places)) if weights is None else np.sqrt(weights[places] / weights[places].mean())
-        self.alternative = self._nearest()
-        self._regress(np.ascontiguousarray(problem.inputs[:, places]), problem.target.values[places], roots)
+        self.alternative = self._nearest_alternative()
+        self._set_quantities(np.ascontiguousarray(problem.inputs[:, places]), problem.target.values[places], roots)
 
-    def _regress(self, inputs: FloatArray, values: FloatArray, roots: FloatArray) -> None:
-        """Set the quantities of the residuals on rows, whose weights have these `roots` (R,).
+    def _set_quantities(self, inputs: FloatArray, values: FloatArray, roots: FloatArray) -> None:
+        """Set the quantities of the residuals; `roots` (R,) are the square roots of the weights.
 
-        The equation is linearised about its constants. Nothing is set if it has no finite value on some rows, or if the
-        target does not vary.
+        The equation is linearised about its constants. No quantity is set if it has no finite value on some rows, or if
+        the target does not vary.
         """
         program, weights = self.shown.program, roots * roots
         places = [] if self.is_known else constant_places(program)
@@ -66,13 +74,13 @@ class TargetChecks(EquationChecks):
         total = float((weights * (values - mean) ** 2).sum())
         if not np.isfinite(errors).all() or not total > 0.0:
             return
-        basis = orthonormal((np.nan_to_num(slopes, posinf=0.0, neginf=0.0) * roots).T)
-        # The errors of an equation vary with its columns, so that they are similar on neighbouring rows in one order.
+        basis = orthonormal_basis((np.nan_to_num(slopes, posinf=0.0, neginf=0.0) * roots).T)
+        # Errors of an equation depend on its columns: sorted by the right column, neighbours have similar errors.
         orders = [np.argsort(key, kind="stable") for key in (*inputs, values - errors / np.maximum(roots, 1e-300))]
         order = max(orders, key=lambda order: float(errors[order][:-1] @ errors[order][1:]))
         square = float(errors @ errors)
         predicted = errors / np.maximum(1.0 - (basis**2).sum(axis=1), EXACT_ERROR)
-        distinct = _distinct(inputs[sorted(variables_of(program))] if variables_of(program) else inputs)
+        distinct = _count_distinct(inputs[sorted(variables_of(program))] if variables_of(program) else inputs)
         self.residuals = [errors[order]]
         self.orders = len(orders)
         if len(values) <= _MOST_ROWS:
@@ -90,15 +98,15 @@ class TargetChecks(EquationChecks):
     ) -> float:
         """Return by how many nats the equation describes the rows better than a constant does.
 
-        Rows of the same inputs count as one. Where the constants cannot move all values alike, both are compared with
-        0.
+        Rows with the same inputs count once. If the constants of the equation cannot shift all values equally, the
+        equation and the constant are both compared with the value 0.
 
         Args:
-            values: of the target (R,), weighted.
-            total: their squares about their mean.
-            square: the squared errors.
+            values: the values of the target (R,), times the roots of the weights.
+            total: the sum of their squared differences from the mean.
+            square: the sum of squared errors.
             basis: the derivatives by the constants (R, K), orthonormal.
-            roots: of the weights (R,).
+            roots: the square roots of the weights (R,).
         """
         constants, distinct = int(self.parameters), self.distinct_rows or 0
         price = 0.0
@@ -112,10 +120,10 @@ class TargetChecks(EquationChecks):
         constant = log_bayes_factor(distinct + 1, 1, total / whole)
         return log_bayes_factor(distinct + 1, constants, square / whole) - constant - price
 
-    def _nearest(self) -> float | None:
-        """Return the nats of the next best alternative that says something else among the rows; None without one.
+    def _nearest_alternative(self) -> float | None:
+        """Return the nats of the best alternative with different values at and between the rows; None without one.
 
-        Alternatives that agree with the equation do not count: their predictions are as good.
+        Alternatives that agree with the equation do not count: they give the same predictions.
         """
         inputs, shown = self._problem.inputs, self.shown
         among = np.concatenate([inputs, points_between(inputs).T], axis=1)
@@ -125,51 +133,52 @@ class TargetChecks(EquationChecks):
         return min((other.nats for other in others if differ(values_of(other.program, among), own, part)), default=None)
 
     def check_rows_left_out(self) -> Finding:
-        """Check the rows left out of a fit: a good equation predicts them with an R2 above 0.9.
+        """Check that the leave-one-out R2 is above 0.9.
 
-        If the target is uncertain, the R2 need not be higher than this uncertainty allows.
+        If the target is uncertain, the limit is lower by the share of the variance that the uncertainty explains.
         """
         r2 = self.predicted_r2
         if r2 is None:
             return Finding("not made", "the equation has no finite value on some rows, so that no row can be left out")
         least = 1.0 - SETTINGS.inference.part - min(2.0 * self.target.uncertainty, 1.0) ** 2
-        text = r2_text(r2)
-        return by_r2(
+        text = format_r2(r2)
+        return judge_r2(
             r2, least, f"leave-one-out R2 of the rows: {text}", f"the leave-one-out R2 of the rows is only {text}"
         )
 
     def check_target_uncertainty(self) -> Finding:
-        """Check the uncertainty of the target: many wrong equations fit an uncertain target as well as the law does."""
+        """Check the uncertainty of the target: many wrong equations fit an uncertain target well."""
         uncertainty, most = self.target.uncertainty, SETTINGS.inference.largest_uncertainty
         if uncertainty <= most:
-            return Finding("passed", f"the target is uncertain by {percent(uncertainty)}", uncertainty, most)
-        reason = f"the target itself is uncertain by {percent(uncertainty)} of its standard deviation"
+            return Finding("passed", f"the target is uncertain by {format_percent(uncertainty)}", uncertainty, most)
+        reason = f"the target itself is uncertain by {format_percent(uncertainty)} of its standard deviation"
         return Finding("failed", reason, uncertainty, most)
 
     def check_digits_of_constants(self) -> Finding:
-        """Check that constants have no more digits than the values: longer ones may follow the rounding errors.
+        """Check that constants have no more digits than the values of the target.
 
-        A wave in the last digit of a column can reproduce the rounding of every row.
+        A term with longer constants may fit the rounding errors: a wave in the last digit of a column can reproduce the
+        rounding of every row.
         """
         values = self.target.values
         rounded = values[np.isfinite(values) & (values != 0.0)]
         quantisation = find_quantisation([values])
         if quantisation is None or quantisation.kind not in ("decimals", "digits") or not len(rounded):
             return Finding("not applicable", "the values are not rounded")
-        most = max(map(_digits, rounded.tolist()))
-        count = max((_digits(constant.value or 0.0) for constant in self.shown.constants), default=0)
+        most = max(map(_count_digits, rounded.tolist()))
+        count = max((_count_digits(constant.value or 0.0) for constant in self.shown.constants), default=0)
         if count <= most:
             return Finding("passed", f"constants have {count} digits at most, and the values {most}", count, most)
         reason = f"a constant has {count} digits and the values {most}: its term may describe rounding errors"
         return Finding("failed", reason, count, most)
 
 
-def _digits(value: float) -> int:
+def _count_digits(value: float) -> int:
     return len(Decimal(repr(value)).normalize().as_tuple().digits)
 
 
-def _distinct(columns: FloatArray) -> int:
-    """Return how many rows of some columns differ by more than rounding."""
+def _count_distinct(columns: FloatArray) -> int:
+    """Return how many rows of columns (V, R) differ by more than rounding."""
     scales = columns.std(axis=1)
     varying = columns[scales > 0.0] / (EXACT_ERROR * scales[scales > 0.0, None])
     return len(np.unique(np.round(varying) + 0.0, axis=1).T) if len(varying) else 1

@@ -1,6 +1,13 @@
 """The checks of an equation along trajectories: quantities, limits, clauses. Pure.
 
-The equation is a part of a final model that was simulated along the measured trajectories, or could not be simulated.
+The equation is part of a `FinalModel` that was simulated along the measured trajectories (`TrajectoryChecks`), or could
+not be simulated (`UnsimulatedChecks`). `TrajectoryChecks._set_quantities` chooses the noise, its reference smoother and
+the number of fitted parameters; these choices decide the tests of the residuals. The other checks use the results of
+`long_run`, `prediction`, held-out trajectories, and alternatives.
+
+Doubtful: the noise of interpolated states is hard to estimate. With few rows, the rough part of the residuals is then
+treated as noise, which can hide a missing term. The check of inputs assumes errors of the size that the data suggest
+between rows.
 """
 
 import math
@@ -16,10 +23,10 @@ from atoll_coordinator.model.inference.checks import (
     UNSIMULATED,
     EquationChecks,
     Finding,
-    by_r2,
-    percent,
-    r2_text,
-    where,
+    describe_initial_state,
+    format_percent,
+    format_r2,
+    judge_r2,
 )
 from atoll_coordinator.model.inference.final_model import FinalModel
 from atoll_coordinator.model.inference.long_run import LongRun
@@ -42,15 +49,16 @@ class TrajectoryChecks(EquationChecks):
     """The checks of an equation of a model that was simulated along the trajectories.
 
     `index` is the place of the equation in the model, and `equations` has the checks of all its equations.
-    `held_out_r2` is the R2 of simulations of trajectories that took no part, or were left out one at a time; None:
+    `held_out_r2` is the R2 of simulations along held-out trajectories, or trajectories left out one at a time; None:
     there are none. `fits_whole`: the equation describes whole trajectories; None: that was not tested.
-    `noise_estimate` is the noise by the smoother also for an interpolated state, whose noise counts as 0; second
-    differences give it. `is_noise_residual`: the rows are too few for an estimate, and the rough part of the residuals
-    is treated as noise. `solver` names the solver that computed the table, whose errors were subtracted from it.
+    `noise_estimate` is the estimated noise; for an interpolated state it comes from second differences, although the
+    noise of this state counts as 0. `is_noise_residual`: there are too few rows for an estimate, and the rough part of
+    the residuals is treated as noise. `solver` names the solver that computed the table, whose errors were subtracted
+    from it.
     """
 
     kind: ClassVar[JobKind] = "trajectories"
-    unmade: ClassVar[Finding] = UNSIMULATED
+    default_finding: ClassVar[Finding] = UNSIMULATED
     null_models: ClassVar[str] = "a constant or a random walk"
     noise_estimate: float = 0.0
     is_noise_residual: bool = False
@@ -68,29 +76,36 @@ class TrajectoryChecks(EquationChecks):
         super().__init__(shown, task.dataset.problem(self.name).target, stopped=stopped)
         self.final, self.long_run, self.index, self.equations = final, long_run, index, equations
         self.held_out_r2, self.solver = held_out_r2, task.solver
-        self.measurements = final.seen.estimator.measurements
+        self.measurements = final.shown_comparison.estimator.measurements
         sensor = final.comparison.score.errors
-        self._measure(sensor if sensor is not None and sensor.shares[index] > 0.0 else None)
+        self._set_quantities(sensor if sensor is not None and sensor.shares[index] > 0.0 else None)
 
     # ------------------------------------------------------------------------------ residuals and errors of measurement
 
-    def _measure(self, sensor: ErrorModel | None) -> None:
-        """Set the quantities of the residuals; `sensor` are its errors if they are correlated."""
-        final, measurements, index, residuals = self.final, self.measurements, self.index, self.final.seen_fit.residuals
+    def _set_quantities(self, sensor: ErrorModel | None) -> None:
+        """Set the quantities of the residuals; `sensor` has the error model if measurement errors are correlated."""
+        final, measurements, index, residuals = (
+            self.final,
+            self.measurements,
+            self.index,
+            self.final.shown_fit.residuals,
+        )
         recording = final.task.recording
         smoothing = recording.smoothing[recording.states.index(self.name)]
         noise = self.noise_estimate = float(measurements.noise[index])
         if sensor is not None:
             noise = float(sensor.sigmas[index])
-            self.innovations = _pieces_of(final.seen.estimator.whiten(residuals, sensor), measurements, index)
+            self.innovations = _split_into_pieces(
+                final.shown_comparison.estimator.whiten(residuals, sensor), measurements, index
+            )
         if smoothing.method == "interpolation" and np.bincount(measurements.owners_of_rows).max() <= 2 * HALF_WIDTHS:
-            # Of rows so few that none has all the neighbours that predict it, interpolation hides noise: it takes the
-            # least of several estimates. What is rough in the residuals is noise then.
+            # With so few rows, no row has all the neighbours for its estimate, and interpolation hides noise: it takes
+            # the smallest of several estimates. So the rough part of the residuals is treated as noise.
             rough = float(roughness(measurements, residuals)[index])
             self.is_noise_residual = rough > self.noise_estimate
             self.noise_estimate = max(self.noise_estimate, rough)
             noise = max(noise, self.noise_estimate)
-        self.residuals = _pieces_of(residuals, measurements, index)
+        self.residuals = _split_into_pieces(residuals, measurements, index)
         self.standard_deviation = standard_deviation(measurements, index)
         self.has_outliers = smoothing.outliers > 0
         self.distinct_rows = self._count_distinct_rows()
@@ -101,24 +116,23 @@ class TrajectoryChecks(EquationChecks):
             self.reference = ReferenceSmoother(smoothing.narrower_span, smoothing.degree, narrower)
         covariance = None if final.residual_covariances is None else final.residual_covariances[index]
         self.covariance = covariance if sensor is None else None
-        # In few rows the share of the fitted numbers follows from the covariance of residuals, by the projection on all
-        # of them: a state gets the share of a number that other states do not need. In many rows, and without noise,
-        # the numbers are shared evenly.
-        numbers = final.free.fit.system.count + final.seen_fit.starts.size
+        # With few rows, the trace of the projection on all fitted numbers gives the number of parameters that each
+        # state determines. With many rows, or without noise, fitted numbers are divided evenly between the states.
+        numbers = final.free.fit.system.count + final.shown_fit.starts.size
         self.parameters = numbers / len(measurements.observed)
         if covariance is not None and not is_free_of_noise:
             self.parameters = len(covariance) - float(np.trace(covariance))
-        self.null_nats = self._nats_over_none(sensor)
+        self.null_nats = self._nats_over_no_equation(sensor)
         self.fits_whole = self._fits_whole(noise / self.standard_deviation)
-        # More constants than the equation had before they were made simple always describe about as well; that is no
-        # reason to doubt the equation with fewer, unless they describe the data far better.
+        # An equation with more constants always fits about as well. This is no reason to doubt the equation with fewer
+        # constants (counted before some became simple numbers), unless the longer equation fits far better.
         most = len(constant_places(final.ranking.selection.model.programs[index]))
-        self.alternative = min((one.nats for one in no_elaborations(most, self.shown.alternatives)), default=None)
+        self.alternative = min((one.nats for one in drop_elaborations(most, self.shown.alternatives)), default=None)
 
     def _count_distinct_rows(self) -> int:
         """Return how many rows differ by more than rounding in the state and in the variables of its equation.
 
-        Rows at a point of rest say the same over and over. Where a variable was not measured, all columns count.
+        Rows at a fixed point repeat the same information. If a variable was not measured, all columns are compared.
         """
         measurements, dataset = self.measurements, self.final.task.dataset
         used = {dataset.names[one] for one in variables_of(self.shown.program)}
@@ -130,17 +144,17 @@ class TrajectoryChecks(EquationChecks):
         scales = np.maximum(np.nanstd(values, axis=1), 1e-300)[:, None]
         return len(np.unique(np.nan_to_num(np.round(values / (EXACT_ERROR * scales))) + 0.0, axis=1).T)
 
-    def _nats_over_none(self, sensor: ErrorModel | None) -> float:
+    def _nats_over_no_equation(self, sensor: ErrorModel | None) -> float:
         """Return by how many nats the equation describes the measured state better than no equation does.
 
-        Without an equation the state is constant along each trajectory, or a random walk: the better of both counts. A
-        constant rate is compared with a walk that has a drift, since few rows of any smooth curve are about a line.
-        Residuals about a constant count as many as are independent; where a walk is compared, the innovations of
-        correlated errors do. Rows count by their weights. Constants are the equation's own, or as many as each state
-        has on average, or the numbers fitted to this one, if they are more, and with them initial numbers beyond one
-        for each trajectory.
+        There are two null models: the state is constant along each trajectory, or a random walk. The better one counts.
+        An equation with a constant rate is compared with a walk with drift, since few rows of any smooth curve are
+        almost on a line. Against a constant, only independent rows count. Against a walk, the innovations are used if
+        errors are correlated. Rows count by their weights. The number of constants is the largest of: the constants of
+        the equation, the mean number per equation, and the numbers fitted to this state; initial values beyond one per
+        trajectory are added.
         """
-        final, measurements, index, fit = self.final, self.measurements, self.index, self.final.seen_fit
+        final, measurements, index, fit = self.final, self.measurements, self.index, self.final.shown_fit
         program, is_given = self.shown.program, index in final.comparison.fixed
         squares = deviations = effective = 0.0
         series, times = [], []
@@ -170,20 +184,20 @@ class TrajectoryChecks(EquationChecks):
         of_constant = log_bayes_factor(effective / rows_of_one - (len(series) - 1), constants, squares / deviations)
         innovations = squares
         if sensor is not None:
-            innovations = float(final.seen.estimator.squared_innovations(fit.residuals, sensor)[index])
-            constants += 1.0  # the correlation was fitted as well, and a walk has none
+            innovations = float(final.shown_comparison.estimator.squared_innovations(fit.residuals, sensor)[index])
+            constants += 1.0  # the correlation was also fitted; a walk has no such parameter
         free = effective - drift - (len(series) - 1)
         of_walk = log_bayes_factor(free, max(constants - drift, 0.0), innovations / steps)
         price = 0.0 if is_given else structure_price(program, len(final.task.dataset.names))
         return min(of_constant, of_walk) - price
 
     def check_explained_variance(self) -> Finding:
-        """Check the R2 of the simulation, else the R2 on the target."""
+        """Check the R2 of the simulation, or the R2 on the target if the equation was not simulated."""
         if not self.residuals:
             return super().check_explained_variance()
-        r2 = 1.0 - self.left**2
-        what = f"its simulation explains too little of the measurements (R2 {r2_text(r2)})"
-        return by_r2(r2, SETTINGS.inference.part, f"R2 {r2_text(r2)}", what)
+        r2 = 1.0 - self.relative_residuals**2
+        what = f"its simulation explains too little of the measurements (R2 {format_r2(r2)})"
+        return judge_r2(r2, SETTINGS.inference.part, f"R2 {format_r2(r2)}", what)
 
     def check_simulation(self) -> Finding:
         """Check that the trajectories could be simulated."""
@@ -195,13 +209,13 @@ class TrajectoryChecks(EquationChecks):
             return None
         if not self.is_noisy:
             return self._size_without_noise()
-        statistics, limit, left = self.statistics, SETTINGS.inference.excess, self.left
-        power = self.departure(max(statistics.seen_ratio**2 - 1.0, 0.0))
-        size = f"the residuals ({percent(left)} of the standard deviation)"
-        if statistics.ratio > limit and statistics.too_large < SETTINGS.inference.improbable:
-            reason = f"{size} are {statistics.ratio:.2g} times the noise (p = {statistics.too_large:.1g})"
+        statistics, limit, left = self.statistics, SETTINGS.inference.excess, self.relative_residuals
+        power = self.departure(max(statistics.detectable_ratio**2 - 1.0, 0.0))
+        size = f"the residuals ({format_percent(left)} of the standard deviation)"
+        if statistics.ratio > limit and statistics.size_probability < SETTINGS.inference.improbable:
+            reason = f"{size} are {statistics.ratio:.2g} times the noise (p = {statistics.size_probability:.1g})"
             return Finding("failed", reason, statistics.ratio, limit, power)
-        noise = percent(self.relative_noise)
+        noise = format_percent(self.relative_noise)
         reason = f"{size} agree with the noise ({noise})"
         if self.is_noise_residual:
             reason = f"{size} look like noise in these few rows"
@@ -213,9 +227,9 @@ class TrajectoryChecks(EquationChecks):
         return Finding("passed", reason, statistics.ratio, limit, power)
 
     def _size_without_noise(self) -> Finding:
-        left, negligible = self.left, SETTINGS.common.negligible
+        left, negligible = self.relative_residuals, SETTINGS.common.negligible
         limit = max(SETTINGS.inference.exact, 2.0 * self.relative_noise)
-        reason = f"there is no noise, and the residuals are {percent(left)} of the standard deviation"
+        reason = f"there is no noise, and the residuals are {format_percent(left)} of the standard deviation"
         if self.solver is not None:
             reason += f": these are the rows that {self.solver}, computes from the equations"
         elif self.final.are_errors_summed and 1.0 - left * left >= 1.0 - SETTINGS.inference.part:
@@ -223,15 +237,15 @@ class TrajectoryChecks(EquationChecks):
         elif left > negligible and self._exceeds_noise():
             return Finding("failed", reason.replace("noise, and", "noise, but"), left, limit)
         elif left > negligible:
-            reason = f"the residuals ({percent(left)} of the standard deviation) may be noise in these few rows"
+            reason = f"the residuals ({format_percent(left)} of the standard deviation) may be noise in these few rows"
         elif left > limit:
-            limit = negligible  # errors of integration, or a departure that no prediction shows
+            limit = negligible  # integration errors, or a departure too small to matter in predictions
         return Finding("passed", reason, left, limit, self.largest_departure)
 
     def _exceeds_noise(self) -> bool:
-        """Tell whether residuals are larger than the noise of an interpolated state can be (F test).
+        """Tell whether the residuals are significantly larger than the noise of an interpolated state (F test).
 
-        The noise is estimated from second differences, which have 18/35 as many degrees of freedom as rows.
+        The noise is estimated from second differences, which have 18/35 degrees of freedom per row.
         """
         from scipy import special
 
@@ -242,15 +256,15 @@ class TrajectoryChecks(EquationChecks):
 
     @property
     def are_integration_errors(self) -> bool:
-        """Whether the residuals are as small as errors of integration may be, or were computed by a solver."""
+        """Whether the residuals may be integration errors, also of a solver that computed the table."""
         is_of_solver = self.final.are_errors_summed or self.solver is not None
         return super().are_integration_errors or (is_of_solver and not self.is_noisy)
 
     def check_precision(self) -> Finding:
-        """Check whether the residuals are as small as integration errors."""
+        """Check that there is no noise, and that the residuals are as small as integration errors."""
         if not self.residuals:
             return super().check_precision()
-        left, limit = self.left, max(SETTINGS.inference.exact, 2.0 * self.relative_noise)
+        left, limit = self.relative_residuals, max(SETTINGS.inference.exact, 2.0 * self.relative_noise)
         reason = f"without noise, the residuals are {left:.1g} of the standard deviation"
         if self.solver is not None:
             reason = (
@@ -262,19 +276,21 @@ class TrajectoryChecks(EquationChecks):
     # ----------------------------------------------------------------------------------------------- whole trajectories
 
     def check_held_out_trajectories(self) -> Finding:
-        """Check the R2 of trajectories that took no part, or were left out one at a time."""
+        """Check the R2 of held-out trajectories, or of trajectories left out one at a time."""
         r2 = self.held_out_r2
         if r2 is None:
             return Finding("not applicable", "no trajectory was held out or left out")
-        which = "trajectories left out one at a time" if self.final.unseen is None else "held-out trajectories"
+        which = (
+            "trajectories left out one at a time" if self.final.held_out_comparison is None else "held-out trajectories"
+        )
         least = 1.0 - self.relative_noise**2 - SETTINGS.inference.part
-        return by_r2(r2, least, f"R2 of {which}: {r2_text(r2)}", f"the R2 of {which} is only {r2_text(r2)}")
+        return judge_r2(r2, least, f"R2 of {which}: {format_r2(r2)}", f"the R2 of {which} is only {format_r2(r2)}")
 
     def _fits_whole(self, noise: float) -> bool | None:
-        """Tell whether the equation describes whole trajectories; None where that was not tested.
+        """Tell whether the equation describes whole trajectories; None if this was not tested.
 
-        Where only pieces are described up to the noise (over the standard deviation), whole trajectories have an R2
-        above 0.9 minus the noise.
+        If the size of the residuals was tested for pieces only, the R2 of whole trajectories must be above 0.9 minus
+        the square of `noise`, which is relative to the standard deviation.
         """
         long_run = self.long_run
         if long_run.fits is not None or long_run.r2 is None:
@@ -283,7 +299,7 @@ class TrajectoryChecks(EquationChecks):
         return r2 is None or r2 >= 1.0 - SETTINGS.inference.part - noise * noise
 
     def check_whole_trajectories(self) -> Finding | None:
-        """Check that whole trajectories are described, and not only the pieces to which constants were fitted."""
+        """Check that the equation describes whole trajectories, not only the pieces to which constants were fitted."""
         if not self.residuals:
             return None
         if self.long_run.chaos is not None:
@@ -304,7 +320,7 @@ class TrajectoryChecks(EquationChecks):
         return Finding("not made", reason, advice="sample less often, or measure shorter trajectories")
 
     def check_long_run(self) -> Finding | None:
-        """Check a chaotic model by a simulation much longer than its trajectories can be predicted."""
+        """Check that a chaotic model keeps the measured means and variances in a long simulation."""
         if not self.residuals:
             return None
         chaos, limit = self.long_run.chaos, SETTINGS.inference.improbable
@@ -327,8 +343,8 @@ class TrajectoryChecks(EquationChecks):
 
     @cached_property
     def passes_pole(self) -> bool:
-        """Whether the simulation of the model goes from one row to the next through a pole of the equation."""
-        points, owners = self.final.visited, self.measurements.owners_of_rows
+        """Whether the simulation passes a pole of the equation between two neighbouring rows."""
+        points, owners = self.final.visited_points, self.measurements.owners_of_rows
         rows = np.flatnonzero(owners[1:] == owners[:-1])
         return bool(find_poles(self.shown.program, points[:, rows], points[:, rows + 1]))
 
@@ -338,15 +354,15 @@ class TrajectoryChecks(EquationChecks):
             return None
         if not self.passes_pole:
             return Finding("passed", "its simulation passes no pole")
-        # such as the pole of 6e-13/(3e-12 - x**3), by which a state seems to be switched
+        # for example 6e-13/(3e-12 - x**3), which acts like a switch
         reason = "its simulation passes a pole, where the equation has no value"
         return Finding("failed", reason, advice="measure there, or leave out divisions")
 
-    # --------------------------------------------------------------------- predictions, and the states they follow from
+    # ----------------------------------------------------------- predictions, and the equations on which they depend
 
     @cached_property
-    def followed(self) -> "list[TrajectoryChecks]":
-        """The other equations that the simulation of the state follows from, directly or through others."""
+    def needed_equations(self) -> "list[TrajectoryChecks]":
+        """The other equations on which the simulation of this state depends, directly or through other states."""
         task, recording = self.final.task, self.final.task.recording
         owners = {symbol: column for column, symbol in zip(recording.states, recording.state_symbols, strict=True)}
         owners |= dict(zip(recording.velocity_symbols, recording.states, strict=False))
@@ -359,22 +375,21 @@ class TrajectoryChecks(EquationChecks):
         return [other for other in self.equations if other.name in needed and other is not self]
 
     @cached_property
-    def baseless(self) -> str:
-        """A state that the predictions follow from, and whose equation is no better than no equation.
+    def unsupported_state(self) -> str:
+        """A state on which the predictions depend, and whose equation is not better than the null models; "" if none.
 
-        The simulation of such a state holds only along the measured trajectories. "" if there is none; given equations
-        need no evidence.
+        The simulation of such a state is only valid along the measured trajectories. Given equations need no evidence.
         """
         least, given = SETTINGS.inference.chance_nats, self.final.comparison.fixed
         return next(
-            (one.name for one in self.followed if (one.null_nats or 0.0) < least and one.index not in given), ""
+            (one.name for one in self.needed_equations if (one.null_nats or 0.0) < least and one.index not in given), ""
         )
 
     @cached_property
     def prediction(self) -> Prediction | None:
-        """How far the state can be predicted from other initial states; None if that was not tested."""
-        if self.baseless or self.shown.prediction is None or not self._are_rivals_likely:
-            return None if self.baseless else self.shown.prediction
+        """How well the state can be predicted from other initial states; None if that was not tested."""
+        if self.unsupported_state or self.shown.prediction is None or not self._are_alternatives_likely:
+            return None if self.unsupported_state else self.shown.prediction
         ranking = self.final.ranking
         others = [one.model for one in ranking.alternatives[self.index]]
         disputed = ranking.selection.comparison.disputed_state(ranking.selection.model, others, self.index)
@@ -387,8 +402,8 @@ class TrajectoryChecks(EquationChecks):
         known, wrong = self.prediction, math.exp(-SETTINGS.inference.distinct_nats)
         if known is None:
             reason = (
-                f"predictions from other initial states were not tested: they follow from '{self.baseless}', whose "
-                "equation describes its rows no better than no equation"
+                "predictions from other initial states were not tested: they follow from "
+                f"'{self.unsupported_state}', whose equation describes its rows no better than no equation"
             )
             return Finding("not made", reason)
         starts, unfinished, probability = known.starts or 0, known.unfinished or 0, known.probability or 0.0
@@ -405,69 +420,69 @@ class TrajectoryChecks(EquationChecks):
         if 1.0 - probability > wrong:
             reason = (
                 "alternative models that fit about as well predict something different from other initial states "
-                f"within the measured range ({percent(probability)} of the odds agree)"
+                f"within the measured range ({format_percent(probability)} of the odds agree)"
             )
             return Finding("failed", reason, probability, 1.0 - wrong, advice=self._where_to_decide)
         where = " near the measured ones" if self.measurements.has_smoothed_inputs else ""
-        reason = f"{percent(probability)} of the odds agree from {starts} other initial states{where}"
+        reason = f"{format_percent(probability)} of the odds agree from {starts} other initial states{where}"
         return Finding("passed", reason, probability, 1.0 - wrong)
 
     @property
     def _where_to_decide(self) -> str:
-        """The advice where to measure, empty without a prediction."""
-        return "" if self.prediction is None else f"measure from {where(self.prediction)} to decide"
+        """The advice where to measure; empty without a prediction."""
+        return "" if self.prediction is None else f"measure from {describe_initial_state(self.prediction)} to decide"
 
     # ----------------------------------------------------------------------------------------------------- alternatives
 
     @cached_property
-    def rivals(self) -> float:
-        """The odds of all other equations of a table without noise, which may be the law; 0 with noise."""
+    def odds_of_alternatives(self) -> float:
+        """The sum of the odds of all other equations for a table without noise; 0 with noise."""
         if not self.final.task.is_nearly_clean:
             return 0.0
         return sum(math.exp(-max(one.nats, 0.0)) for one in self.shown.alternatives if not one.is_shown)
 
     @property
-    def _are_rivals_likely(self) -> bool:
-        return self.rivals > math.exp(-SETTINGS.inference.exact_nats)
+    def _are_alternatives_likely(self) -> bool:
+        return self.odds_of_alternatives > math.exp(-SETTINGS.inference.exact_nats)
 
     def check_alternative_equations(self) -> Finding | None:
-        """Check alternatives; of a table without noise some agree along the trajectories, and differ elsewhere."""
+        """Check that no alternative fits about as well; without noise, add the advice where the equations differ."""
         finding = super().check_alternative_equations()
-        if finding is None or finding.outcome != "failed" or not self._are_rivals_likely:
+        if finding is None or finding.outcome != "failed" or not self._are_alternatives_likely:
             return finding
         return finding._replace(advice=self._where_to_decide)
 
     def check_other_laws(self) -> Finding:
-        """Check that no other equation may be the law of a table without noise."""
+        """Check that the odds of all other equations are small for a table without noise."""
         limit = math.exp(-SETTINGS.inference.exact_nats)
-        if not self._are_rivals_likely:
-            return Finding("passed", "no other equation fits as well", self.rivals, limit)
-        share = self.rivals / (1.0 + self.rivals)
+        if not self._are_alternatives_likely:
+            return Finding("passed", "no other equation fits as well", self.odds_of_alternatives, limit)
+        share = self.odds_of_alternatives / (1.0 + self.odds_of_alternatives)
         reason = (
             "the data do not distinguish it from other equations that agree on the measured trajectories and differ "
-            f"elsewhere ({percent(share)} of the odds)"
+            f"elsewhere ({format_percent(share)} of the odds)"
         )
-        return Finding("failed", reason, self.rivals, limit, advice=self._where_to_decide)
+        return Finding("failed", reason, self.odds_of_alternatives, limit, advice=self._where_to_decide)
 
     # ----------------------------------------------------------------------------------------------------------- inputs
 
     @cached_property
     def unknown_inputs(self) -> dict[str, float]:
-        """The share of the variance of a rate that each input makes between its rows, where it is not known.
+        """The share of the variance of a rate that is due to the uncertainty of each input between its rows.
 
-        The largest of the equations that the state follows from, and of the groups of trajectories with their own
-        constants. NaN if there are too few rows.
+        This is the largest share over the equations on which the state depends, and over groups of trajectories. NaN if
+        there are too few rows.
         """
         names, shares = self.final.task.dataset.names, dict[str, float]()
         for name, symbol, variance in self.final.unknown_variances:
             column = names.index(symbol) if symbol in names else -1
-            places = [one.index for one in (self, *self.followed)]
+            places = [one.index for one in (self, *self.needed_equations)]
             using = [place for place in places if column in variables_of(self.final.programs[place])]
             if using:
                 by = math.nan if variance is None else math.sqrt(variance)
                 shares[name] = max(
                     share_of_rate(programs[place], points, column, by)
-                    for programs, points in self.final.visited_by_group
+                    for programs, points in self.final.visited_points_by_group
                     for place in using
                 )
         return shares
@@ -483,14 +498,13 @@ class TrajectoryChecks(EquationChecks):
             return Finding("not made", reason, advice="sample more rows")
         unknown, worst = [one for one, share in shares.items() if share > most], max(shares.values())
         if not unknown:
-            reason = f"uncertain inputs between rows cause at most {percent(worst)} of the variance of a rate"
+            reason = f"uncertain inputs between rows cause at most {format_percent(worst)} of the variance of a rate"
             return Finding("passed", reason, worst, most)
         recording, verb = self.final.task.recording, "is" if len(unknown) == 1 else "are"
         kinds = zip(recording.inputs, recording.input_kinds, strict=False)
         held = listed(sorted({*(name for name, kind in kinds if kind == "held"), *unknown}))
-        reason = (
-            f"{_quoted(unknown)} {verb} uncertain between rows, which causes {percent(worst)} of the variance of a rate"
-        )
+        share = format_percent(worst)
+        reason = f"{_quoted(unknown)} {verb} uncertain between rows, which causes {share} of the variance of a rate"
         advice = (
             f"add --hold {held} if {_quoted(unknown)} {verb} constant from row to row, else sample faster, or with "
             "less noise"
@@ -499,17 +513,17 @@ class TrajectoryChecks(EquationChecks):
 
 
 class UnsimulatedChecks(TrajectoryChecks):
-    """The checks of an equation that could not be simulated along the trajectories, or not in time.
+    """The checks of an equation that was not simulated along the trajectories: it failed, or time was over.
 
-    It was fitted to derivatives only: the quantities of a simulation are not known.
+    The equation was fitted to derivatives only, so that the quantities of a simulation are not known.
     """
 
     unknown_inputs: ClassVar = {}
-    rivals = 0.0
+    odds_of_alternatives = 0.0
     __init__ = EquationChecks.__init__
 
     def check_simulation(self) -> Finding:
-        """Fail."""
+        """Return a failed finding: there is no simulation."""
         return Finding("failed", f"{UNSIMULATED.reason}; it was fitted to the derivatives only")
 
     def check_constants(self) -> Finding | None:
@@ -517,8 +531,8 @@ class UnsimulatedChecks(TrajectoryChecks):
         return super().check_constants() if self.shown.constants else None
 
 
-def no_elaborations(most: int, alternatives: Sequence[Alternative]) -> list[Alternative]:
-    """Return the others that have at most so many constants, or describe the data far better."""
+def drop_elaborations(most: int, alternatives: Sequence[Alternative]) -> list[Alternative]:
+    """Return the alternatives with at most `most` constants, or with a far shorter description."""
     return [
         one
         for one in alternatives
@@ -528,13 +542,13 @@ def no_elaborations(most: int, alternatives: Sequence[Alternative]) -> list[Alte
 
 
 def standard_deviation(measurements: Measurements, index: int) -> float:
-    """Return the standard deviation of the measured values of a state, where they count, as in a row of weight 1."""
+    """Return the standard deviation of the measured values of a state in rows that count, scaled to weight 1."""
     squares, count = squares_about_mean(measurements, index, slice(None))
     return max(math.sqrt(squares / max(count, 1)), 1e-300)
 
 
-def _pieces_of(residuals: FloatArray, measurements: Measurements, index: int) -> list[FloatArray]:
-    """Return the residuals of a state along each piece, on measured rows that count, as in a row of weight 1."""
+def _split_into_pieces(residuals: FloatArray, measurements: Measurements, index: int) -> list[FloatArray]:
+    """Return the residuals of a state along each piece, on measured rows that count, scaled to weight 1."""
     own = residuals[index]
     if measurements.inverse_variances is not None:
         own = own * np.sqrt(measurements.inverse_variances[index])
@@ -548,10 +562,11 @@ def _quoted(names: Sequence[str]) -> str:
 
 
 def share_of_rate(program: Program, points: FloatArray, column: int, by: float) -> float:
-    """Return the share of the variance of a rate that errors of one variable, of this size (`by`), make of it.
+    """Return the share of the variance of a rate that is due to errors of size `by` in one variable.
 
-    The errors have either sign, and the larger change of the rate counts at each of the points (V, R). The share is of
-    the sum of both variances: 1 where a change leads to where the rate has no value, NaN for a size that is not known.
+    The variable is changed by `by` in both directions at each of the points (V, R), and the larger change of the rate
+    counts. The share is relative to the sum of both variances. It is 1 if a changed rate has no finite value, and NaN
+    if `by` is not known.
     """
     if not by > 0.0:
         return by

@@ -1,7 +1,13 @@
-"""Simulations of a fitted model along measured trajectories: values, bands, and how much they explain. Pure.
+"""Simulations of a fitted model along measured trajectories: values, standard errors, R2. Pure.
 
-Letters: P fitted constants, D states, O measured states, N rows, R rows of one trajectory, G pieces, each simulated
-without a break.
+`simulated_standard_errors` propagates the covariance of the constants and of the initial states by the sensitivities,
+to first order. `compute_r2` compares simulations with measurements, row by row with weights.
+
+Doubtful: the bands are first-order, so they are wrong where a small change of a constant changes a trajectory
+qualitatively. They contain no measurement errors and no uncertainty of the structure.
+
+Letters: P fitted constants, D states, O measured states, N rows, R rows of one trajectory, G pieces; each piece is
+simulated without a break.
 """
 
 from collections.abc import Sequence
@@ -20,15 +26,15 @@ from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.expression.program import Program, constant_places
 
 _MOST_POINTS: Final = 200
-"""Points of one simulated trajectory in a result; a longer one is thinned evenly."""
+"""Most points of one simulated trajectory in a result; a longer trajectory is thinned evenly."""
 _MOST_NUMBERS: Final = 100_000
-"""Numbers of all curves together, about 1 MB as text."""
+"""Most numbers of all curves together, about 1 MB as text."""
 
 
-def fit_starts(
+def fit_initial_states(
     comparison: ModelComparison, programs: Sequence[Program], near: TrajectoryFit | None = None
 ) -> TrajectoryFit | None:
-    """Return `programs`, all constants as they are, fitted to the trajectories by their initial states alone."""
+    """Return the simulation of `programs` with fitted initial states and unchanged constants; None if it fails."""
     system = comparison.system(programs, [constant_places(program) for program in programs])
     starts, errors = (None, None) if near is None else (near.starts, near.errors)
     return comparison.estimator.fit(system, None, SETTINGS.effort.steps, starts, errors)
@@ -37,7 +43,7 @@ def fit_starts(
 def simulated_states(
     measurements: Measurements, fit: TrajectoryFit, states: Sequence[str]
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return the simulated states (O, N) as they are measured, and the offsets (N,) of the states that have some."""
+    """Return the simulated values (O, N) of measured states, offsets included, and the offsets (N,) by state."""
     values, offsets = fit.simulated[measurements.observed], dict[str, FloatArray]()
     lengths = fit.segments[:, 1] - fit.segments[:, 0]
     columns = fit.starts[:, fit.starts.shape[1] - len(measurements.offset) :].T
@@ -48,7 +54,7 @@ def simulated_states(
 
 
 def rows_by_trajectory(measurements: Measurements) -> list[tuple[str, IntArray]]:
-    """Return the rows of each trajectory that has rows, by name."""
+    """Return the name and the rows of each trajectory that has rows."""
     ranges = [np.arange(*bound) for bound in measurements.bounds.tolist()]
     named_rows = []
     for index, name in enumerate(measurements.names):
@@ -58,22 +64,22 @@ def rows_by_trajectory(measurements: Measurements) -> list[tuple[str, IntArray]]
     return named_rows
 
 
-def listed_trajectories(
+def list_trajectories(
     measurements: Measurements, fit: TrajectoryFit | None, errors: FloatArray | None, states: Sequence[str],
     preparation: Preparation, quantile: float,
 ) -> list[Simulated]:  # fmt: skip
-    """Return simulations as a result lists them: thinned, at the times of the user's file, next to the measurements.
+    """Return the simulations for a result: thinned, at the times of the user's file, with the measurements.
 
-    There are no curves without a fit. Where the errors of a solver were subtracted from the measurements, the result
-    has the measurements themselves.
+    Without a fit there are no curves. If the errors of a solver were subtracted from the measurements, the result
+    contains the original measurements.
 
     Args:
         measurements: the trajectories.
         fit: their simulation; None if it failed.
         errors: the standard errors (O, N) of the simulated states; None: there are no bands.
         states: names of the O states.
-        preparation: the table.
-        quantile: standard errors on either side of the 95 % bands (Student's t, as of the constants).
+        preparation: the prepared table.
+        quantile: half the width of the 95 % bands in standard errors (Student's t, as for the constants).
     """
     recording, source = preparation.recording, preparation.source
     assert recording is not None
@@ -96,7 +102,7 @@ def listed_trajectories(
         recorded = parts[name].measured[[recording.states.index(state) for state in states]]
         if recorded.shape == measured.shape:
             measured = np.where(np.isnan(measured), np.nan, recorded)
-        r2 = [None for _ in states] if fit is None else r2_of(measurements, fit, rows)
+        r2 = [None for _ in states] if fit is None else compute_r2(measurements, fit, rows)
         start = None if fit is None else dict(zip(names, fit.simulated[:, rows[0]].tolist(), strict=False))
         listed.append(Simulated(
             name=name,
@@ -113,8 +119,8 @@ def listed_trajectories(
     return listed
 
 
-def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice) -> list[float | None]:
-    """Return for each measured state the share of its variance along these rows that the simulation explains."""
+def compute_r2(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice) -> list[float | None]:
+    """Return R2 of the simulation along these rows for each measured state; None if the state does not vary."""
     shares: list[float | None] = []
     for state in range(len(measurements.observed)):
         squares = measurements.weights[state, rows] * fit.residuals[state, rows] ** 2
@@ -124,7 +130,7 @@ def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice
 
 
 def squares_about_mean(measurements: Measurements, state: int, rows: IntArray | slice) -> tuple[float, int]:
-    """Return the sum of squares of a measured state about its mean, as in rows of weight 1, and how many rows count."""
+    """Return the sum of squares of a measured state about its mean, scaled to weight 1, and how many rows count."""
     counts = measurements.weights[state, rows] > 0.0
     values = measurements.measured[state, rows][counts]
     weights = np.ones(len(values))
@@ -134,12 +140,14 @@ def squares_about_mean(measurements: Measurements, state: int, rows: IntArray | 
     return float((weights * (values - mean) ** 2).sum()), len(values)
 
 
-def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float) -> FloatArray:
+def simulated_standard_errors(
+    measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float
+) -> FloatArray:
     """Return the standard errors (O, N) of the simulated states, from constants and initial states together.
 
-    To first order: with sensitivities J of the constants and Y of a piece's initial state, whose normal equations have
-    blocks B (coupling) and C (own), the variance of a state is K S K' + Y C^-1 Y' with K = J - Y C^-1 B'. The
-    constants may have been fitted to these trajectories or to others.
+    To first order, the variance of a state is K S K' + Y C^-1 Y' with K = J - Y C^-1 B'. J are the sensitivities by the
+    constants, and Y by the initial state of the piece. B (coupling) and C (own) are blocks of the normal equations. The
+    constants may have been fitted to these or to other trajectories.
 
     Args:
         measurements: the trajectories.

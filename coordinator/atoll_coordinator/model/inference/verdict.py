@@ -1,12 +1,16 @@
 """The table of checks, and the verdict that follows from them. Pure.
 
 `RULES` is the table: the name of each check, the quantity it measures, its limit, and the kinds of job to which it
-applies. The check is the method `check_` with this name, of `checks`, `trajectory_checks` or `target_checks`: it
-measures the quantity and returns a `Finding` with a clause for the sentence. A check has passed, has failed, is not
-applicable to this table, or was not made; the clause then says why and what to do. An equation is `good` or `exact`
-only if every check that applies was made, could detect a relevant departure, and passed. A departure is relevant if it
-has more than a tenth of the variance of a state, since predictions of a good equation have an R2 above 0.9. A test that
-was not made never counts as passed.
+applies. The check is the method `check_` with this name, of `checks`, `trajectory_checks`, `target_checks` or
+`stochastic.checks`: it measures the quantity and returns a `Finding` with a clause for the sentence. A check has
+passed, has failed, is not applicable to this table, or was not made; the clause then says why and what to do.
+
+`judge` decides: an equation is `good` or `exact` only if every check that applies was made, could detect a relevant
+departure, and passed. A departure is relevant if it has more than 0.1 of the variance of a state, since predictions of
+a good equation have an R2 above 0.9. A test that was not made never counts as passed.
+
+Doubtful: a grade says that no check found a fault. Limits are conventions, and a wrong equation can pass all checks if
+it fits and no tried alternative fits as well.
 """
 
 import math
@@ -15,7 +19,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from atoll_coordinator.model.inference.checks import UNSIMULATED, EquationChecks, Finding, percent, where
+from atoll_coordinator.model.inference.checks import (
+    UNSIMULATED,
+    EquationChecks,
+    Finding,
+    describe_initial_state,
+    format_percent,
+)
 from atoll_coordinator.model.refinement import CheckOutcome, Grade, JobKind
 from atoll_coordinator.result.equations import Check
 from atoll_coordinator.settings import SETTINGS
@@ -34,13 +44,13 @@ class Rule:
     kinds: Sequence[JobKind]
     is_exactness: bool = False
 
-    def find(self, equation: EquationChecks) -> Finding:
-        """Return the outcome; a check that has passed but could not detect a relevant departure was not made."""
-        finding: Finding = getattr(equation, "check_" + re.sub(r"\W", "_", self.name))() or equation.unmade
+    def apply(self, equation: EquationChecks) -> Finding:
+        """Return the finding; a check that passed but could not detect a relevant departure counts as not made."""
+        finding: Finding = getattr(equation, "check_" + re.sub(r"\W", "_", self.name))() or equation.default_finding
         power = finding.power
         if finding.outcome != "passed" or power is None or not power > SETTINGS.inference.part:
             return finding
-        least = f"below {percent(power)} of the variance" if math.isfinite(power) else "of any size"
+        least = f"below {format_percent(power)} of the variance" if math.isfinite(power) else "of any size"
         reason = f"the check of {self.name} cannot detect errors of the model {least}"
         return finding._replace(outcome="not made", reason=reason, advice="measure more rows, or with less noise")
 
@@ -51,7 +61,7 @@ _PROCESS: Final[Sequence[JobKind]] = ("process",)
 _FITTED: Final = (*_SIMULATED, *_TARGET)
 _ALL: Final = (*_FITTED, *_PROCESS)
 
-# name, quantity measured, limit, kinds of job; the most important checks come first, also in the sentence
+# name, quantity measured, limit, kinds of job; the most important checks come first, here and in the sentence
 RULES: Final[Sequence[Rule]] = (
     Rule("explained variance", "R2 of the simulation, or on the target", "0.1", _FITTED),
     Rule("simulation", "whether the trajectories could be simulated", "all", _SIMULATED),
@@ -98,35 +108,38 @@ class Verdict:
 def judge(equation: EquationChecks) -> Verdict:
     """Return the verdict on an equation.
 
-    `no model`: it explains less than a tenth of the variance. `doubtful`: a check that applies has failed, was not
-    made, or could not detect a relevant departure. `exact`: the checks of exactness have passed as well. `good`: else.
+    `no model`: the equation explains less than 0.1 of the variance. `doubtful`: a check that applies has failed, was
+    not made, or could not detect a relevant departure. `exact`: the checks of exactness have also passed. `good`:
+    otherwise.
     """
     findings, exactness = make_checks(equation), make_checks(equation, of_exactness=True)
-    checks = checks_of(findings)
+    checks = list_checks(findings)
     explained = findings.get("explained variance")
     if explained is not None and explained.outcome == "failed":
-        return Verdict("no model", sentence([explained]), checks)
-    against = failures(findings.values())
+        return Verdict("no model", format_sentence([explained]), checks)
+    against = list_failures(findings.values())
     if against:
-        return Verdict("doubtful", sentence(against), checks)
+        return Verdict("doubtful", format_sentence(against), checks)
     precise = exactness.get("precision")
     if precise is not None and precise.outcome == "passed":
         unsure = [finding for finding in exactness.values() if finding.outcome not in ("passed", "not applicable")]
-        return Verdict("good" if unsure else "exact", sentence([precise, *unsure]), (*checks, *checks_of(exactness)))
-    return Verdict("good", _capitalised(_merits(equation, findings)), checks)
+        return Verdict(
+            "good" if unsure else "exact", format_sentence([precise, *unsure]), (*checks, *list_checks(exactness))
+        )
+    return Verdict("good", _capitalise(_describe_merits(equation, findings)), checks)
 
 
 def make_checks(equation: EquationChecks, *, of_exactness: bool = False) -> dict[str, Finding]:
-    """Return the findings of the checks that apply to this kind of job by name, in the order of their weight."""
+    """Return the findings of the checks that apply to this kind of job by name, the most important check first."""
     return {
-        rule.name: rule.find(equation)
+        rule.name: rule.apply(equation)
         for rule in RULES
         if rule.is_exactness == of_exactness and equation.kind in rule.kinds
     }
 
 
-def checks_of(findings: Mapping[str, Finding]) -> tuple[Check, ...]:
-    """Return the checks for a result."""
+def list_checks(findings: Mapping[str, Finding]) -> tuple[Check, ...]:
+    """Return the findings as checks of a result."""
     return tuple(
         Check(
             name=name, outcome=finding.outcome, reason=finding.clause, value=finding.value, limit=finding.limit,
@@ -136,43 +149,43 @@ def checks_of(findings: Mapping[str, Finding]) -> tuple[Check, ...]:
     )  # fmt: skip
 
 
-def with_objection(verdict: Verdict, name: str, outcome: CheckOutcome, reason: str) -> Verdict:
-    """Return a verdict with a further check that has failed or was not made: the verdict is at best doubtful."""
+def add_objection(verdict: Verdict, name: str, outcome: CheckOutcome, reason: str) -> Verdict:
+    """Return a verdict with a further check that has failed or was not made; the grade is at best `doubtful`."""
     checks = (*verdict.checks, Check(name=name, outcome=outcome, reason=reason))
     if verdict.grade in ("no model", "doubtful"):
         return Verdict(verdict.grade, verdict.reason, checks)
-    return Verdict("doubtful", _capitalised(reason), checks)
+    return Verdict("doubtful", _capitalise(reason), checks)
 
 
-def failures(findings: Iterable[Finding]) -> list[Finding]:
-    """Return the findings that speak against an equation: failed checks, then those that were not made."""
+def list_failures(findings: Iterable[Finding]) -> list[Finding]:
+    """Return the findings against an equation: failed checks, then checks that were not made."""
     listed = [*findings]
     failed = [finding for finding in listed if finding.outcome == "failed"]
-    unmade = {finding.clause: finding for finding in listed if finding.outcome == "not made"}
+    default_finding = {finding.clause: finding for finding in listed if finding.outcome == "not made"}
     if failed:
-        unmade.pop(UNSIMULATED.clause, None)  # the check of the simulation itself has said so
-    return [*failed, *unmade.values()]
+        default_finding.pop(UNSIMULATED.clause, None)  # the failed check of the simulation has this reason
+    return [*failed, *default_finding.values()]
 
 
-def sentence(findings: Sequence[Finding]) -> str:
-    """Return the first two clauses as a sentence; with two, their advice follows in sentences of its own."""
+def format_sentence(findings: Sequence[Finding]) -> str:
+    """Return the first two clauses as one sentence; with two clauses, their advice follows in separate sentences."""
     if len(findings) == 1:
-        return _capitalised(findings[0].clause)
+        return _capitalise(findings[0].clause)
     advice = dict.fromkeys(finding.advice for finding in findings[:2] if finding.advice)
-    return " ".join(map(_capitalised, [", and ".join(finding.reason for finding in findings[:2]), *advice]))
+    return " ".join(map(_capitalise, [", and ".join(finding.reason for finding in findings[:2]), *advice]))
 
 
-def _capitalised(clause: str) -> str:
+def _capitalise(clause: str) -> str:
     return clause[0].upper() + clause[1:] + "."
 
 
-def _merits(equation: EquationChecks, findings: Mapping[str, Finding]) -> str:
+def _describe_merits(equation: EquationChecks, findings: Mapping[str, Finding]) -> str:
     """Return why an equation is good, as one clause: residuals, then predictions, separated by semicolons."""
     reasons = {name: finding.clause for name, finding in findings.items() if finding.outcome != "not applicable"}
     size = next((reasons[name] for name in ("residual size", "rows left out") if name in reasons), "")
     pattern = reasons.get("residual pattern", "")
     if pattern and equation.are_integration_errors:
-        has_told = equation.solver is not None or equation.left <= SETTINGS.inference.exact
+        has_told = equation.solver is not None or equation.relative_residuals <= SETTINGS.inference.exact
         size, pattern = size if has_told else f"{size}; {pattern}", ""
     if size.startswith("the residuals") and pattern:
         size, pattern = f"{size} and {pattern.removeprefix('the residuals ')}", ""
@@ -182,6 +195,6 @@ def _merits(equation: EquationChecks, findings: Mapping[str, Finding]) -> str:
     if known is not None and known.reached is not None:
         merits.append(
             f"from other initial states within the measured range it reaches {known.reached:.3g}, outside of this "
-            f"range: measure from {where(known)} to test this"
+            f"range: measure from {describe_initial_state(known)} to test this"
         )
     return "; ".join(merits) or equation.merit

@@ -1,7 +1,7 @@
 """The equation of one variable, fitted to its target without simulations.
 
-- `equation`: from a front to the equation that is shown, and the errors of its constants
-- `shortening`: from candidates to the shortest description near them; processes use it as well
-- `fit`: the `Fitter` of constants to the rows of a target
-- `errors`: loss and mean squared error of a program
+- `equation`: `fit_equation` chooses the equation that is shown, and the errors of its constants
+- `shortening`: `Shortening` finds the shortest descriptions near candidates; processes use it as well
+- `fit`: `LeastSquares` fits constants to the rows of a target
+- `errors`: `measure_errors` returns loss and mean squared error of a program
 """

@@ -1,8 +1,12 @@
-"""The equation of one variable by regression on its target: the shortest that the front leads to (ADR 0012).
+"""The equation of one variable by regression on its target: the shortest description near the front (ADR 0012).
 
-*Shortening.* See `shortening`; lengths are of all rows. *Finishing.* Constants of the shortest program become simple
-numbers where the data single them out, as along trajectories (`constants.rounding`); they get standard errors, and the
-program its errors on all rows. The front stays as the search found it.
+`fit_equation` decides in two stages. *Shortening* (`shortening`): the members of the front are reduced and varied, and
+all programs are compared by their description length on the rows. *Finishing* (`_finish_equation`): constants of the
+shortest program become simple numbers where the data support them (`constants.rounding`, as for trajectories); the
+constants get standard errors, and the program its errors on all rows. The front itself is not changed.
+
+Doubtful: the search for shorter programs is local and limited by a number of evaluations. It compares programs on a
+subsample of large tables. The standard errors assume independent errors of one variance, or of weighted variances.
 """
 
 import math
@@ -14,17 +18,17 @@ import numpy as np
 from atoll_coordinator.model.constants.rounding import Estimates, FittedEquations
 from atoll_coordinator.model.constants.standard_errors import (
     ConstantErrors,
-    Known,
+    EquationConstants,
     describe_constants,
-    explicit_coefficients,
+    make_explicit_if_free,
 )
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.description_length import RegressionCriterion
 from atoll_coordinator.model.pools import Member, may_be_shown
 from atoll_coordinator.model.refinement import Alternative, Refined
-from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.shortening import Measured, Shortening
+from atoll_coordinator.model.regression.errors import measure_errors
+from atoll_coordinator.model.regression.fit import FittedProgram, LeastSquares
+from atoll_coordinator.model.regression.shortening import MeasuredProgram, Shortening
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
@@ -39,38 +43,38 @@ from atoll_core.expression.writing.shortest import shortest, shortest_over
 
 
 @dataclass(frozen=True, eq=False)
-class WeighedRows:
-    """The rows that decide constants, with their `weights` (R,), 1 on average; None: all count alike."""
+class WeightedRows:
+    """The rows to which constants are fitted, with their `weights` (R,), 1 on average; None: equal weights."""
 
     problem: Problem
     weights: FloatArray | None = None
 
-    def spread(self, most: int) -> "WeighedRows":
-        """Return about `most` rows, spread evenly over all, and not in step with a period of theirs."""
+    def subsample(self, most: int) -> "WeightedRows":
+        """Return about `most` rows, spread over all rows in a way that does not follow a period of the data."""
         problem, weights = self.problem, self.weights
         if len(problem.target.values) > most:
             places = thinned_places(len(problem.target.values), most)
             target = replace(problem.target, values=problem.target.values[places])
             problem = Problem(problem.names, np.ascontiguousarray(problem.inputs[:, places]), target)
             weights = None if weights is None else weights[places]
-        return WeighedRows(problem, None if weights is None else weights / weights.mean())
+        return WeightedRows(problem, None if weights is None else weights / weights.mean())
 
 
-def target_shortening(
+def make_target_shortening(
     least_squares: LeastSquares, criterion: RegressionCriterion, operators: Collection[int], variables: Collection[int],
     deadline: Deadline | None = None,
 ) -> Shortening:  # fmt: skip
     """Return the shortening of fronts by fits to the rows of a target.
 
-    `operators` (codes) and `variables` (indices) are what new programs may bring in. The work is bounded by a number of
-    point evaluations, not by the clock, unless there is a deadline.
+    New programs may contain only these `operators` (codes) and `variables` (indices). The work is limited by a number
+    of point evaluations, and by time only if there is a deadline.
     """
 
-    def measure(program: Program, most: float) -> Measured:
+    def measure(program: Program, most: float) -> MeasuredProgram:
         enough = criterion.mse_of(most - criterion.length_of_program(program))
         fitted = least_squares.fit(program, enough=enough)
         misfit = criterion.misfit(fitted.mse)
-        return Measured(fitted.program, misfit, misfit + criterion.length_of_program(fitted.program))
+        return MeasuredProgram(fitted.program, misfit, misfit + criterion.length_of_program(fitted.program))
 
     def is_over() -> bool:
         is_late = deadline is not None and deadline.is_over
@@ -83,22 +87,22 @@ def target_shortening(
 
 
 def fit_equation(
-    problem: Problem, config: JobConfig, front: Sequence[Member], counted: WeighedRows | None = None,
+    problem: Problem, config: JobConfig, front: Sequence[Member], counted: WeightedRows | None = None,
     deadline: Deadline | None = None, *, has_intervals: bool = False,
 ) -> Refined | None:  # fmt: skip
-    """Return the shortest model that can be made of `front`; None when the front must stay as it is.
+    """Return the equation with the shortest description near `front`; None if no equation replaces the front's member.
 
-    That is so when the front is empty, and when a member meets the error at which the equation counts as found, but
-    nothing shorter does. Pure without a `deadline`, after which nothing new is tried. Takes about a second for a few
-    hundred noisy rows, less for exact ones.
+    None is returned when the front is empty, and when a member has reached the target error but no candidate that may
+    be shown has. After the `deadline` no new program is tried; without one, equal arguments give equal results. Takes
+    about a second for a few hundred noisy rows, less for exact rows.
 
     Args:
-        problem: its rows, which the search saw, are counted alike for the errors.
-        config: of the job.
+        problem: the rows of the search; the errors of the equation are measured on these, with equal weights.
+        config: the configuration of the job.
         front: members of the front.
-        counted: the rows that decide the constants; None: the same rows, all alike.
+        counted: the rows to which constants are fitted; None: the rows of `problem`, with equal weights.
         deadline: see above.
-        has_intervals: the errors of the rows are independent, and constants have 95 % intervals.
+        has_intervals: whether the errors of the rows are independent, so that constants have 95 % intervals.
     """
     limit = problem.target.convergence_error(config.budget.target_error)
     has_converged = any(member.error <= limit for member in front)
@@ -110,41 +114,41 @@ def fit_equation(
     operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
     allowed = config.space.columns_for(variable, problem.names)
     restrictions = restrictions_of(config, variable, problem.names)
-    counted = WeighedRows(problem) if counted is None else counted
-    spread = counted.spread(SETTINGS.rows.most)
+    counted = WeightedRows(problem) if counted is None else counted
+    spread = counted.subsample(SETTINGS.rows.most)
     least_squares = LeastSquares(spread.problem, spread.weights, restrictions)
     criterion = RegressionCriterion.of(spread.problem.target)
-    shortening = target_shortening(least_squares, criterion, operators, allowed, deadline)
+    shortening = make_target_shortening(least_squares, criterion, operators, allowed, deadline)
     begun = [shortest(front[index].program) for index in kept]
-    candidates = shortening.candidates(begun, looks_around=not has_converged)
+    candidates = shortening.find_candidates(begun, tries_neighbours=not has_converged)
     all_rows = LeastSquares(counted.problem, counted.weights, restrictions)
 
     def may_stand(program: Program) -> bool:
         return restrictions.are_kept(program) and may_be_shown(program, config.space.max_size)
 
     for candidate, place in candidates:
-        refined = _finished(problem, counted, candidate, config, all_rows, has_intervals=has_intervals)
+        refined = _finish_equation(problem, counted, candidate, config, all_rows, has_intervals=has_intervals)
         is_member = structure(begun[place]) == structure(shortest(candidate.program))
         refined = replace(refined, member=kept[place], origin="front" if is_member else "descent")
         if refined.error <= limit and may_stand(refined.program):
-            for index, same in enumerate(front):  # the very same program has the errors that the search measured
+            for index, same in enumerate(front):  # a program equal to a member has the errors that the search measured
                 if same.program == refined.program:
                     refined = replace(refined, member=index, error=same.error, mse=same.mse, origin="front")
                     break
             if not has_intervals:
                 return refined
             others = [other for other, _ in candidates if may_stand(other.program)]
-            return replace(refined, alternatives=_alternatives(refined, candidate, others, all_rows))
+            return replace(refined, alternatives=_describe_alternatives(refined, candidate, others, all_rows))
     return None
 
 
-def _alternatives(
-    shown: Refined, chosen: Measured, candidates: Sequence[Measured], rows: LeastSquares
+def _describe_alternatives(
+    shown: Refined, chosen: MeasuredProgram, candidates: Sequence[MeasuredProgram], rows: LeastSquares
 ) -> tuple[Alternative, ...]:
-    """Return the equation that is shown and its alternatives, the shortest descriptions first.
+    """Return the equation that is shown and its alternatives, the shortest descriptions first, each form once.
 
-    Each form once. More constants always describe about as well: such candidates are no alternatives, unless they
-    describe the rows far better. Constants are counted before some become simple.
+    Equations with more constants always fit about as well. They count as alternatives only if their description is far
+    shorter. Constants are counted before some become simple.
     """
     most = len(constant_places(chosen.program))
     distinct = {form_of(shown.program): chosen}
@@ -162,18 +166,18 @@ def _alternatives(
     )
 
 
-def _finished(
-    problem: Problem, counted: WeighedRows, candidate: Measured, config: JobConfig, least_squares: LeastSquares, *,
-    has_intervals: bool,
+def _finish_equation(
+    problem: Problem, counted: WeightedRows, candidate: MeasuredProgram, config: JobConfig,
+    least_squares: LeastSquares, *, has_intervals: bool,
 ) -> Refined:  # fmt: skip
-    """Decide the constants on all rows that count; measure errors and standard errors."""
+    """Return a candidate with constants fitted to all `counted` rows and rounded, and with its errors."""
     restrictions, criterion = least_squares.restrictions, RegressionCriterion.of(counted.problem.target)
     bounds = restrictions.bounds
     fitted = least_squares.fit(candidate.program)
     program = fitted.program
     if math.isfinite(fitted.mse):
         least = criterion.misfit(fitted.mse)
-        (program,) = _equations(fitted, criterion, restrictions).simplified(
+        (program,) = _attach_estimates(fitted, criterion, restrictions).simplify(
             lambda programs: criterion.misfit(least_squares.mse(programs[0])) - least
         )
     short = shortest_over(program, counted.problem.inputs) if bounds is None else bounds.written(program) or program
@@ -186,55 +190,57 @@ def _finished(
         program = written if may_be_shown(written, config.space.max_size) else program
     fitted, simple, together = least_squares.fit(program), None, None
     if math.isfinite(fitted.mse):
-        rounded = _equations(fitted, criterion, restrictions).rounded()
+        rounded = _attach_estimates(fitted, criterion, restrictions).round_constants()
         (program,), (simple,), (together,) = rounded.programs, rounded.simple, rounded.together
-    error, mse = errors_on(problem, program, config.evolution.loss)
+    error, mse = measure_errors(problem, program, config.evolution.loss)
     known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).with_simple(simple or ())
     return Refined(None, program, error, mse, known.written, known.unit_coefficients, simple_together=together)
 
 
-def _equations(fitted: Fitted, criterion: RegressionCriterion, restrictions: Restrictions) -> FittedEquations:
+def _attach_estimates(
+    fitted: FittedProgram, criterion: RegressionCriterion, restrictions: Restrictions
+) -> FittedEquations:
     """Return a fitted equation with the estimates of its constants, for rounding."""
     errors = estimate_errors(fitted, criterion, restrictions)
-    return FittedEquations([fitted.program], Estimates(errors.values, errors.bounded), [restrictions])
+    return FittedEquations([fitted.program], Estimates(errors.values, errors.finite_covariance), [restrictions])
 
 
 def estimate_errors(
-    fitted: Fitted, criterion: RegressionCriterion, restrictions: Restrictions, *, has_intervals: bool = True
+    fitted: FittedProgram, criterion: RegressionCriterion, restrictions: Restrictions, *, has_intervals: bool = True
 ) -> ConstantErrors:
     """Return the errors of fitted constants.
 
-    The variance of the residuals is the sum of their squares over n - K, which is 1 at least, or the square of the
-    target's uncertainty if that is larger. Without more rows n than constants K, no constant is determined.
+    The variance of the residuals is the sum of their squares over n - K (at least 1), or the square of the target's
+    uncertainty if that is larger. If there are not more rows n than constants K, no constant is determined.
     """
     values = fitted.program.constants[constant_places(fitted.program)]
     freedom = criterion.rows - len(values)
     if not math.isfinite(fitted.mse):
         unknown = np.ones(len(values), np.bool_)
         return ConstantErrors(values, np.eye(len(values)), unknown, freedom, has_intervals=has_intervals)
-    errors = ConstantErrors.of_fit(
+    errors = ConstantErrors.from_fit(
         values, fitted.normal, freedom, criterion.variance(fitted.mse * criterion.rows / max(freedom, 1)),
         restrictions.ranges(fitted.program), -fitted.gradient, has_intervals=has_intervals,
     )  # fmt: skip
-    return errors if freedom > 0 else replace(errors, open=np.ones_like(errors.open))
+    return errors if freedom > 0 else replace(errors, undetermined=np.ones_like(errors.undetermined))
 
 
 def estimate_constants(
     program: Program, least_squares: LeastSquares, criterion: RegressionCriterion, *, has_intervals: bool
-) -> Known:
-    """Return the constants of `program` as they are fitted, with standard errors; infinite ones where n <= K.
+) -> EquationConstants:
+    """Return the fitted constants of `program` with standard errors, which are infinite if n <= K.
 
     Factors of one that are not written are fitted as well.
 
     Args:
         program: the equation as it is shown.
-        least_squares: fits it to the rows that decide its constants.
+        least_squares: fits the program to the rows.
         criterion: has the number n of these rows and the least variance of their errors.
         has_intervals: whether the errors are independent, so that there are 95 % intervals (Student's t with n - K
             degrees of freedom) and constants that the data do not determine are recognised.
     """
     restrictions = least_squares.restrictions
-    explicit = explicit_coefficients(program, restrictions, is_given=False)
+    explicit = make_explicit_if_free(program, restrictions, is_given=False)
     fitted = least_squares.fit(explicit.program)
     if not math.isfinite(fitted.mse):
         explicit, fitted = as_written(program), least_squares.fit(program)

@@ -1,4 +1,4 @@
-"""Errors of a program on the rows of a problem; loads no kernels. Pure."""
+"""Errors of a program on the rows of a problem. Pure. Loads no compiled kernels."""
 
 import math
 from collections.abc import Sequence
@@ -12,11 +12,11 @@ from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 
 _ROWS_AT_A_TIME: Final = 100_000
-"""Rows that are evaluated at a time, to save memory."""
+"""Rows evaluated at a time, to save memory."""
 
 
-def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
-    """Return loss and mean squared error on all rows, infinite when one is not finite."""
+def measure_errors(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
+    """Return loss and mean squared error on all rows; both are infinite if a value is not finite."""
     rows = len(problem.target.values)
     total, square = 0.0, 0.0
     for start in range(0, rows, _ROWS_AT_A_TIME):
@@ -30,12 +30,12 @@ def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, fl
     return (total / rows if loss == "mae" else math.sqrt(mse)), mse
 
 
-def grouped_errors_on(problem: Problem, programs: Sequence[Program], loss: Loss) -> tuple[float, float]:
-    """Return `errors_on` of an equation with a program for each group of rows, or one for all."""
+def measure_grouped_errors(problem: Problem, programs: Sequence[Program], loss: Loss) -> tuple[float, float]:
+    """Return loss and mean squared error of an equation with one program for each group of rows, or one for all."""
     if len(programs) == 1:
-        return errors_on(problem, programs[0], loss)
+        return measure_errors(problem, programs[0], loss)
     parts = [problem.of_group(group) for group in range(len(programs))]
-    part_errors = [errors_on(part, program, loss) for part, program in zip(parts, programs, strict=True)]
+    part_errors = [measure_errors(part, program, loss) for part, program in zip(parts, programs, strict=True)]
     shares = [len(part.target.values) / len(problem.target.values) for part in parts]
     mse = sum(share * part_mse for share, (_, part_mse) in zip(shares, part_errors, strict=True))
     error = sum(share * part_error for share, (part_error, _) in zip(shares, part_errors, strict=True))

@@ -20,9 +20,15 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.description_length import select_member
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
-from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.result.shared_terms import shared_terms
-from atoll_coordinator.model.result.tables import data, noise, regression, smoothing, system
+from atoll_coordinator.model.regression.errors import measure_errors
+from atoll_coordinator.model.result.shared_terms import find_shared_terms
+from atoll_coordinator.model.result.tables import (
+    describe_data,
+    describe_noise,
+    describe_regression,
+    describe_smoothing,
+    describe_system,
+)
 from atoll_coordinator.model.thinning import curve, spread_places
 from atoll_coordinator.result.base import finite
 from atoll_coordinator.result.equations import (
@@ -57,7 +63,7 @@ if TYPE_CHECKING:
 
 KNOWN: Final = "known"
 """Why there was no search: the equation was given."""
-_STOPPED: Final = {
+_ADVICE_AFTER_STOP: Final = {
     "max-time": "the time limit stopped the search before it converged or stagnated: give more time with --max-time",
     "max-epochs": "the search ended with its last epoch before it converged or stagnated: allow more with --max-epochs",
     "cancelled": "the search was cancelled before it converged or stagnated: let it run on",
@@ -139,12 +145,12 @@ def build_result(
     if is_final and recording is not None and recording.groups and not model.by_group:
         warnings.append(NOT_BY_GROUP)
     notes = {*dataset.notes, *notes_of(model.warnings)}
-    shown = {one.variable: equation_of(one, model.equations.get(one.variable), dataset, config) for one in outcomes}
+    shown = {one.variable: select_equation(one, model.equations.get(one.variable), dataset, config) for one in outcomes}
     known = {name: equation for name, equation in shown.items() if equation is not None}
     first = next(iter(shown.values()), None)
     shared: tuple[SharedTerm, ...] = ()
     if is_final and len(outcomes) > 1:
-        shared = shared_terms(known, dataset.names, model.fluxes)
+        shared = find_shared_terms(known, dataset.names, model.fluxes)
     return Result(
         job=job,
         seed=config.seed,
@@ -152,11 +158,12 @@ def build_result(
         state=account.state,
         reason=account.reason,
         equations=tuple(
-            _equation(config, preparation, outcome, shown[outcome.variable], account.state) for outcome in outcomes
+            _describe_equation(config, preparation, outcome, shown[outcome.variable], account.state)
+            for outcome in outcomes
         ),
         shared_terms=shared,
-        noise=noise(recording, model.errors),
-        smoothing=smoothing(recording),
+        noise=describe_noise(recording, model.errors),
+        smoothing=describe_smoothing(recording),
         correlations=model.correlations,
         covariance=model.covariance,
         groups=tuple(
@@ -171,15 +178,15 @@ def build_result(
         simulation=model.simulation,
         chaos=model.chaos,
         process=model.process,
-        regression=regression(preparation, None if first is None else first.program),
+        regression=describe_regression(preparation, None if first is None else first.program),
         symbols=dict(dataset.symbols),
-        system=system(preparation),
-        data=data(preparation, has_trajectories=is_final),
+        system=describe_system(preparation),
+        data=describe_data(preparation, has_trajectories=is_final),
         config=config.model_dump(mode="json", exclude_defaults=True),
         refining=model.end if account.state in ("done", "cancelled") else None,
         warnings=tuple(map(str, warnings)),
         notes=tuple(sentence for sentence in dict.fromkeys(map(str, warnings)) if sentence in notes),
-        point_evaluations=sum(_total(outcome) for outcome in outcomes),
+        point_evaluations=sum(_total_evaluations(outcome) for outcome in outcomes),
         search_seconds=account.search_seconds,
         seconds=account.seconds,
         digest=result_digest([outcome for outcome in outcomes if outcome.why != KNOWN] or outcomes),
@@ -210,13 +217,13 @@ def _version(package: str) -> str:
 # ---------------------------------------------------------------------------------------------------- one equation
 
 
-def _equation(
+def _describe_equation(
     config: JobConfig, preparation: Preparation, outcome: VariableOutcome, shown: Refined | None, state: JobState
 ) -> Equation:
     dataset = preparation.dataset
     target = dataset.problem(outcome.variable).target
     threshold = target.convergence_threshold(config.budget.target_error)
-    verdict = None if state not in FINAL_STATES else _verdict(preparation, outcome, shown, state)
+    verdict = None if state not in FINAL_STATES else _judge_equation(preparation, outcome, shown, state)
     equation = Equation(
         variable=target.variable,
         lhs=target.lhs,
@@ -227,14 +234,14 @@ def _equation(
         checks=() if verdict is None else verdict.checks,
         epoch=outcome.epoch,
         generation=outcome.generation,
-        point_evaluations=_total(outcome),
+        point_evaluations=_total_evaluations(outcome),
         point_evaluations_by_part={part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
         seconds=outcome.seconds,
         why=outcome.why,
         derivative_floor=target.uncertainty,
         target_error=threshold,
-        convergence=_convergence(outcome, target),
-        front=_front(config, preparation, outcome, None if shown is None else shown.member),
+        convergence=_describe_convergence(outcome, target),
+        front=_list_front(config, preparation, outcome, None if shown is None else shown.member),
     )
     if shown is None:
         return equation
@@ -252,15 +259,15 @@ def _equation(
         normalized_error=normalized,
         r2=target.r2(shown.mse),
         converged=normalized <= threshold,
-        constants=_constants(shown.program, shown.constants, shown),
+        constants=_describe_constants(shown.program, shown.constants, shown),
         simple_together=shown.simple_together,
-        units=_units(shown),
+        units=_describe_units(shown),
         groups=tuple(
             GroupEquation(
                 group=group,
                 expression=to_infix(program, names),
                 program=program.to_bytes().hex(),
-                constants=_constants(program, constants, shown),
+                constants=_describe_constants(program, constants, shown),
             )
             for group, (program, constants) in shown.by_group.items()
         ),
@@ -276,11 +283,13 @@ def _equation(
             for one in (() if bounds is None else bounds.governed(shown.program))
         ),
         prediction=shown.prediction,
-        candidates=_candidates(shown.alternatives, names),
+        candidates=_list_candidates(shown.alternatives, names),
     )
 
 
-def _verdict(preparation: Preparation, outcome: VariableOutcome, shown: Refined | None, state: JobState) -> "Verdict":
+def _judge_equation(
+    preparation: Preparation, outcome: VariableOutcome, shown: Refined | None, state: JobState
+) -> "Verdict":
     """Return the verdict on an equation of a job that has ended.
 
     Where refining did not judge it, its error on the target decides. Where there are trajectories, it is doubtful at
@@ -289,7 +298,7 @@ def _verdict(preparation: Preparation, outcome: VariableOutcome, shown: Refined 
     # loads kernels, which the process that serves needs for the results of jobs that were not refined alone
     from atoll_coordinator.model.inference.target_checks import TargetChecks
     from atoll_coordinator.model.inference.trajectory_checks import UnsimulatedChecks
-    from atoll_coordinator.model.inference.verdict import Verdict, judge, with_objection
+    from atoll_coordinator.model.inference.verdict import Verdict, add_objection, judge
 
     if shown is None:
         return Verdict("no model", "The search has found no equation.", ())
@@ -310,13 +319,13 @@ def _verdict(preparation: Preparation, outcome: VariableOutcome, shown: Refined 
             )
         verdict = judge(checks)
     if verdict.grade in ("exact", "good") and shown.units is not None and shown.units.faults:
-        verdict = with_objection(verdict, "units", "failed", f"units contradict it: {shown.units.faults[0]}")
-    if verdict.grade == "good" and why in _STOPPED and not (has_trajectories and why == "max-epochs"):
-        verdict = with_objection(verdict, "search", "not made", _STOPPED[why])
+        verdict = add_objection(verdict, "units", "failed", f"units contradict it: {shown.units.faults[0]}")
+    if verdict.grade == "good" and why in _ADVICE_AFTER_STOP and not (has_trajectories and why == "max-epochs"):
+        verdict = add_objection(verdict, "search", "not made", _ADVICE_AFTER_STOP[why])
     return verdict
 
 
-def equation_of(
+def select_equation(
     outcome: VariableOutcome, refined: Refined | None, dataset: Dataset, config: JobConfig
 ) -> Refined | None:
     """Return the equation that is shown: the `refined` one, without it the selected member of the front as it stands.
@@ -333,10 +342,12 @@ def equation_of(
     member = printable[select_member(front, len(target.values), target, config.budget.target_error)]
     entry = outcome.front[member]
     origin: Origin = "known" if outcome.why == KNOWN else "front"
-    return Refined(member, _written(entry, outcome, dataset), entry.error, entry.mse, origin=origin)
+    return Refined(member, _write_member(entry, outcome, dataset), entry.error, entry.mse, origin=origin)
 
 
-def _constants(program: Program, known: Sequence[Constant] = (), shown: Refined | None = None) -> tuple[Constant, ...]:
+def _describe_constants(
+    program: Program, known: Sequence[Constant] = (), shown: Refined | None = None
+) -> tuple[Constant, ...]:
     """Return the constants in node order with the values that the program has, and the units of the one `shown`.
 
     `known` is what refinement knows of them, if there was any.
@@ -349,7 +360,7 @@ def _constants(program: Program, known: Sequence[Constant] = (), shown: Refined 
     )
 
 
-def _units(shown: Refined) -> Units | None:
+def _describe_units(shown: Refined) -> Units | None:
     """Return what units say of an equation, but for the units of its constants; None where no unit is known."""
     if shown.units is None:
         return None
@@ -357,7 +368,7 @@ def _units(shown: Refined) -> Units | None:
     return Units(implied=implied, faults=tuple(shown.units.faults))
 
 
-def _candidates(alternatives: Sequence[Alternative], names: Sequence[str]) -> tuple[Candidate, ...]:
+def _list_candidates(alternatives: Sequence[Alternative], names: Sequence[str]) -> tuple[Candidate, ...]:
     """Return the equations that were compared with the one shown, itself first, then the best, and all guesses."""
     printable = [alternative for alternative in alternatives if tree_size(alternative.program) <= PRINTABLE_SIZE]
     ordered = sorted(printable, key=lambda alternative: (not alternative.is_shown, alternative.nats))
@@ -380,7 +391,7 @@ def _candidates(alternatives: Sequence[Alternative], names: Sequence[str]) -> tu
 # ---------------------------------------------------------------------------------------------- the search behind it
 
 
-def _front(
+def _list_front(
     config: JobConfig, preparation: Preparation, outcome: VariableOutcome, selected: int | None
 ) -> tuple[Member, ...]:
     """Return the members that can be printed in their shortest writing, by rising complexity and falling error.
@@ -391,7 +402,7 @@ def _front(
     best: dict[bytes, tuple[FrontEntry, Program, bool]] = {}
     for index, entry in enumerate(outcome.front):
         if is_printable(entry.program, len(dataset.names)):
-            program = _written(entry, outcome, dataset)
+            program = _write_member(entry, outcome, dataset)
             member = best.get(structure(program), (entry, program, False))
             nearer = (entry, program) if entry.error < member[0].error else member[:2]
             best[structure(program)] = (*nearer, member[2] or index == selected)
@@ -408,21 +419,21 @@ def _front(
             error=entry.error,
             normalized_error=target.normalized(entry.error),
             r2=target.r2(entry.mse),
-            constants=_constants(program),
-            holdout_error=None if unseen is None else errors_on(unseen, program, config.evolution.loss)[0],
+            constants=_describe_constants(program),
+            holdout_error=None if unseen is None else measure_errors(unseen, program, config.evolution.loss)[0],
             selected=is_selected,
         )
         for entry, program, is_selected in members
     )
 
 
-def _written(entry: FrontEntry, outcome: VariableOutcome, dataset: Dataset) -> Program:
+def _write_member(entry: FrontEntry, outcome: VariableOutcome, dataset: Dataset) -> Program:
     """Return the shortest writing of a member; a known equation as it was given."""
     program = Program.from_bytes(entry.program, len(dataset.names))
-    return program if outcome.why == KNOWN else shortest_at(program, lambda: _points(dataset))
+    return program if outcome.why == KNOWN else shortest_at(program, lambda: _sampled_points(dataset))
 
 
-def _points(dataset: Dataset) -> FloatArray:
+def _sampled_points(dataset: Dataset) -> FloatArray:
     """Return points of the box of a dataset; they are looked for in all its rows once."""
     points = _POINTS.get(dataset)
     if points is None:
@@ -436,7 +447,7 @@ def is_printable(program: bytes, inputs: int) -> bool:
     return tree_size(Program.from_bytes(program, inputs)) <= PRINTABLE_SIZE
 
 
-def _convergence(outcome: VariableOutcome, target: Target) -> tuple[Convergence, ...]:
+def _describe_convergence(outcome: VariableOutcome, target: Target) -> tuple[Convergence, ...]:
     """Return by island the generations in which its error fell, at most `MOST_STEPS`, and the normalized errors."""
     courses = []
     for island, steps in sorted(outcome.convergence.items()):
@@ -447,7 +458,7 @@ def _convergence(outcome: VariableOutcome, target: Target) -> tuple[Convergence,
     return tuple(courses)
 
 
-def _total(outcome: VariableOutcome) -> int:
+def _total_evaluations(outcome: VariableOutcome) -> int:
     return int(sum(outcome.evaluations.values()))
 
 

@@ -23,7 +23,7 @@ _SAME_NUMBER: Final = 1e-9
 """Share by which a number in a term may differ from the constant that it is."""
 
 
-def shared_terms(
+def find_shared_terms(
     equations: Mapping[str, Refined], names: Sequence[str], together: Sequence[Flux] = ()
 ) -> tuple[SharedTerm, ...]:
     """Return the terms that two equations or more have, as `term`, with the `factors` that they have there.
@@ -40,7 +40,7 @@ def shared_terms(
     for variable, equation in equations.items():
         for monomial, factor in _terms(equation):
             for known_monomial, owner, factors in terms:
-                if variable not in factors and _are_one(known_monomial, owner, monomial, equation):
+                if variable not in factors and _are_same_term(known_monomial, owner, monomial, equation):
                     factors[variable] = factor
                     break
             else:
@@ -51,7 +51,7 @@ def shared_terms(
         multiples = next((flux for flux in fluxes if factors.keys() >= flux.keys()), None)
         if len(factors) > 1 and not (_is_variable(monomial) and multiples is None):
             has_function = any(atom[0] != VARIABLE for atom, _ in monomial)
-            text = _text(monomial, names)
+            text = _write_term(monomial, names)
             found.append(SharedTerm(term=text, has_function=has_function, factors=factors, multiples=multiples))
     return tuple(found)
 
@@ -69,7 +69,7 @@ def _is_variable(monomial: Monomial) -> bool:
     return len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == VARIABLE
 
 
-def _are_one(left: Monomial, left_equation: Refined, right: Monomial, right_equation: Refined) -> bool:
+def _are_same_term(left: Monomial, left_equation: Refined, right: Monomial, right_equation: Refined) -> bool:
     if shape_of(left) != shape_of(right):
         return False
     numbers = [inner_numbers(((monomial, 1.0),)) for monomial in (left, right)]
@@ -77,12 +77,13 @@ def _are_one(left: Monomial, left_equation: Refined, right: Monomial, right_equa
         return False
     pairs = zip(*(sorted(term_numbers, key=abs) for term_numbers in numbers), strict=True)
     return all(
-        abs(first - second) <= 2.0 * math.hypot(_error(first, left_equation), _error(second, right_equation))
+        abs(first - second)
+        <= 2.0 * math.hypot(_standard_error(first, left_equation), _standard_error(second, right_equation))
         for first, second in pairs
     )
 
 
-def _error(number: float, equation: Refined) -> float:
+def _standard_error(number: float, equation: Refined) -> float:
     """Return the standard error of a number in a term, a thousandth of it where none is known."""
     for constant in equation.constants:
         if abs((constant.value or 0.0) - number) <= _SAME_NUMBER * abs(number):
@@ -93,6 +94,6 @@ def _error(number: float, equation: Refined) -> float:
     return SETTINGS.common.negligible * abs(number)
 
 
-def _text(monomial: Monomial, names: Sequence[str]) -> str:
+def _write_term(monomial: Monomial, names: Sequence[str]) -> str:
     builder = ProgramBuilder()
     return to_infix(builder.program(builder.build(written(((monomial, 1.0),))[1])), names)

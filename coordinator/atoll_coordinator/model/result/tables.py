@@ -38,7 +38,7 @@ DIGITS: Final = 12
 # ---------------------------------------------------------------------------------------------------- measured rows
 
 
-def data(preparation: Preparation, *, has_trajectories: bool = True) -> Data | None:
+def describe_data(preparation: Preparation, *, has_trajectories: bool = True) -> Data | None:
     """Return digest, files and number of rows of the table, how it was read, and the measured rows of each trajectory.
 
     None where the source is not known. `trajectories` is null where states were not measured in time, or not wanted.
@@ -51,13 +51,13 @@ def data(preparation: Preparation, *, has_trajectories: bool = True) -> Data | N
         rows = sum(len(part.times) for part in recording.trajectories)
         most = min(MOST_ROWS, MOST_NUMBERS // (1 + len(recording.states) + 2 * len(recording.inputs)))
         share = min(1.0, most / max(rows, 1))
-        trajectories = tuple(_measured(recording, part, share) for part in recording.trajectories)
+        trajectories = tuple(_thin_trajectory(recording, part, share) for part in recording.trajectories)
     return Data(
         digest=source.digest, files=source.files, rows=source.rows, read_as=source.read_as, trajectories=trajectories
     )
 
 
-def _measured(recording: Recording, part: Trajectory, share: float) -> Recorded:
+def _thin_trajectory(recording: Recording, part: Trajectory, share: float) -> Recorded:
     """Return one trajectory as it was measured, a `share` of its rows; weights are null where all are 1."""
     count = len(part.times)
     rows = spread_places(count, max(LEAST_ROWS, int(share * count)))
@@ -81,7 +81,7 @@ def _measured(recording: Recording, part: Trajectory, share: float) -> Recorded:
     )
 
 
-def system(preparation: Preparation) -> System | None:
+def describe_system(preparation: Preparation) -> System | None:
     """Return the roles of the columns, their units, and the range of each variable in the rows that count.
 
     All by column name; angles are in radians there. None where the source is not known.
@@ -108,7 +108,7 @@ def system(preparation: Preparation) -> System | None:
     )
 
 
-def regression(preparation: Preparation, program: Program | None) -> Regression | None:
+def describe_regression(preparation: Preparation, program: Program | None) -> Regression | None:
     """Return some of the rows with the fitted values of `program`; None where no target was given, or no equation."""
     if preparation.source is None or preparation.source.target is None or program is None:
         return None
@@ -127,7 +127,7 @@ def regression(preparation: Preparation, program: Program | None) -> Regression 
 # --------------------------------------------------------------------------------------------- noise and smoothing
 
 
-def noise(recording: Recording | None, errors: Mapping[str, Errors]) -> dict[str, Noise]:
+def describe_noise(recording: Recording | None, errors: Mapping[str, Errors]) -> dict[str, Noise]:
     """Return the estimated measurement errors of each state; empty if no state was measured in time.
 
     `errors` are estimates from the residuals of the shown model, by state.
@@ -135,14 +135,16 @@ def noise(recording: Recording | None, errors: Mapping[str, Errors]) -> dict[str
     if recording is None:
         return {}
     return {
-        known.state: _noise(recording, index, known, errors.get(known.state))
+        known.state: _describe_noise_of_state(recording, index, known, errors.get(known.state))
         for index, known in enumerate(recording.smoothing)
     }
 
 
-def _noise(recording: Recording, index: int, known: recordings.Smoothing, errors: Errors | None) -> Noise:
+def _describe_noise_of_state(
+    recording: Recording, index: int, known: recordings.Smoothing, errors: Errors | None
+) -> Noise:
     longest = max((len(part.times) for part in recording.trajectories), default=None)
-    rms, largest = _residuals(recording, index)
+    rms, largest = _measure_residuals(recording, index)
     step = known.quantisation
     return Noise(
         sd=known.noise,
@@ -155,12 +157,12 @@ def _noise(recording: Recording, index: int, known: recordings.Smoothing, errors
         largest_residual=largest,
         doubtful_rows=known.uncertain_rows,
         outliers=known.outliers,
-        doubtful=_excluded(recording, known.excluded_rows),
+        doubtful=_list_excluded_rows(recording, known.excluded_rows),
         errors=errors,
     )
 
 
-def _residuals(recording: Recording, index: int) -> tuple[float | None, LargestResidual | None]:
+def _measure_residuals(recording: Recording, index: int) -> tuple[float | None, LargestResidual | None]:
     """Return the root mean square of measured minus smoothed values of one state, and where it is largest."""
     residuals = [
         (residual, part.name, time)
@@ -176,26 +178,26 @@ def _residuals(recording: Recording, index: int) -> tuple[float | None, LargestR
     rms = math.sqrt(squares / len(residuals)) if residuals else None
     if not value:
         return rms, None
-    return rms, LargestResidual(value=value, trajectory=name, time=_rounded(time + recording.offset))
+    return rms, LargestResidual(value=value, trajectory=name, time=_round_time(time + recording.offset))
 
 
-def _rounded(time: float) -> float:
+def _round_time(time: float) -> float:
     return float(f"{time:.12g}")
 
 
-def _excluded(recording: Recording, rows: Sequence[ExcludedRow]) -> tuple[ExcludedRows, ...]:
+def _list_excluded_rows(recording: Recording, rows: Sequence[ExcludedRow]) -> tuple[ExcludedRows, ...]:
     """Return the times of excluded rows by trajectory and reason, each list in order."""
     lists: dict[tuple[int, str], list[float]] = {}
     for row in rows[:MOST_ROWS]:
         time = float(recording.trajectories[row.trajectory].times[row.row])
-        lists.setdefault((row.trajectory, row.reason), []).append(_rounded(time + recording.offset))
+        lists.setdefault((row.trajectory, row.reason), []).append(_round_time(time + recording.offset))
     return tuple(
         ExcludedRows(trajectory=recording.trajectories[number].name, reason=reason, times=tuple(times))
         for (number, reason), times in lists.items()
     )
 
 
-def smoothing(recording: Recording | None) -> Smoothing | None:
+def describe_smoothing(recording: Recording | None) -> Smoothing | None:
     """Return smoothed and measured values of the states that were smoothed; None when none was.
 
     `rows` counts all rows, `listed` the rows included: all, or evenly spread rows of each trajectory.

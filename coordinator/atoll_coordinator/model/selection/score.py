@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.model.constants.rounding import quadratic_form
+from atoll_coordinator.model.constants.rounding import quadratic_misfit_increase
 from atoll_coordinator.model.description_length import (
     TrajectoryMisfit,
     constant_nats_of,
@@ -370,5 +370,7 @@ class Score:
         moved = fit.system.values - independent_fit.system.values
         if not moved.any():
             return False
-        distance = 2.0 * quadratic_form(moved, self._inflation(independent_fit) * bounded_covariance(independent_fit))
+        distance = 2.0 * quadratic_misfit_increase(
+            moved, self._inflation(independent_fit) * bounded_covariance(independent_fit)
+        )
         return bool(special.chdtrc(len(moved), distance) < SETTINGS.inference.improbable)

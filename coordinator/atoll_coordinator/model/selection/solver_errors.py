@@ -165,7 +165,7 @@ def _fit_constants(
 def _round_to_simple_numbers(system: System) -> System:
     """Return the system with constants rounded to simple numbers within the errors of an exact model."""
     values = system.values.copy()
-    simple = Estimates(values, np.diag((SETTINGS.inference.exact * values) ** 2)).singled_out
+    simple = Estimates(values, np.diag((SETTINGS.inference.exact * values) ** 2)).accepted_numbers
     values[[*simple]] = [*simple.values()]
     return system.with_values(values)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from atoll_coordinator.model.constants.standard_errors import Flags, covariance_of
+from atoll_coordinator.model.constants.standard_errors import Flags, estimate_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.system import System
 from atoll_core.data.dataset import FloatArray
@@ -92,7 +92,7 @@ def bounded_covariance(fit: TrajectoryFit) -> FloatArray:
 
 
 def _covariance_and_open(fit: TrajectoryFit) -> tuple[FloatArray, Flags]:
-    return covariance_of(fit.reduced, fit.system.values, fit.system.on_bounds, np.diag(fit.normal))
+    return estimate_covariance(fit.reduced, fit.system.values, fit.system.on_bounds, np.diag(fit.normal))
 
 
 def growth_rate(fit: TrajectoryFit) -> float:

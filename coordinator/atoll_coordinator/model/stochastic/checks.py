@@ -30,22 +30,22 @@ class ProcessSteps:
 
     `has_noise` tells whether a state has noise that counts: with less, the process counts as deterministic. The output
     of a numerical method, or a table that repeats after a few rows, follows a law exactly, and there is no noise to
-    test it. States that are `driven` have no noise of their own; the steps of a state that is `certain` follow its
-    equation up to rounding.
+    test it. States that are `noiseless_states` have no noise of their own; the steps of a state that is `exact_states`
+    follow its equation up to rounding.
     """
 
     def __init__(self, chosen: ChosenProcess, model: ProcessModel) -> None:
         self.chosen, self.model = chosen, model
         self.states: Final = chosen.process.states
         steps = chosen.likelihood.steps
-        self.residuals: Final = chosen.likelihood.whitened(model).residuals
+        self.residuals: Final = chosen.likelihood.whiten(model).residuals
         variances = np.median(np.diagonal(model.moments(steps.points, steps.lengths).covariance), axis=0)
         self.has_noise: Final = any(model.noise) or not bool((variances <= steps.least_variances).all())
         components = zip(model.pairs, model.diffusion, strict=True)
-        self.driven: Final = [i for (i, j), program in components if i == j and is_zero(program)]
+        self.noiseless_states: Final = [i for (i, j), program in components if i == j and is_zero(program)]
         is_stepped = model.discretisation == "Euler-Maruyama"
-        self.certain: Final = [
-            state for state in self.driven if is_stepped and float(np.mean(self.residuals[state] ** 2)) < 1.0
+        self.exact_states: Final = [
+            state for state in self.noiseless_states if is_stepped and float(np.mean(self.residuals[state] ** 2)) < 1.0
         ]
 
     @cached_property
@@ -53,7 +53,7 @@ class ProcessSteps:
         """Bins of steps that begin in neighbouring states."""
         return split_into_bins(self.chosen.likelihood.steps.points, SETTINGS.effort.kept)
 
-    def pattern(self, values: FloatArray) -> float:
+    def pattern_probability(self, values: FloatArray) -> float:
         """Return the probability of means in bins as large as the means of `values` (N,) if all have mean zero."""
         from scipy import special
 
@@ -63,19 +63,19 @@ class ProcessSteps:
         squares = [len(rows) * float(np.mean(values[rows])) ** 2 / variance for rows in self.bins if len(rows)]
         return float(special.chdtrc(len(squares), math.fsum(squares)))
 
-    def serial(self, state: int) -> float:
+    def serial_probability(self, state: int) -> float:
         """Return the probability of neighbouring steps as correlated as the steps of a state if all are independent."""
         follows = self.chosen.likelihood.steps.follows
         pieces = np.split(self.residuals[state], np.flatnonzero(~follows)[1:])
-        patterned = residual_statistics(pieces, 1.0).patterned
-        return 2.0 * min(patterned, 1.0 - patterned)
+        pattern_probability = residual_statistics(pieces, 1.0).pattern_probability
+        return 2.0 * min(pattern_probability, 1.0 - pattern_probability)
 
 
 class ProcessChecks(EquationChecks):
     """The checks of one equation of a process: the drift of a state, or a component of the diffusion."""
 
     kind: ClassVar[JobKind] = "process"
-    unmade: ClassVar[Finding] = _UNTESTED
+    default_finding: ClassVar[Finding] = _UNTESTED
 
     def __init__(self, shown: Refined, target: Target, steps: ProcessSteps, number: int) -> None:
         """Take the equation that is shown, its `number` among the equations of the process, and the steps."""
@@ -84,20 +84,20 @@ class ProcessChecks(EquationChecks):
         states = len(steps.states)
         self._drift: int | None = number if number < states else None
         self._pair = (number, number) if number < states else steps.model.pairs[number - states]
-        self._is_none = number >= states and is_zero(shown.program)
+        self._is_zero = number >= states and is_zero(shown.program)
         i, j = self._pair
-        if self._is_none and i == j:
+        if self._is_zero and i == j:
             self._drift = i  # the steps of a state without noise of its own test its drift and its variance alike
-        if self._drift in steps.certain or not steps.has_noise:
+        if self._drift in steps.exact_states or not steps.has_noise:
             self._drift = None
-        is_component = number >= states and not self._is_none
+        is_component = number >= states and not self._is_zero
         self._is_untested = self._drift is None and not (is_component and steps.has_noise)
 
     @property
     def merit(self) -> str:
         """Why the equation is good."""
         i, j = self._pair
-        if self._is_none:
+        if self._is_zero:
             whose = "this state has no noise of its own: the noise of other states explains its steps"
             return whose if i == j else "the noises of these states are not correlated beyond chance"
         if self._is_untested:
@@ -116,26 +116,28 @@ class ProcessChecks(EquationChecks):
         """Check that the steps of the state have mean zero in all bins of the states."""
         if self._drift is None:
             return _UNTESTED
-        chance = self._steps.pattern(self._steps.residuals[self._drift])
-        fault = f"the residual steps follow a pattern over the states (p = {chance:.1g})"
-        return _by_chance(chance, fault, "the steps show no pattern over the states")
+        probability = self._steps.pattern_probability(self._steps.residuals[self._drift])
+        fault = f"the residual steps follow a pattern over the states (p = {probability:.1g})"
+        return _judge_probability(probability, fault, "the steps show no pattern over the states")
 
     def check_serial_correlation(self) -> Finding:
         """Check that the steps of the state are independent of the steps before them."""
         if self._drift is None:
             return _UNTESTED
-        chance = self._steps.serial(self._drift)
-        fault = f"steps are correlated with the steps before them (p = {chance:.1g})"
-        return _by_chance(chance, fault, "steps are independent of the steps before them")
+        probability = self._steps.serial_probability(self._drift)
+        fault = f"steps are correlated with the steps before them (p = {probability:.1g})"
+        return _judge_probability(probability, fault, "steps are independent of the steps before them")
 
     def check_size_of_steps(self) -> Finding:
         """Check that the steps have variance one also if no diffusion of the state's own was fitted to them."""
-        if self._drift is None or self._drift not in self._steps.driven:
+        if self._drift is None or self._drift not in self._steps.noiseless_states:
             return _UNTESTED
         squares = self._steps.residuals[self._drift] ** 2
-        chance, size = mean_chance(squares - 1.0), math.sqrt(float(np.mean(squares)))
-        fault = f"its steps are {size:.3g} times as large as the noise of other states makes them (p = {chance:.1g})"
-        return _by_chance(chance, fault, "its steps are as large as the noise of other states makes them")
+        probability, size = mean_probability(squares - 1.0), math.sqrt(float(np.mean(squares)))
+        fault = (
+            f"its steps are {size:.3g} times as large as the noise of other states makes them (p = {probability:.1g})"
+        )
+        return _judge_probability(probability, fault, "its steps are as large as the noise of other states makes them")
 
     def check_correlation_of_states(self) -> Finding:
         """Check that the steps of the state are independent of the steps of other states."""
@@ -144,9 +146,11 @@ class ProcessChecks(EquationChecks):
         if self._drift is None or not others:
             return _UNTESTED
         own = residuals[self._drift]
-        chance, other = min((mean_chance(own * residuals[other]), other) for other in others)
-        fault = f"the residual steps are correlated with the steps of {names[other]} (p = {chance:.1g})"
-        return _by_chance(chance, fault, "its steps are independent of the steps of other states", len(others))
+        probability, other = min((mean_probability(own * residuals[other]), other) for other in others)
+        fault = f"the residual steps are correlated with the steps of {names[other]} (p = {probability:.1g})"
+        return _judge_probability(
+            probability, fault, "its steps are independent of the steps of other states", len(others)
+        )
 
     def check_pattern_of_squared_steps(self) -> Finding:
         """Check that products of the steps of both states have the mean of the noise in all bins of the states."""
@@ -154,9 +158,9 @@ class ProcessChecks(EquationChecks):
             return _UNTESTED
         i, j = self._pair
         products = self._steps.residuals[i] * self._steps.residuals[j] - (1.0 if i == j else 0.0)
-        chance = self._steps.pattern(products)
-        fault = f"the squares of the residual steps follow a pattern over the states (p = {chance:.1g})"
-        return _by_chance(chance, fault, "the squares of the steps show no pattern over the states")
+        probability = self._steps.pattern_probability(products)
+        fault = f"the squares of the residual steps follow a pattern over the states (p = {probability:.1g})"
+        return _judge_probability(probability, fault, "the squares of the steps show no pattern over the states")
 
     def check_normal_steps(self) -> Finding:
         """Check the fourth moment of the steps of the state."""
@@ -166,9 +170,9 @@ class ProcessChecks(EquationChecks):
         if self._drift is not None or self._is_untested or i != j:
             return _UNTESTED
         kurtosis = float(np.mean(self._steps.residuals[i] ** 4)) - 3.0
-        chance = float(special.ndtr(-kurtosis / math.sqrt(24.0 / self._steps.residuals.shape[1])))
+        probability = float(special.ndtr(-kurtosis / math.sqrt(24.0 / self._steps.residuals.shape[1])))
         fault = f"the steps have heavier tails than a normal distribution (excess kurtosis {kurtosis:.2g})"
-        return _by_chance(chance, fault, "the steps are normally distributed")
+        return _judge_probability(probability, fault, "the steps are normally distributed")
 
     def check_constants(self) -> Finding | None:
         """Check that the data determine all constants; a single one may be zero."""
@@ -178,7 +182,7 @@ class ProcessChecks(EquationChecks):
 
     def check_alternative_equations(self) -> Finding | None:
         """Check that no other equation, which does not contain this one, describes the steps about as well."""
-        if self._is_untested or self._is_none:
+        if self._is_untested or self._is_zero:
             return _UNTESTED
         limit, points = SETTINGS.inference.distinct_nats, self._steps.chosen.likelihood.steps.points
         others = [other for other in self.shown.alternatives if not other.is_shown and other.nats < limit]
@@ -190,13 +194,17 @@ class ProcessChecks(EquationChecks):
         return Finding("failed", reason, nats, limit)
 
 
-def _by_chance(chance: float, fault: str, merit: str, tests: int = 1) -> Finding:
+def _judge_probability(probability: float, fault: str, merit: str, tests: int = 1) -> Finding:
     """Return the outcome of a check by the least probability of some `tests` (Bonferroni)."""
     limit = SETTINGS.inference.improbable / tests
-    return Finding("failed", fault, chance, limit) if chance < limit else Finding("passed", merit, chance, limit)
+    return (
+        Finding("failed", fault, probability, limit)
+        if probability < limit
+        else Finding("passed", merit, probability, limit)
+    )
 
 
-def mean_chance(values: FloatArray) -> float:
+def mean_probability(values: FloatArray) -> float:
     """Return the probability of a mean as far from zero as the mean of independent `values` (N,) if theirs is zero."""
     from scipy import special
 

@@ -10,21 +10,21 @@ from atoll_coordinator.data.increments import take_steps
 from atoll_coordinator.model.constants.rounding import Estimates, FittedEquations, RoundedEquations
 from atoll_coordinator.model.constants.standard_errors import (
     ConstantErrors,
-    Known,
+    EquationConstants,
     describe_constants,
-    explicit_coefficients,
-    fitted_places,
     joint_covariance,
-    with_refuted_factors,
+    list_fitted_places,
+    make_explicit_if_free,
+    write_refuted_factors,
 )
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
-from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_coordinator.model.selection.candidates import CandidateSet, form_key
 from atoll_coordinator.model.stochastic.checks import ProcessChecks, ProcessSteps
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
-from atoll_coordinator.model.stochastic.path_ensembles import settle, simulate_ensemble
+from atoll_coordinator.model.stochastic.path_ensembles import simulate_ensemble, simulate_stationary_density
 from atoll_coordinator.model.stochastic.process_choice import ChosenProcess
 from atoll_coordinator.result.findings import Covariance, MeasurementNoise, Process
 from atoll_coordinator.stochastic.paths import Simulator
@@ -43,7 +43,7 @@ class ShownProcess:
     """
 
     rounded: RoundedEquations
-    known: Sequence[Known]
+    known: Sequence[EquationConstants]
     explicit: Sequence[ExplicitCoefficients]
     fitted: FittedProcess
     errors: ConstantErrors
@@ -66,18 +66,18 @@ def summarize_process(
         equation = Refined(
             None,
             program,
-            *errors_on(problem, program, config.evolution.loss),
+            *measure_errors(problem, program, config.evolution.loss),
             known.written,
             known.unit_coefficients,
-            _alternatives(chosen, number, program, candidate_set),
-            origin=_origin(program, candidate_set),
+            _describe_alternatives(chosen, number, program, candidate_set),
+            origin=_find_origin(program, candidate_set),
             simple_together=shown.rounded.together[number],
         )
         refined[name] = replace(equation, **vars(judge(ProcessChecks(equation, problem.target, steps, number))))
-    places = fitted_places(_given(chosen), chosen.variables, shown.explicit)
+    places = list_fitted_places(_fixed_equations(chosen), chosen.variables, shown.explicit)
     freedom, matrix = shown.errors.degrees_of_freedom, shown.errors.covariance[: len(places), : len(places)]
     covariance = joint_covariance(places, matrix, freedom) or Covariance(constants=(), matrix=(), freedom=freedom)
-    return Refinement(refined, process=_process(chosen, shown, config.seed), covariance=covariance)
+    return Refinement(refined, process=_describe_process(chosen, shown, config.seed), covariance=covariance)
 
 
 def show_process(chosen: ChosenProcess) -> ShownProcess:
@@ -85,58 +85,60 @@ def show_process(chosen: ChosenProcess) -> ShownProcess:
 
     Factors of one are written where their intervals do not hold one.
     """
-    likelihood, given = chosen.likelihood, _given(chosen)
+    likelihood, given = chosen.likelihood, _fixed_equations(chosen)
 
-    def growth(programs: Sequence[Program]) -> float:
-        return likelihood.whitened(chosen.fitted.model.with_programs(programs)).misfit - chosen.fitted.misfit
+    def misfit_increase(programs: Sequence[Program]) -> float:
+        return likelihood.whiten(chosen.fitted.model.with_programs(programs)).misfit - chosen.fitted.misfit
 
-    programs: Sequence[Program] = _fitted_equations(chosen, chosen.fitted).simplified(growth)
+    programs: Sequence[Program] = _attach_estimates(chosen, chosen.fitted).simplify(misfit_increase)
     for _ in range(2):
         explicit = [
-            explicit_coefficients(program, restrictions, is_given=number in given)
+            make_explicit_if_free(program, restrictions, is_given=number in given)
             for number, (program, restrictions) in enumerate(zip(programs, chosen.restrictions, strict=True))
         ]
         fitted = likelihood.fit(chosen.fitted.model.with_programs([one.program for one in explicit]), chosen.free)
-        errors = likelihood.errors(fitted, chosen.free)
+        errors = likelihood.estimate_errors(fitted, chosen.free)
         known = describe_constants(given, explicit, programs, errors)
-        written = with_refuted_factors(explicit, fitted.model.programs, programs, known)
+        written = write_refuted_factors(explicit, fitted.model.programs, programs, known)
         if written == [*programs]:
             break
         programs = written
     as_shown = likelihood.fit(chosen.fitted.model.with_programs(programs), chosen.free)
-    rounded = _fitted_equations(chosen, as_shown).rounded()
+    rounded = _attach_estimates(chosen, as_shown).round_constants()
     known = describe_constants(given, explicit, rounded.programs, errors)
     known = [one.with_simple(simple) for one, simple in zip(known, rounded.simple, strict=True)]
     return ShownProcess(rounded, known, explicit, fitted, errors)
 
 
-def _given(chosen: ChosenProcess) -> list[int]:
+def _fixed_equations(chosen: ChosenProcess) -> list[int]:
     """Return the equations, by number, whose constants are not fitted."""
     return [number for number in range(len(chosen.variables)) if number not in chosen.free]
 
 
-def _fitted_equations(chosen: ChosenProcess, fitted: FittedProcess) -> FittedEquations:
+def _attach_estimates(chosen: ChosenProcess, fitted: FittedProcess) -> FittedEquations:
     """Return the equations of a fit with the estimates of their constants, for rounding."""
-    errors, given = chosen.likelihood.errors(fitted, chosen.free), _given(chosen)
+    errors, given = chosen.likelihood.estimate_errors(fitted, chosen.free), _fixed_equations(chosen)
     count = sum(len(constant_places(fitted.model.programs[number])) for number in chosen.free)
-    estimates = Estimates(errors.values[:count], errors.bounded[:count, :count])
+    estimates = Estimates(errors.values[:count], errors.finite_covariance[:count, :count])
     return FittedEquations(fitted.model.programs, estimates, chosen.restrictions, given)
 
 
-def _alternatives(
+def _describe_alternatives(
     chosen: ChosenProcess, number: int, program: Program, candidates: CandidateSet
 ) -> tuple[Alternative, ...]:
-    rivals = [rival for rival in chosen.rivals[number] if math.isfinite(rival.length)]
-    best = rivals[0].length if rivals else 0.0
-    first = Alternative(program, 0.0, None, is_shown=True, origin=_origin(program, candidates))
+    alternatives = [alternative for alternative in chosen.alternatives[number] if math.isfinite(alternative.length)]
+    best = alternatives[0].length if alternatives else 0.0
+    first = Alternative(program, 0.0, None, is_shown=True, origin=_find_origin(program, candidates))
     rest = [
-        Alternative(rival.program, rival.length - best, None, origin=_origin(rival.program, candidates))
-        for rival in rivals[1:]
+        Alternative(
+            alternative.program, alternative.length - best, None, origin=_find_origin(alternative.program, candidates)
+        )
+        for alternative in alternatives[1:]
     ]
     return (first, *rest)
 
 
-def _origin(program: Program, candidates: CandidateSet) -> Origin:
+def _find_origin(program: Program, candidates: CandidateSet) -> Origin:
     """Return the source of an equation, regardless of its constants and factors."""
     sources: dict[Origin, Sequence[Program]] = {
         "front": [member.program for member in candidates.front],
@@ -153,7 +155,7 @@ def _origin(program: Program, candidates: CandidateSet) -> Origin:
 # ------------------------------------------------------------------------------------------------- simulations
 
 
-def _process(chosen: ChosenProcess, shown: ShownProcess, seed: int) -> Process:
+def _describe_process(chosen: ChosenProcess, shown: ShownProcess, seed: int) -> Process:
     """Return the findings on the process as a whole."""
     process, steps, model = chosen.process, chosen.likelihood.steps, shown.model
     noisy = [state for state, variance in zip(process.states, model.noise, strict=True) if variance > 0.0]
@@ -168,15 +170,15 @@ def _process(chosen: ChosenProcess, shown: ShownProcess, seed: int) -> Process:
     held_out = None
     if len(unseen.lengths):
         likelihood = ProcessLikelihood(unseen)
-        held_out = likelihood.of_a_step(likelihood.whitened(model).misfit)
+        held_out = likelihood.log_likelihood_per_step(likelihood.whiten(model).misfit)
     return Process(
         steps=len(steps.lengths),
         step=float(np.median(steps.lengths)),
         discretisation=model.discretisation,
         discretisation_nats=chosen.discretisation_nats,
-        log_likelihood=chosen.likelihood.of_a_step(shown.fitted.misfit),
+        log_likelihood=chosen.likelihood.log_likelihood_per_step(shown.fitted.misfit),
         held_out_log_likelihood=held_out,
         measurement_noise=noise,
         ensemble=simulate_ensemble(simulator, process),
-        stationary=settle(simulator, process, steps),
+        stationary=simulate_stationary_density(simulator, process, steps),
     )

@@ -29,7 +29,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants
 from atoll_core.expression.restrictions import NONE, Restrictions
 
-_DIFFERENCE = 1e-5
+_RELATIVE_DIFFERENCE = 1e-5
 """Share of a constant by which it is moved to find derivatives: central differences err by its square."""
 
 
@@ -81,7 +81,7 @@ class ProcessModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Whitened:
+class WhitenedSteps:
     """Residuals of steps in standard errors, independent (S, N), and the logarithms of these errors (S, N)."""
 
     residuals: FloatArray
@@ -101,7 +101,7 @@ class _Point:
 
     model: ProcessModel
     values: FloatArray
-    whitened: Whitened
+    whitened: WhitenedSteps
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,12 +110,12 @@ class FittedProcess:
 
     model: ProcessModel
     misfit: float
-    inform: Callable[[], FloatArray]
+    compute_information: Callable[[], FloatArray]
 
     @cached_property
     def information(self) -> FloatArray:
         """The information (K, K). It takes two likelihoods for each parameter, and most fits are only compared."""
-        return self.inform()
+        return self.compute_information()
 
 
 class ProcessLikelihood:
@@ -130,26 +130,26 @@ class ProcessLikelihood:
         self.steps, self._restrictions = steps, restrictions
         self._points = steps.points if smoothed is None else np.concatenate([smoothed, steps.points[len(smoothed) :]])
 
-    def of_a_step(self, misfit: float) -> float:
+    def log_likelihood_per_step(self, misfit: float) -> float:
         """Return the mean log-likelihood of a step in nats, by its density in the units of the states.
 
         Args:
-            misfit: of all steps, as in `Whitened` and `fit`.
+            misfit: of all steps, as in `WhitenedSteps` and `fit`.
         """
         states, count = len(self.steps.increments), len(self.steps.lengths)
         return -misfit / count - 0.5 * states * math.log(2.0 * math.pi)
 
-    def whitened(self, model: ProcessModel) -> Whitened:
+    def whiten(self, model: ProcessModel) -> WhitenedSteps:
         """Return the whitened residuals of all steps."""
         if any(model.noise):
-            return _banded(*self._system(model, model.moments(self._points, self.steps.lengths)))
+            return _whiten_banded(*self._residuals_and_bands(model, model.moments(self._points, self.steps.lengths)))
         moments = model.moments(self.steps.points, self.steps.lengths)
         covariance = moments.covariance
         if model.discretisation == "Euler-Maruyama":
-            covariance = self._with_least_noise(covariance)
-        return _independent(self.steps.increments - moments.mean, covariance)
+            covariance = self._with_least_variances(covariance)
+        return _whiten_independent(self.steps.increments - moments.mean, covariance)
 
-    def _with_least_noise(self, covariance: FloatArray) -> FloatArray:
+    def _with_least_variances(self, covariance: FloatArray) -> FloatArray:
         """Return covariances (S, S, N) with variances of at least the smallest noise that counts.
 
         By the method of Euler and Maruyama a state without noise of its own has no variance: its residuals are rounding
@@ -159,7 +159,7 @@ class ProcessLikelihood:
             covariance[state, state] = np.maximum(covariance[state, state], least)
         return covariance
 
-    def smoothed(self, model: ProcessModel) -> FloatArray:
+    def smooth_states(self, model: ProcessModel) -> FloatArray:
         """Return the states (S, N) where steps begin, without the errors of measurement as far as these are known.
 
         With a model whose covariance is not positive they stay as they are.
@@ -167,7 +167,7 @@ class ProcessLikelihood:
         from scipy import linalg
 
         moments = model.moments(self._points, self.steps.lengths)
-        residuals, band = self._system(model, moments)
+        residuals, band = self._residuals_and_bands(model, moments)
         states, count = residuals.shape
         if not (np.isfinite(band).all() and np.isfinite(residuals).all()):
             return self._points[:states]
@@ -180,7 +180,7 @@ class ProcessLikelihood:
         errors[:, follows] += solved[:, follows - 1]
         return np.asarray(self.steps.points[:states] - np.array(model.noise)[:, None] * errors)
 
-    def _system(self, model: ProcessModel, moments: StepMoments) -> tuple[FloatArray, FloatArray]:
+    def _residuals_and_bands(self, model: ProcessModel, moments: StepMoments) -> tuple[FloatArray, FloatArray]:
         """Return residuals (S, N) and their covariance, as the lower bands of a matrix of S N rows."""
         states, count = moments.mean.shape
         noise, jacobian = np.array(model.noise), moments.jacobian
@@ -189,14 +189,14 @@ class ProcessLikelihood:
         residuals = ends - self._points[:states] - moments.mean - np.einsum("ijr,jr->ir", jacobian, away)
         block = moments.covariance + np.einsum("ijr,j,kjr->ikr", jacobian, noise, jacobian)
         block[range(states), range(states)] += noise[:, None]
-        beside = -noise[:, None, None] * jacobian.transpose(1, 0, 2)
-        beside = np.where(self.steps.follows, beside, 0.0)
+        off_diagonal = -noise[:, None, None] * jacobian.transpose(1, 0, 2)
+        off_diagonal = np.where(self.steps.follows, off_diagonal, 0.0)
         band = np.zeros((2 * states, states * count))
         for i in range(states):
             for j in range(i + 1):
                 band[i - j, j::states] = block[i, j]
             for j in range(states):
-                band[states + i - j, j::states][: count - 1] = beside[j, i, 1:]
+                band[states + i - j, j::states][: count - 1] = off_diagonal[j, i, 1:]
         return residuals, band
 
     def fit(
@@ -213,11 +213,11 @@ class ProcessLikelihood:
         """
         return minimize(_LikelihoodFit(self, model, free, settled, limit))
 
-    def errors(self, fitted: FittedProcess, free: Sequence[int]) -> ConstantErrors:
+    def estimate_errors(self, fitted: FittedProcess, free: Sequence[int]) -> ConstantErrors:
         """Return the errors of the parameters of a fit, whose equations `free` have fitted constants."""
         values = fitted.model.parameters(free)
         freedom, ranges = len(self.steps.lengths) - len(values), self.ranges(fitted.model, free)
-        return ConstantErrors.of_fit(values, fitted.information, freedom, bounds=ranges)
+        return ConstantErrors.from_fit(values, fitted.information, freedom, bounds=ranges)
 
     def ranges(self, model: ProcessModel, free: Sequence[int]) -> FloatArray:
         """Return the least and the largest values (2, K) that parameters may have."""
@@ -231,8 +231,8 @@ class ProcessLikelihood:
         residuals, logarithms, values = [], [], at.values
         for k, value in enumerate(values.tolist()):
             step = np.zeros(len(values))
-            step[k] = _DIFFERENCE * max(abs(value), _DIFFERENCE)
-            up, down = (self.whitened(at.model.with_parameters(free, values + sign * step)) for sign in (1.0, -1.0))
+            step[k] = _RELATIVE_DIFFERENCE * max(abs(value), _RELATIVE_DIFFERENCE)
+            up, down = (self.whiten(at.model.with_parameters(free, values + sign * step)) for sign in (1.0, -1.0))
             residuals.append((up.residuals - down.residuals).ravel() / (2.0 * step[k]))
             logarithms.append((up.logarithms - down.logarithms).ravel() / (2.0 * step[k]))
         shape = (len(values), at.whitened.residuals.size)
@@ -249,20 +249,20 @@ class _LikelihoodFit(Fitter[_Point, FloatArray, FittedProcess]):
         self, likelihood: ProcessLikelihood, model: ProcessModel, free: Sequence[int], settled: float, limit: float
     ) -> None:
         self._likelihood, self._free, self._settled, self._limit = likelihood, free, settled, limit
-        self._begun = _Point(model, model.parameters(free), likelihood.whitened(model))
+        self._start = _Point(model, model.parameters(free), likelihood.whiten(model))
         self._lower, self._upper = likelihood.ranges(model, free)
         self._derivatives = cache(lambda point: likelihood.derivatives(point, free))
 
     def init(self) -> _Point | None:
-        return self._begun if math.isfinite(self._begun.whitened.misfit) else None
+        return self._start if math.isfinite(self._start.whitened.misfit) else None
 
     def equations(self, point: _Point) -> Solver[FloatArray]:
         gradient, information = self._derivatives(point)
         return solver(information, gradient, (self._lower - point.values, self._upper - point.values))
 
     def step(self, point: _Point, step: FloatArray) -> tuple[_Point, float]:
-        model = self._begun.model.with_parameters(self._free, point.values + step)
-        moved = _Point(model, point.values + step, self._likelihood.whitened(model))
+        model = self._start.model.with_parameters(self._free, point.values + step)
+        moved = _Point(model, point.values + step, self._likelihood.whiten(model))
         return moved, point.whitened.misfit - moved.whitened.misfit
 
     def least_gain(self, point: _Point) -> float:
@@ -273,25 +273,25 @@ class _LikelihoodFit(Fitter[_Point, FloatArray, FittedProcess]):
 
     def result(self, point: _Point | None) -> FittedProcess:
         if point is None:
-            count = len(self._begun.values)
-            return FittedProcess(self._begun.model, math.inf, lambda: np.zeros((count, count)))
+            count = len(self._start.values)
+            return FittedProcess(self._start.model, math.inf, lambda: np.zeros((count, count)))
         return FittedProcess(point.model, point.whitened.misfit, lambda: self._derivatives(point)[1])
 
 
-def _independent(residuals: FloatArray, covariance: FloatArray) -> Whitened:
+def _whiten_independent(residuals: FloatArray, covariance: FloatArray) -> WhitenedSteps:
     """Return residuals (S, N) of independent steps whitened by Cholesky's factors of their covariances (S, S, N)."""
     factor, whitened = factors_of(covariance), np.zeros_like(residuals)
     with np.errstate(all="ignore"):
         for i in range(len(residuals)):
             whitened[i] = (residuals[i] - (factor[i, :i] * whitened[:i]).sum(axis=0)) / factor[i, i]
-        return Whitened(whitened, np.log(np.einsum("iin->in", factor)))
+        return WhitenedSteps(whitened, np.log(np.einsum("iin->in", factor)))
 
 
-def _banded(residuals: FloatArray, band: FloatArray) -> Whitened:
+def _whiten_banded(residuals: FloatArray, band: FloatArray) -> WhitenedSteps:
     """Return residuals (S, N) whitened by the banded factor of their covariance."""
     from scipy import linalg
 
-    nothing = Whitened(np.full_like(residuals, np.nan), np.full_like(residuals, np.nan))
+    nothing = WhitenedSteps(np.full_like(residuals, np.nan), np.full_like(residuals, np.nan))
     if not (np.isfinite(band).all() and np.isfinite(residuals).all()):
         return nothing
     try:
@@ -300,4 +300,4 @@ def _banded(residuals: FloatArray, band: FloatArray) -> Whitened:
         return nothing
     white = linalg.blas.dtbsv(len(band) - 1, factor, residuals.T.ravel().copy(), lower=1)
     shape = (residuals.shape[1], residuals.shape[0])
-    return Whitened(white.reshape(shape).T, np.log(factor[0]).reshape(shape).T)
+    return WhitenedSteps(white.reshape(shape).T, np.log(factor[0]).reshape(shape).T)

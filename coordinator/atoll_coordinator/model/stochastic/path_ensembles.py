@@ -47,7 +47,9 @@ def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> PathEn
     )
 
 
-def settle(simulator: Simulator, process: ProcessRecording, steps: Steps) -> dict[str, Density] | None:
+def simulate_stationary_density(
+    simulator: Simulator, process: ProcessRecording, steps: Steps
+) -> dict[str, Density] | None:
     """Return the density that paths from measured states settle into and the measured one, by state.
 
     None when they do not settle, or there are inputs. `overlap` is the integral of the lesser of both densities.

@@ -22,10 +22,10 @@ from atoll_coordinator.data.increments import Steps, take_steps
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.description_length import constant_nats_of, system_length
-from atoll_coordinator.model.regression.shortening import MARGIN, Measured, Shortening
+from atoll_coordinator.model.regression.shortening import MARGIN, MeasuredProgram, Shortening
 from atoll_coordinator.model.selection.candidates import CandidateSet
+from atoll_coordinator.model.stochastic.candidate_regression import CandidateFinder
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
-from atoll_coordinator.model.stochastic.regression import CandidateFinder
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset
@@ -44,8 +44,8 @@ class ChosenProcess:
 
     `variables` are the names of the equations in their order; `sought` are the numbers of the equations that were
     sought, `free` the numbers of equations with constants to fit: a covariance of noises may be zero. Each equation has
-    its alternatives (`rivals`) and keeps to its `restrictions`. With the other discretisation the description is longer
-    by `discretisation_nats`. The choice `is_stopped` if the time limit ended it.
+    its alternatives (`alternatives`) and keeps to its `restrictions`. With the other discretisation the description is
+    longer by `discretisation_nats`. The choice `is_stopped` if the time limit ended it.
     """
 
     process: ProcessRecording
@@ -54,7 +54,7 @@ class ChosenProcess:
     free: tuple[int, ...]
     likelihood: ProcessLikelihood
     fitted: FittedProcess
-    rivals: tuple[Sequence[Measured], ...]
+    alternatives: tuple[Sequence[MeasuredProgram], ...]
     restrictions: Sequence[Restrictions]
     discretisation_nats: float
     is_stopped: bool = False
@@ -76,57 +76,61 @@ class ProcessChoice:
         self._finder = CandidateFinder(self._steps, dataset.names, self._variables, config, deadline)
         known = [name for name, candidate_set in candidates.items() if candidate_set.known is not None]
         self._sought = tuple(k for k, name in enumerate(self._variables) if name not in known)
-        self._begun: dict[int, list[Program]] = {}
-        self._rivals: list[list[Measured]] = [[] for _ in self._variables]
+        self._starts: dict[int, list[Program]] = {}
+        self._alternatives: list[list[MeasuredProgram]] = [[] for _ in self._variables]
 
     def choose(self) -> ChosenProcess:
         """Return the law of the process."""
-        fitted = self._settled(self._first_model(), looks_around=True)
-        fitted, apart = (fitted, 0.0) if any(fitted.model.noise) else self._discretised(fitted)
-        rivals = tuple(map(_of_each_form, self._rivals))
-        free = self._free(fitted.model)
+        fitted = self._exchange_until_settled(self._brownian_motion(), tries_neighbours=True)
+        fitted, apart = (fitted, 0.0) if any(fitted.model.noise) else self._choose_discretisation(fitted)
+        alternatives = tuple(map(_best_of_each_form, self._alternatives))
+        free = self._free_equations(fitted.model)
         return ChosenProcess(
-            self._process, self._variables, self._sought, free, self._likelihood, fitted, rivals, self._restrictions,
-            apart, self._deadline.has_cut_short,
+            self._process, self._variables, self._sought, free, self._likelihood, fitted, alternatives,
+            self._restrictions, apart, self._deadline.has_cut_short,
         )  # fmt: skip
 
-    def _discretised(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:
+    def _choose_discretisation(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:
         """Return the law by the discretisation with the shorter description, and by how many nats it is shorter.
 
         One discretisation may need a term of the diffusion that the other does not need: equations are exchanged for
         both unless the likelihood of the same equations has decided.
         """
-        stepped = self._as_euler_maruyama(fitted.model)
+        stepped = self._fit_as_euler_maruyama(fitted.model)
         if stepped.misfit - fitted.misfit > SETTINGS.inference.distinct_nats:
             return fitted, stepped.misfit - fitted.misfit
-        rivals = [*self._rivals]
-        stepped = self._settled(stepped.model, looks_around=False)
-        apart = self._whole_length(fitted) - self._whole_length(stepped)
+        alternatives = [*self._alternatives]
+        stepped = self._exchange_until_settled(stepped.model, tries_neighbours=False)
+        apart = self._total_length(fitted) - self._total_length(stepped)
         if apart > SETTINGS.inference.distinct_nats:
             return stepped, apart
-        self._rivals = rivals
+        self._alternatives = alternatives
         return fitted, max(-apart, 0.0)
 
-    def _whole_length(self, fitted: FittedProcess) -> float:
+    def _total_length(self, fitted: FittedProcess) -> float:
         """Return the description length of the steps and of all equations that were sought."""
         programs = [fitted.model.programs[number] for number in self._sought]
-        constants = sum(len(constant_places(fitted.model.programs[number])) for number in self._free(fitted.model))
+        constants = sum(
+            len(constant_places(fitted.model.programs[number])) for number in self._free_equations(fitted.model)
+        )
         return system_length(fitted.misfit, programs, constants, constant_nats_of(len(self._steps.lengths)))
 
-    def _settled(self, model: ProcessModel, *, looks_around: bool) -> FittedProcess:
+    def _exchange_until_settled(self, model: ProcessModel, *, tries_neighbours: bool) -> FittedProcess:
         """Return the model with its equations exchanged until none is; neighbours of the best are tried at first."""
         length = math.inf
         for number_of_round in range(SETTINGS.effort.brief_steps):
             before = length
             for number in self._sought:
-                model, length = self._exchanged(model, number, looks_around=looks_around and number_of_round == 0)
-            fitted = self._refitted(model)
+                model, length = self._exchange_equation(
+                    model, number, tries_neighbours=tries_neighbours and number_of_round == 0
+                )
+            fitted = self._refit(model)
             model = fitted.model
             if before - length < SETTINGS.inference.distinct_nats or self._deadline.is_over:
                 break
         return fitted
 
-    def _as_euler_maruyama(self, model: ProcessModel) -> FittedProcess:
+    def _fit_as_euler_maruyama(self, model: ProcessModel) -> FittedProcess:
         """Return the same equations, fitted to rows as steps of Euler and Maruyama's method.
 
         By this method a state without noise of its own is moved by the drift alone, regardless of its variance in the
@@ -135,17 +139,17 @@ class ProcessChoice:
         model = replace(model, discretisation="Euler-Maruyama")
         for place, (i, j) in enumerate(model.pairs, start=len(model.drift)):
             if i == j and place in self._sought:
-                without, length = self._without(model, place)
-                misfits = (self._likelihood.whitened(one).misfit for one in (without, model))
+                without, length = self._set_component_to_zero(model, place)
+                misfits = (self._likelihood.whiten(one).misfit for one in (without, model))
                 if math.isfinite(length) and next(misfits) < next(misfits):
                     model = without
-        return self._likelihood.fit(model, self._free(model))
+        return self._likelihood.fit(model, self._free_equations(model))
 
-    def _free(self, model: ProcessModel) -> tuple[int, ...]:
+    def _free_equations(self, model: ProcessModel) -> tuple[int, ...]:
         """Return the numbers of the equations whose constants are fitted: sought equations that are not zero."""
         return tuple(number for number in self._sought if not is_zero(model.programs[number]))
 
-    def _first_model(self) -> ProcessModel:
+    def _brownian_motion(self) -> ProcessModel:
         """Return the model of Brownian motion: no equation depends on a variable, except known ones."""
         time = float(self._steps.lengths.sum())
         states = len(self._process.states)
@@ -162,59 +166,61 @@ class ProcessChoice:
             tuple(programs[:states]), tuple(programs[states:]), self._process.pairs, tuple(noise.tolist())
         )
 
-    def _refitted(self, model: ProcessModel) -> FittedProcess:
+    def _refit(self, model: ProcessModel) -> FittedProcess:
         """Return the model with all its constants fitted; where there is noise, about states smoothed by itself."""
-        fitted = self._likelihood.fit(model, self._free(model))
+        fitted = self._likelihood.fit(model, self._free_equations(model))
         for _ in range(_LINEARISATIONS if any(model.noise) else 0):
             self._likelihood = ProcessLikelihood(
-                self._steps, self._likelihood.smoothed(fitted.model), self._restrictions
+                self._steps, self._likelihood.smooth_states(fitted.model), self._restrictions
             )
-            fitted = self._likelihood.fit(fitted.model, self._free(model))
+            fitted = self._likelihood.fit(fitted.model, self._free_equations(model))
         return fitted
 
-    def _exchanged(self, model: ProcessModel, number: int, *, looks_around: bool) -> tuple[ProcessModel, float]:
+    def _exchange_equation(
+        self, model: ProcessModel, number: int, *, tries_neighbours: bool
+    ) -> tuple[ProcessModel, float]:
         """Return the model with the best candidate for one equation, itself when no other is better, and its length.
 
         The length is the one of the steps and of this equation.
         """
-        self._rivals[number] = []
+        self._alternatives[number] = []
         name = self._variables[number]
-        if self._is_of_no_noise(model, number):
-            return model, self._length(self._likelihood.whitened(model).misfit, model.programs[number], 0)
-        if looks_around:
-            self._begun[number] = self._candidates[name].nearest if name in self._candidates else []
-        programs = self._begun[number] = self._finder.find(
-            number, model, self._begun[number], looks_around=looks_around
+        if self._is_covariance_without_noise(model, number):
+            return model, self._equation_length(self._likelihood.whiten(model).misfit, model.programs[number], 0)
+        if tries_neighbours:
+            self._starts[number] = self._candidates[name].nearest if name in self._candidates else []
+        programs = self._starts[number] = self._finder.find(
+            number, model, self._starts[number], tries_neighbours=tries_neighbours
         )
         shortening = Shortening(partial(self._measure, model, number), lambda: self._deadline.is_over, reach=MARGIN)
-        best = shortening.candidates([model.programs[number], *programs], looks_around=False)[0][0]
-        self._rivals[number] = shortening.tried
-        model, length = self._fitted_with(model, number, best.program).model, best.length
+        best = shortening.find_candidates([model.programs[number], *programs], tries_neighbours=False)[0][0]
+        self._alternatives[number] = shortening.measured_programs
+        model, length = self._fit_with(model, number, best.program).model, best.length
         if number < len(model.drift):
             return model, length
-        without, length_without = self._without(model, number)
-        self._rivals[number].append(Measured(without.programs[number], 0.0, length_without))
+        without, length_without = self._set_component_to_zero(model, number)
+        self._alternatives[number].append(MeasuredProgram(without.programs[number], 0.0, length_without))
         return (without, length_without) if length_without < length else (model, length)
 
-    def _measure(self, model: ProcessModel, number: int, program: Program, most: float) -> Measured:
+    def _measure(self, model: ProcessModel, number: int, program: Program, most: float) -> MeasuredProgram:
         """Return one equation of a model fitted, all others as they are; the description is of this equation."""
         restrictions = self._restrictions[number]
         admitted = restrictions.admitted(program)
         if admitted is None:
-            return Measured(program, math.inf, math.inf)
+            return MeasuredProgram(program, math.inf, math.inf)
         program = admitted if restrictions.bounds is None else restrictions.bounds.clipped(admitted)
-        limit = most + MARGIN - self._length(0.0, program, len(constant_places(program)))
-        fitted = self._fitted_with(model, number, program, limit)
+        limit = most + MARGIN - self._equation_length(0.0, program, len(constant_places(program)))
+        fitted = self._fit_with(model, number, program, limit)
         program = fitted.model.programs[number]
-        return Measured(program, fitted.misfit, self._length(fitted.misfit, program, len(constant_places(program))))
+        return MeasuredProgram(
+            program, fitted.misfit, self._equation_length(fitted.misfit, program, len(constant_places(program)))
+        )
 
-    def _fitted_with(
-        self, model: ProcessModel, number: int, program: Program, limit: float = math.inf
-    ) -> FittedProcess:
+    def _fit_with(self, model: ProcessModel, number: int, program: Program, limit: float = math.inf) -> FittedProcess:
         tried = model.with_program(number, program)
         return self._likelihood.fit(tried, (number,), SETTINGS.selection.least_gain, limit)
 
-    def _without(self, model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
+    def _set_component_to_zero(self, model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
         """Return the model with one component of the diffusion zero, and its length, infinite where it may not be.
 
         With a variance, all components of its state become zero, and the drift is fitted again: where the state follows
@@ -233,8 +239,8 @@ class ProcessChoice:
             for component, program in enumerate(without.programs[states:], states)
             if is_zero(program) and not is_zero(model.programs[component])
         )
-        misfit = self._likelihood.whitened(without).misfit if is_kept else math.inf
-        return without, self._length(misfit, without.programs[number], 0)
+        misfit = self._likelihood.whiten(without).misfit if is_kept else math.inf
+        return without, self._equation_length(misfit, without.programs[number], 0)
 
     def _may_be_zero(self, number: int) -> bool:
         """Tell whether a component of the diffusion may be zero: it is sought, and its restrictions admit zero."""
@@ -242,7 +248,7 @@ class ProcessChoice:
         is_within = restrictions.bounds is None or is_zero(restrictions.bounds.clipped(zero))
         return number in self._sought and restrictions.are_kept(zero) and is_within
 
-    def _is_of_no_noise(self, model: ProcessModel, number: int) -> bool:
+    def _is_covariance_without_noise(self, model: ProcessModel, number: int) -> bool:
         """Tell whether an equation is the covariance of two noises of which one is zero."""
         states = len(model.drift)
         if number < states:
@@ -253,7 +259,7 @@ class ProcessChoice:
         ]
         return i != j and any(map(is_zero, variances))
 
-    def _length(self, misfit: float, program: Program, constants: int) -> float:
+    def _equation_length(self, misfit: float, program: Program, constants: int) -> float:
         return system_length(misfit, [program], constants, constant_nats_of(len(self._steps.lengths)))
 
 
@@ -267,9 +273,9 @@ def _constant(value: float) -> Program:
     return builder.program(builder.build(value))
 
 
-def _of_each_form(rivals: Iterable[Measured]) -> list[Measured]:
+def _best_of_each_form(alternatives: Iterable[MeasuredProgram]) -> list[MeasuredProgram]:
     """Return the best of each form: the same equation with other constants is no alternative."""
-    best: dict[Hashable, Measured] = {}
-    for rival in sorted(rivals, key=lambda rival: rival.length):
-        best.setdefault(form_of(rival.program), rival)
+    best: dict[Hashable, MeasuredProgram] = {}
+    for alternative in sorted(alternatives, key=lambda alternative: alternative.length):
+        best.setdefault(form_of(alternative.program), alternative)
     return list(best.values())

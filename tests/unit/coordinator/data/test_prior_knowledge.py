@@ -68,14 +68,14 @@ def test_an_equation_has_its_own_operators_and_variables_the_others_the_general_
         ({"variables_of": {"x": ("w",)}}, ["--allow", "'w'", "x, y-1, u"]),
         ({"variables_of": {"x": ()}}, ["--allow", "no variable"]),
         ({"required_of": {"x": ("w",)}}, ["--require", "'w'", "x, y-1, u"]),
-        ({"required_of": {"z": ("x",)}}, ["--require", "'z'", "sought for x, y-1"]),
+        ({"required_of": {"z": ("x",)}}, ["--require", "'z'", "searched for x, y-1"]),
         ({"required_of": {"x": ("u",)}, "variables_of": {"x": ("x",)}}, ["--require", "u", "--allow", "x only"]),
         ({"required_of": {"x": ("u",)}, "known": {"x": "1"}}, ["--require", "'x'", "known"]),
         ({"bounds": {"*": ("c >> 0",)}}, ["--bound", "c >> 0", "0 < c < 10"]),
         ({"bounds": {"*": ("c > 1",), "x": ("c < 0",)}}, ["--bound", "'c > 1' and 'c < 0' of 'x' contradict"]),
         ({"bounds": {"x": ("x*u > 1", "c < 0")}}, ["'x*u > 1' and 'c < 0' of 'x' contradict each other"]),
         ({"bounds": {"*": ("c > 0",)}, "known": {"x": "1", "y-1": "x"}}, ["--bound 'c > 0'", "all are known"]),
-        ({"bounds": {"z": ("c > 0",)}}, ["--bound", "'z'", "sought for x, y-1"]),
+        ({"bounds": {"z": ("c > 0",)}}, ["--bound", "'z'", "searched for x, y-1"]),
         ({"bounds": {"x": ("c > 0",)}, "known": {"x": "1"}}, ["--bound", "'x'", "known"]),
     ],
 )
@@ -114,7 +114,7 @@ def test_a_known_equation_is_prepared_beside_the_only_one_sought():
 def test_an_explicit_regression_has_no_derivatives():
     config = config_of(known={"y": "2*x"}, data=DataConfig(target="y"))
     assert prepare(table_of(oscillator()), config).dataset.variables == ("y",)
-    with pytest.raises(UsageError, match="as it stands"):
+    with pytest.raises(UsageError, match="not a derivative"):
         prepare(table_of(oscillator()), config_of(known={"dy": "2*x"}, data=DataConfig(target="y")))
 
 
@@ -142,7 +142,7 @@ def test_a_column_comes_before_the_derivative_that_its_name_looks_like():
     [
         (1, "d2x", ["'d2x'", "second derivative", "--order 2"]),
         (2, "dx/dt", ["'dx/dt'", "first derivative", "d2x", "--order 2"]),
-        (None, "dx", ["'dx'", "x", "as it stands"]),
+        (None, "dx", ["'dx'", "x", "not a derivative"]),
         (1, "z", ["--known", "'z'", "x, v-x"]),
         (1, "dz/dt", ["'dz/dt'"]),
         (1, "", ["''"]),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.constants.standard_errors import student_95
+from atoll_coordinator.model.constants.standard_errors import student_quantile_95
 from atoll_coordinator.model.description_length import RegressionCriterion
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool, decode_members
@@ -185,7 +185,7 @@ def test_constants_fitted_to_given_left_hand_sides_have_intervals():
     for constant in constants:
         low, high = constant.interval
         assert (low + high) / 2.0 == pytest.approx(constant.fitted)
-        assert high - low == pytest.approx(2.0 * student_95(200 - 1) * constant.std_error, rel=1e-6)
+        assert high - low == pytest.approx(2.0 * student_quantile_95(200 - 1) * constant.std_error, rel=1e-6)
 
 
 def test_factors_of_one_have_intervals_where_left_hand_sides_are_given():
@@ -234,8 +234,8 @@ def test_the_work_is_bounded(monkeypatch):
     for most in (100_000, 2_000_000):
         monkeypatch.setattr(equation, "SETTINGS", settings("effort", work=5 * most))
         rows, criterion = LeastSquares(sought), RegressionCriterion.of(sought.target)
-        shortening = equation.target_shortening(rows, criterion, frozenset({2, 3, 4, 5, 6, 7}), range(2))
-        assert shortening.candidates([Program.from_bytes(entry.program, 2) for entry in front])
+        shortening = equation.make_target_shortening(rows, criterion, frozenset({2, 3, 4, 5, 6, 7}), range(2))
+        assert shortening.find_candidates([Program.from_bytes(entry.program, 2) for entry in front])
         spent.append(rows.evaluations)
     assert spent[0] < 0.5 * spent[1]
 

@@ -31,7 +31,7 @@ def test_of_an_ensemble_mean_and_bounds_are_those_of_paths_that_are_finite_to_th
     ensemble = Ensemble(("x",), np.array([0.0, 1.0]), paths)
     assert len(ensemble.finite) == 101
     assert (ensemble.mean[1, 0], ensemble.lower[1, 0], ensemble.upper[1, 0]) == (50.0, 5.0, 95.0)
-    assert ensemble.message == "102 paths, 1 of which have no finite state to the end"
+    assert ensemble.message == "102 paths, 1 not finite to the end"
     assert ensemble.to_csv().splitlines() == [
         "t,x_mean,x_lower,x_median,x_upper", "0.0,0.0,0.0,0.0,0.0", "1.0,50.0,5.0,50.0,95.0",
     ]  # fmt: skip

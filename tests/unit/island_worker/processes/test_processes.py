@@ -34,11 +34,11 @@ from atoll_island_worker import processes as supervision
 from atoll_island_worker.processes import Forked
 from atoll_island_worker.processes import ExitReasons
 from atoll_core.main_program import exit_code_of
-from atoll_island_worker.processes import complain
+from atoll_island_worker.processes import print_reason
 supervision._STOP_LIMIT_S = float(sys.argv[1])
 code = compile(sys.argv[2], "child", "exec")
 grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
-start = partial(Forked, lambda: exit_code_of(lambda: exec(code, {}) or 0, complain))
+start = partial(Forked, lambda: exit_code_of(lambda: exec(code, {}) or 0, print_reason))
 with ExitReasons() as exit_reasons:
     sys.exit(supervision.supervise({"w-0": start, "w-1": start}, exit_reasons, None, grace_s))
 """

@@ -217,7 +217,7 @@ def test_migrants_that_were_not_asked_for_are_refused_and_change_nothing(
     session: Session, block: tuple[int, int, bytes]
 ) -> None:
     begun(session, "me", "peer")
-    with pytest.raises(RemoteProtocolError, match="not asked for"):
+    with pytest.raises(RemoteProtocolError, match="not requested"):
         session.handle(came(0, (1, 0, b"first"), block))
     session.handle(computed(key(0, 0), {}, 1))
     assert tasks(list(session.handle(came(0, (1, 0, b"true"))))) == [key(0, 1)]
@@ -252,7 +252,7 @@ def test_a_dataset_that_cannot_be_read_is_trouble(session: Session) -> None:
 
 def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
     begun(session, "me", "peer")
-    with pytest.raises(LocalProtocolError, match="not asked for"):
+    with pytest.raises(LocalProtocolError, match="not requested"):
         session.handle(computed(key(0, 1), {}))
 
 

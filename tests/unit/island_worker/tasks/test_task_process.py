@@ -166,7 +166,7 @@ def test_a_process_of_another_version_runs_nothing(worker: Worker, monkeypatch: 
     monkeypatch.setattr(module, "version", lambda: "0.0/1/1")
     worker.begin("pid")
     assert worker.hear() == Ended("crash", cause_of(OTHER_VERSION)[1])
-    assert "which must be started again" in cause_of(OTHER_VERSION)[1]
+    assert "the worker must be started again" in cause_of(OTHER_VERSION)[1]
 
 
 def test_a_process_that_takes_nothing_in_keeps_nobody_waiting(worker: Worker) -> None:

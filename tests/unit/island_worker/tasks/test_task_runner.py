@@ -100,7 +100,7 @@ class Scene:
 
     def say(self, message: FromProcess, life: int | None = None) -> bool:
         """Let the process say something."""
-        return self.runner.process_said(ProcessMessage(self.process.life if life is None else life, message))
+        return self.runner.handle_process_message(ProcessMessage(self.process.life if life is None else life, message))
 
     def states(self) -> dict[str, str]:
         return {held.task: held.state for held in self.runner.statuses()}

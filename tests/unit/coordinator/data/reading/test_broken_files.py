@@ -57,7 +57,7 @@ BROKEN: dict[str, tuple[str, str | bytes, str]] = {
     "no Parquet file": ("a.parquet", b"PAR1 no", "a.parquet cannot be read as a Parquet file; save the file again"),
     "an open quote": ("a.csv", 't,x\n0,1\n1,"13\n2,15\n', "line 3 of a.csv has a quotation mark that is not closed"),
     "a long open quote": ("a.csv", 't,"x\n' + rows("{i},{j}") * 9999, "line 1 of a.csv has a quotation mark"),
-    "units in cells": ("a.csv", "t,x\n" + rows("{i},{j} %"), "left in a.csv: 'x' holds '1 %' in line 2; write numbers"),
+    "units in cells": ("a.csv", "t,x\n" + rows("{i},{j} %"), "left in a.csv: 'x' holds '1 %' in line 2; write only"),
     "comments behind cells": ("a.csv", "t,x\n" + rows("{i},{j} # c"), "'x' holds '1 # c' in line 2; write"),
     "JSON lines": ("a.csv", '{"t":0,"x":4}\n{"t":1,"x":5}\n', "a.csv holds JSON or JSON lines; give it the ending"),
     "minutes with fractions": ("a.csv", "time,x\n00:00.5,0\n00:01.5,1\n", "'00:00.5', which may be minutes and"),

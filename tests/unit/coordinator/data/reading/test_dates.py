@@ -113,7 +113,7 @@ def test_a_unit_may_be_asked_for():
 
 
 def test_only_missing_dates_are_refused():
-    with pytest.raises(DataError, match="holds none"):
+    with pytest.raises(DataError, match="holds no date"):
         times_of([Dates((None,), "dates", has_date=True)], (0,), None)
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sympy.parsing.sympy_parser import parse_expr
 
-from atoll_coordinator.data.roles.columns import are_units, strip_units
+from atoll_coordinator.data.roles.names_and_options import are_units, strip_units
 from atoll_coordinator.data.roles.roles import Roles, assign_roles, assign_symbols
 from atoll_core.config import Angle, DataConfig
 from atoll_core.errors import DataError, UsageError
@@ -73,7 +73,7 @@ def test_columns_may_be_named_with_their_units():
         ({"trajectory": "x", "inputs": ("x",)}, "column 'x' is named by both inputs and trajectory"),
         ({"states": ("x", "y"), "derivatives": ("z",)}, "2 states and 1 derivatives were named"),
         ({"derivatives": ("z",)}, "1 derivatives were named for the states x, y"),
-        ({"only": ("z",), "states": ("x",)}, "--only names 'z', but equations are sought for x"),
+        ({"only": ("z",), "states": ("x",)}, "--only names 'z', but equations are searched for x"),
         ({"angles": (Angle(column="t"),)}, "--angle names 't', which is neither a state nor an input"),
         ({"target": "x", "angles": (Angle(column="x"),)}, "--angle names 'x', the target of an explicit regression"),
     ],

@@ -58,7 +58,7 @@ def test_uncertain_rows_of_any_state_are_left_out():
     assert selection.searched == [row for row in range(50) if row not in (0, 20, 49)]
     assert [*map(len, selection.uncertain)] == [2, 2]
     assert selection.warnings == (
-        "3 of 50 rows have doubtful derivatives (at ends and jumps) and are left out of the search.",
+        "3 of 50 rows have uncertain derivatives (at ends and jumps) and are left out of the search.",
     )
 
 

@@ -94,7 +94,7 @@ def test_labels_of_little_weight_are_left_out_of_the_search():
     assert preparation.weights.shape == (49,)
     assert preparation.dataset.warnings == (
         "1 of 50 rows have no weight and are left out.",
-        "2 of 49 rows have little weight and are left out of the search; fits count them by their weight.",
+        "2 of 49 rows have little weight and are left out of the search; fits use them with their weight.",
     )
     assert prepared(columns, None, target="y", states=("x",)).weights is None
 

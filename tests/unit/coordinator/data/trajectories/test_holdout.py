@@ -12,7 +12,7 @@ from tests.unit.coordinator.data.tables import measurements_of, oscillator, tabl
 
 
 def three(noise=0.05, numbers=(4.0, 7.0, 2.5), rows=60):
-    """Return three trajectories, told apart by the column `run`."""
+    """Return three trajectories, distinguished by the column `run`."""
     rng = np.random.default_rng(0)
     columns = {name: np.tile(values, 3) for name, values in oscillator(rows).items()}
     columns |= {name: columns[name] + noise * rng.standard_normal(3 * rows) for name in "xy"}
@@ -44,7 +44,7 @@ def test_trajectories_are_chosen_by_number_or_by_value(holdout, expected):
     ("holdout", "kind", "words"),
     [
         (3, DataError, "there are 3 trajectories; leave at least one"),
-        (9, DataError, "--holdout 9 would keep everything"),
+        (9, DataError, "--holdout 9 would leave nothing"),
         ("run=5", DataError, "no trajectory has this value; there are 4, 7, 2.5"),
         ("run=a", DataError, "no trajectory has this value"),
         ("x=1", UsageError, "add --trajectory x, or give the number"),

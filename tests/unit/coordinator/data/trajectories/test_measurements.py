@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.data.trajectories.checks import check_no_turns
 from atoll_coordinator.data.trajectories.measurements import (
     distinguish,
     find_pieces,
     split_at_gaps,
 )
+from atoll_coordinator.data.trajectories.usable_rows import check_no_turns
 from atoll_core.config import Angle, DataConfig, JobConfig
 from atoll_core.errors import DataError
 from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of
@@ -37,7 +37,7 @@ def test_a_missing_value_of_a_state_costs_that_value_when_told():
     assert measurements.row_count == 60
     assert np.flatnonzero(np.isnan(measurements.trajectories.states["x"][0])).tolist() == [11, 39]
     assert measurements.trajectories.states["y"][0].tolist() == columns["y"].tolist()
-    assert measurements.warnings == ("Values are missing, 2 of x; their rows count for the other states.",)
+    assert measurements.warnings == ("Values are missing, 2 of x; their rows are used for the other states.",)
 
 
 def test_rows_without_any_state_are_dropped_when_told():
@@ -47,7 +47,7 @@ def test_rows_without_any_state_are_dropped_when_told():
     assert measurements.columns["t"].tolist() == np.delete(columns["t"], [11]).tolist()
     assert measurements.warnings == (
         "1 of 60 rows hold NaN or infinity and were dropped.",
-        "Values are missing, 1 of x and 1 of y; their rows count for the other states.",
+        "Values are missing, 1 of x and 1 of y; their rows are used for the other states.",
     )
 
 

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.constants.standard_errors import one_sided_reaches
+from atoll_coordinator.model.constants.standard_errors import one_sided_interval_lengths
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 20.0, 1e4])
@@ -14,7 +14,7 @@ def test_reaches_are_quantiles_of_a_truncated_normal(slope):
     from scipy import stats
 
     error, gradient = 0.5, np.array([0.0, -slope])
-    reaches = one_sided_reaches(np.diag([1.0, 4.0]), gradient, np.array([False, True]))
+    reaches = one_sided_interval_lengths(np.diag([1.0, 4.0]), gradient, np.array([False, True]))
     beyond = slope * error
     expected = error * stats.truncnorm.ppf(0.95, beyond, np.inf, loc=-beyond)
     assert reaches == {1: pytest.approx(expected, rel=1e-6)}

@@ -5,7 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.constants.rounding import Decision, Estimates, continuum_density, decisions, simple_numbers
+from atoll_coordinator.model.constants.rounding import (
+    Decision,
+    Estimates,
+    continuum_density,
+    search_decisions,
+    simple_numbers,
+)
 from atoll_coordinator.settings import SETTINGS
 
 ODDS = math.exp(SETTINGS.inference.distinct_nats)
@@ -13,7 +19,7 @@ ODDS = math.exp(SETTINGS.inference.distinct_nats)
 
 def shown(value, error):
     estimates = Estimates(np.array([value]), np.array([[error * error]]))
-    return float(estimates.rounded()[0]), estimates.simple[0]
+    return float(estimates.round_constants()[0]), estimates.simple[0]
 
 
 def test_an_estimate_is_not_shown_as_a_prettier_number_within_its_error():
@@ -69,14 +75,14 @@ def test_a_change_of_unit_changes_no_decision_between_decimals(factor):
 def test_constants_that_are_determined_together_are_singled_out_together():
     """Neither is known to a tenth alone, but their difference to a millionth."""
     covariance = 0.05**2 * np.ones((2, 2)) + np.diag([0.0, 1e-12])
-    moved = Estimates(np.array([2.03, 3.03]), covariance).rounded() - np.array([2.03, 3.03])
+    moved = Estimates(np.array([2.03, 3.03]), covariance).round_constants() - np.array([2.03, 3.03])
     assert moved[1] == pytest.approx(moved[0], abs=1e-6)
 
 
 def test_the_last_of_correlated_estimates_keeps_the_digits_that_it_needs():
     covariance = 0.05**2 * np.ones((2, 2)) + np.diag([0.0, 1e-10])
     means = np.array([2.0314159, 3.0271828])
-    rounded = Estimates(means, covariance).rounded(estimates=(0, 1))
+    rounded = Estimates(means, covariance).round_constants(estimates=(0, 1))
     away = rounded - means
     assert str(rounded[0]) == "2.031"
     assert 0.5 * away @ np.linalg.solve(covariance, away) < 0.01
@@ -84,7 +90,7 @@ def test_the_last_of_correlated_estimates_keeps_the_digits_that_it_needs():
 
 def test_one_constant_stays_an_estimate_while_another_becomes_simple():
     estimates = Estimates(np.array([2.000001, 3.000001]), np.diag([1e-12, 1e-12]))
-    assert estimates.rounded(estimates=(1,)).tolist() == [2.0, 3.000001]
+    assert estimates.round_constants(estimates=(1,)).tolist() == [2.0, 3.000001]
     assert estimates.simple[1].value == 3.0
 
 
@@ -114,9 +120,9 @@ def test_simple_numbers_speak_for_each_other_and_estimates_against_one_that_is_a
 
 def test_a_constant_is_simple_as_a_factor_of_another():
     """0.9 (1/9 + f) is 0.1 + 0.9 f; 1/9 by itself is no simple number."""
-    rounded = Estimates(np.array([0.9001, 0.11112]), np.diag([2e-4, 5e-5]) ** 2).rounded()
+    rounded = Estimates(np.array([0.9001, 0.11112]), np.diag([2e-4, 5e-5]) ** 2).round_constants()
     assert rounded.tolist() == pytest.approx([0.9, 1.0 / 9.0], rel=1e-12)
-    assert Estimates(np.array([0.11112]), np.array([[5e-5**2]])).rounded()[0] == 0.11112
+    assert Estimates(np.array([0.11112]), np.array([[5e-5**2]])).round_constants()[0] == 0.11112
 
 
 def test_simple_numbers_are_judged_together_where_each_alone_stays_an_estimate():
@@ -124,18 +130,18 @@ def test_simple_numbers_are_judged_together_where_each_alone_stays_an_estimate()
     covariance = np.outer(errors, errors) * np.array([[1.0, -0.6], [-0.6, 1.0]])
     rounding = Estimates(means, covariance)
     assert rounding.simple[1].odds < ODDS
-    rounded = rounding.together([0, 1])
+    rounded = rounding.joint_simple_numbers([0, 1])
     assert rounded.constants == (0, 1)
     assert rounded.values == pytest.approx((0.9, 1.0 / 9.0))
     assert 1.0 < rounded.odds <= min(simple.odds for simple in rounding.simple)
     away = means - rounded.values
     assert rounded.chi_square == pytest.approx(away @ np.linalg.solve(covariance, away))
-    assert rounding.together([1]) is None
+    assert rounding.joint_simple_numbers([1]) is None
 
 
 def test_the_places_of_simple_numbers_are_those_in_the_equation():
     rounding = Estimates(np.array([3.7281, 2.00001, 5.00001]), np.diag([1e-4, 1e-5, 1e-5]) ** 2)
-    rounded = rounding.together([2, 0, 1])
+    rounded = rounding.joint_simple_numbers([2, 0, 1])
     assert rounded.constants == (0, 2)
     assert rounded.values == (5.0, 2.0)
     assert rounded.odds > ODDS
@@ -150,19 +156,19 @@ def test_simple_numbers_are_rarely_false_where_all_constants_have_random_digits(
         errors = truth * 10.0 ** random.uniform(-3.0, -1.0, 3)
         covariance = np.corrcoef(random.normal(size=(3, 8))) * np.outer(errors, errors)
         estimates = Estimates(random.multivariate_normal(truth, covariance), covariance)
-        shown = zip(estimates.rounded(), estimates.simple, strict=True)
+        shown = zip(estimates.round_constants(), estimates.simple, strict=True)
         false += sum(near is not None and near.value == value for value, near in shown)
     assert false <= 6
 
 
 def test_constants_that_only_their_sum_is_known_of_are_no_division_by_zero():
-    assert np.isfinite(Estimates(np.array([1.0, 2.0, 3.0]), 0.01 * np.ones((3, 3))).rounded()).all()
+    assert np.isfinite(Estimates(np.array([1.0, 2.0, 3.0]), 0.01 * np.ones((3, 3))).round_constants()).all()
 
 
 @pytest.mark.parametrize("mean", [math.inf, -math.inf])
 def test_no_number_is_near_an_estimate_that_overflows(mean):
     with np.errstate(all="ignore"):  # as in the processes that refine
-        considered = decisions(Decision.none(np.array([2.0, mean]), np.diag([1e-6, 1.0])))
+        considered = search_decisions(Decision.start(np.array([2.0, mean]), np.diag([1e-6, 1.0])))
     assert {index for decision in considered for index, _ in decision.numbers} == {0}
 
 
@@ -170,10 +176,10 @@ def test_decisions_that_go_on_are_those_of_most_nats_whatever_their_order():
     """A pair of constants is decided in two orders; one of them stays, and the others moved as they are conditioned."""
     covariance = 0.02**2 * np.array([[1.0, 0.5, 0.0], [0.5, 1.0, 0.5], [0.0, 0.5, 1.0]])
     means = np.array([2.01, 3.01, 0.7])
-    considered = decisions(Decision.none(means, covariance))
+    considered = search_decisions(Decision.start(means, covariance))
     assert len({decision.numbers for decision in considered}) == len(considered)
     for decision in considered:
-        fixed, left = [index for index, _ in decision.numbers], list(decision.open)
+        fixed, left = [index for index, _ in decision.numbers], list(decision.undecided)
         moved = np.array([value for _, value in decision.numbers]) - means[fixed]
         inverse = np.linalg.inv(covariance[np.ix_(fixed, fixed)])
         expected = means[left] + covariance[np.ix_(left, fixed)] @ inverse @ moved

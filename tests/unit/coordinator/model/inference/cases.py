@@ -39,7 +39,8 @@ def given(kind: type[EquationChecks], **quantities: Any) -> Any:
     made: Any = object.__new__(kind)
     known = {"constants": (), "unit_coefficients": (), "uncertainty": 0.0, "digits": None, "chaos": None,
              "predictable_rows": None, "is_cross_validated": False, "are_errors_summed": False, "piece": 500,
-             "held_inputs": (), "is_near": False, "text": "x", "baseless": "", "unknown_inputs": {}, "rivals": 0.0,
+             "held_inputs": (), "is_near": False, "text": "x", "unsupported_state": "", "unknown_inputs": {},
+             "odds_of_alternatives": 0.0,
              "passes_pole": False,
              "is_known": False, "stopped": "", "is_cancelled": False, "target_r2": None, "prediction": None,
              **quantities}  # fmt: skip
@@ -49,7 +50,9 @@ def given(kind: type[EquationChecks], **quantities: Any) -> Any:
     recording = SimpleNamespace(inputs=known["held_inputs"], input_kinds=["held" for _ in known["held_inputs"]])
     task = SimpleNamespace(piece=known["piece"], recording=recording)
     final = SimpleNamespace(
-        task=task, are_errors_summed=known["are_errors_summed"], unseen=None if known["is_cross_validated"] else ()
+        task=task,
+        are_errors_summed=known["are_errors_summed"],
+        held_out_comparison=None if known["is_cross_validated"] else (),
     )
     vars(made).update(
         known, quantities=quantities, shown=shown, target=Target("x", "x", values, known["uncertainty"], 1.0),
@@ -114,7 +117,7 @@ NOT_MADE: dict[str, tuple[dict[str, Any], ...]] = {
     "whole trajectories": ({"fits_whole": None}, {"fits_whole": None, "predictable_rows": 244}),
     "long run": ({"chaos": chaos(2.0, False, None, is_unfinished=True)},),
     "other initial states": (
-        {"prediction": None, "baseless": "y"},
+        {"prediction": None, "unsupported_state": "y"},
         {"prediction": SURE.replaced(followed=9, unfinished=3)},
     ),
     "constants": ({"constants": (), "text": "1.5*x + 2.5*x*x + 3.5*x*x*x"},),
@@ -150,8 +153,8 @@ OTHERS = (
     replace(CLEAN, solver=SOLVER, residuals=waves(1e-3)),
     replace(CLEAN, are_errors_summed=True, residuals=waves(0.02)),
     replace(CLEAN, residuals=noise(0.02, rows=2), noise_estimate=0.008, parameters=2.0),
-    replace(CLEAN, rivals=0.0052),
-    replace(CLEAN, rivals=1.0, alternative=0.0),
+    replace(CLEAN, odds_of_alternatives=0.0052),
+    replace(CLEAN, odds_of_alternatives=1.0, alternative=0.0),
     replace(CLEAN, constants=(*SHARP, CRUMB)),
     replace(CLEAN, constants=(constant(-1e-12, -1e-12, 1e-9, (-2e-9, 2e-9)),)),
     replace(CLEAN, constants=()),

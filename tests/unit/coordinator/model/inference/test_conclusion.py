@@ -16,9 +16,9 @@ from atoll_coordinator.model.constants.standard_errors import describe_constants
 from atoll_coordinator.model.deadline import CHOICE_SHARE, Deadline
 from atoll_coordinator.model.description_length import system_length
 from atoll_coordinator.model.inference import conclusion, final_model, trajectory_checks
-from atoll_coordinator.model.inference.conclusion import _odds_of_data
-from atoll_coordinator.model.inference.final_model import _show, estimate_errors
-from atoll_coordinator.model.inference.trajectory_checks import no_elaborations, share_of_rate, standard_deviation
+from atoll_coordinator.model.inference.conclusion import _odds_without_prices
+from atoll_coordinator.model.inference.final_model import _show_equations, estimate_errors
+from atoll_coordinator.model.inference.trajectory_checks import drop_elaborations, share_of_rate, standard_deviation
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.model.refinement import Alternative, Refinement
@@ -98,10 +98,10 @@ def test_the_odds_of_the_data_have_no_price_of_structures():
 
     own = model("-0.8*x", 7.0)
     others = [model("-0.8*sin(x)*cos(x)", 7.0), model("-0.8*sin(x)*cos(x)", 9.0), model("0.1*x*x - 0.8*sin(x)", 6.0)]
-    odds = [_odds_of_data(other, own, 0, points) for other in others]
+    odds = [_odds_without_prices(other, own, 0, points) for other in others]
     assert odds == pytest.approx([1.0, math.exp(-2.0), math.exp(-1.0)])
     longer = model("0.1 - 0.8*x", 6.0)
-    assert _odds_of_data(longer, own, 0, points) == pytest.approx(math.exp(own.nats - longer.nats))
+    assert _odds_without_prices(longer, own, 0, points) == pytest.approx(math.exp(own.nats - longer.nats))
 
 
 def test_an_exact_line_of_five_rows_is_not_exact():
@@ -197,7 +197,7 @@ def test_the_deviation_is_that_of_what_was_measured_and_counts():
 def test_an_elaboration_of_the_equation_is_no_rival():
     programs = [DECAY.parsed(text) for text in ("-0.5*x", "-0.5*x + 0.1", "-0.4*sin(x)", "-0.5*x")]
     shown, *others = (Alternative(program, 1.0, 0.9, is_shown=not rank) for rank, program in enumerate(programs))
-    assert no_elaborations(1, [shown, *others]) == others[1:]
+    assert drop_elaborations(1, [shown, *others]) == others[1:]
 
 
 def test_fitted_constants_have_intervals_around_them(noisy):
@@ -297,7 +297,7 @@ def test_what_was_fitted_to_fewer_rows_is_simulated_along_all(monkeypatch, noise
 
 
 def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypatch):
-    monkeypatch.setattr(FittedEquations, "simplified", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
+    monkeypatch.setattr(FittedEquations, "simplify", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
     refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
     (constant,) = refinement.equations["x"].constants
     assert constant.value == pytest.approx(constant.fitted, abs=0.1 * constant.std_error)
@@ -550,10 +550,10 @@ def test_constants_are_shown_within_their_intervals(monkeypatch):
     """Where intervals are narrower than what constants are rounded by, a simple number does not take their place."""
     comparison = compare(SWING, measurements(SWING, ([1.0, 2.0], [0.5, -1.0]), TIMES, noise=0.02, seed=110), 1e-5)
     near = comparison.fit_model([from_infix(text, SWING.names) for text in ("1.1*y", "-2.1*x - 0.3*y")])
-    shown = _show(comparison, near, near.programs)
+    shown = _show_equations(comparison, near, near.programs)
     assert 2.0 in np.abs(shown.rounded.programs[1].constants)
     monkeypatch.setattr(final_model, "estimate_errors", lambda *given: narrow(estimate_errors(*given)))
-    shown = _show(comparison, near, near.programs)
+    shown = _show_equations(comparison, near, near.programs)
     assert 2.0 not in np.abs(shown.rounded.programs[1].constants)
     known = describe_constants(
         (), shown.explicit, shown.rounded.programs, narrow(estimate_errors(comparison, shown.free))
@@ -562,7 +562,7 @@ def test_constants_are_shown_within_their_intervals(monkeypatch):
 
 
 def narrow(errors):
-    return replace(errors, bounded=1e-6 * errors.bounded)
+    return replace(errors, finite_covariance=1e-6 * errors.finite_covariance)
 
 
 @pytest.mark.parametrize("seed", [7, 11])
@@ -572,7 +572,7 @@ def test_constants_keep_few_digits_beside_a_simple_number_that_costs_something(m
     comparison = compare(known, measurements(known, ([2.0], [-1.0]), TIMES, noise=1e-5, seed=seed), 1e-8)
     monkeypatch.setattr(Score, "inflation", lambda *_: 30.0)
     near = comparison.fit_model([known.parsed("0.3 - 0.5*x")])
-    shown = _show(comparison, near, near.programs)
+    shown = _show_equations(comparison, near, near.programs)
     program = shown.rounded.programs[0]
     offset, rate = np.abs(program.constants[constant_places(program)])
     assert shown.fit.misfit > near.misfit + SETTINGS.selection.least_gain

@@ -152,7 +152,7 @@ def test_a_result_says_that_constants_were_not_fitted_by_group():
     [
         ({"group": "strain", "per_trajectory": True}, UsageError, "exclude each other"),
         ({"group": "strain", "target": "x"}, UsageError, "group and target exclude"),
-        ({"group": "strain", "holdout": 1}, DataError, "keeps all trajectories of group 3"),
+        ({"group": "strain", "holdout": 1}, DataError, "takes all trajectories of group 3"),
         ({"group": "strian"}, DataError, "did you mean 'strain'"),
         ({"group": "strain", "stochastic": True}, UsageError, "stochastic and group"),
     ],

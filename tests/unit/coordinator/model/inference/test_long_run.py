@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.inference import long_run
-from atoll_coordinator.model.inference.long_run import _block_means, _welch, along, look_for_chaos
+from atoll_coordinator.model.inference.long_run import (
+    _block_means,
+    _welch_probabilities,
+    compare_averages,
+    make_simulator,
+)
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
@@ -29,7 +34,7 @@ def made(texts):
 
 def looked(measured, texts, shown=None):
     fit = MultipleShooting(measured, 1e-6).fit(made(texts), None, 0)
-    return look_for_chaos(replace(fit, system=made(shown or texts)), 0.9, 1e-6)
+    return compare_averages(replace(fit, system=made(shown or texts)), 0.9, 1e-6)
 
 
 @pytest.mark.slow
@@ -66,7 +71,9 @@ def test_a_simulation_that_takes_too_many_steps_does_not_run_away(measured):
 def test_ours_has_blocks_enough_to_know_its_variance_however_many_rows_were_measured(monkeypatch, rows):
     """Of 8,000 rows and more a simulation of 4,000 had one block, whose mean was taken for exact."""
     blocks = []
-    monkeypatch.setattr(long_run, "_welch", lambda *both: [blocks.append([part.shape for part in both]) or 1.0])
+    monkeypatch.setattr(
+        long_run, "_welch_probabilities", lambda *both: [blocks.append([part.shape for part in both]) or 1.0]
+    )
     measured = measurements_of(prepared(2000, 0.01, trajectories=1).recording, [0, 1, 2], piece=50)
     looked(several(measured, rows // 2000), TRUTH)
     assert blocks == [[(3, 4), (3, 4)]] * 2
@@ -74,15 +81,17 @@ def test_ours_has_blocks_enough_to_know_its_variance_however_many_rows_were_meas
 
 def test_of_a_driven_model_nothing_is_said():
     measured = SimpleNamespace(inputs=np.zeros((1, 5)))
-    assert look_for_chaos(SimpleNamespace(estimator=SimpleNamespace(measurements=measured)), 0.9, 1e-6) is None
+    assert compare_averages(SimpleNamespace(estimator=SimpleNamespace(measurements=measured)), 0.9, 1e-6) is None
 
 
 def test_the_long_simulation_begins_where_the_last_trajectory_ended(monkeypatch):
     asked = []
     estimator = SimpleNamespace(measurements=None, simulate=lambda _, start: start.tolist())
-    monkeypatch.setattr(long_run, "along", lambda _, times, *rest: asked.append([times.tolist(), *rest]) or estimator)
+    monkeypatch.setattr(
+        long_run, "make_simulator", lambda _, times, *rest: asked.append([times.tolist(), *rest]) or estimator
+    )
     fit = SimpleNamespace(estimator=estimator, system=None, simulated=np.arange(6.0).reshape(2, 3))
-    assert long_run._simulated(fit, 6, 2, 0.5, 1e-6) == [2.0, 5.0]
+    assert long_run._simulate_long_run(fit, 6, 2, 0.5, 1e-6) == [2.0, 5.0]
     assert asked == [[[0.0, 1.0, 2.0], 1e-6, 6]]
 
 
@@ -106,11 +115,13 @@ def compared(monkeypatch):
             owners_of_rows=np.repeat(np.arange(len(lengths)), lengths),
             smoothed=np.concatenate([np.where(np.arange(rows) < rows // 2, 5.0, 1.0) for rows in lengths])[None],
         )
-        assert look_for_chaos(SimpleNamespace(estimator=SimpleNamespace(measurements=measured)), 0.9, 1e-6).is_kept
+        assert compare_averages(SimpleNamespace(estimator=SimpleNamespace(measurements=measured)), 0.9, 1e-6).is_kept
         return asked.pop(), [means.pop(0), means.pop(0)]
 
-    monkeypatch.setattr(long_run, "_simulated", simulated)
-    monkeypatch.setattr(long_run, "_welch", lambda *both: [means.append([part.tolist() for part in both]) or 1.0])
+    monkeypatch.setattr(long_run, "_simulate_long_run", simulated)
+    monkeypatch.setattr(
+        long_run, "_welch_probabilities", lambda *both: [means.append([part.tolist() for part in both]) or 1.0]
+    )
     return of
 
 
@@ -165,8 +176,8 @@ def test_means_are_compared_as_welch_does():
     draw = np.random.default_rng(3)
     ours, theirs = draw.normal(0.0, 1.0, (3, 5)), draw.normal(0.6, 2.0, (3, 9))
     expected = stats.ttest_ind(ours, theirs, axis=1, equal_var=False).pvalue
-    assert _welch(ours, theirs) == pytest.approx(expected)
-    assert _welch(theirs, ours) == pytest.approx(expected)
+    assert _welch_probabilities(ours, theirs) == pytest.approx(expected)
+    assert _welch_probabilities(theirs, ours) == pytest.approx(expected)
 
 
 def test_one_block_has_no_variance_and_equal_numbers_no_difference():
@@ -174,20 +185,22 @@ def test_one_block_has_no_variance_and_equal_numbers_no_difference():
 
     one, four = np.array([[0.5]]), np.array([[0.0, 1.0, 2.0, 5.0]])
     t, degrees_of_freedom = (0.5 - 2.0) / (four.std(ddof=1) / 2.0), 3.0
-    assert _welch(one, four) == pytest.approx([2.0 * stats.t.cdf(t, degrees_of_freedom)])
-    assert _welch(one, one + 1.0) == [1.0]
+    assert _welch_probabilities(one, four) == pytest.approx([2.0 * stats.t.cdf(t, degrees_of_freedom)])
+    assert _welch_probabilities(one, one + 1.0) == [1.0]
 
 
 def test_states_behind_one_that_does_not_change_are_compared_as_well():
     from scipy import stats
 
     ours, theirs = np.array([[2.0, 2.0], [0.0, 1.0]]), np.array([[2.0, 2.0], [5.0, 6.0]])
-    assert _welch(ours, theirs) == pytest.approx([1.0, stats.ttest_ind(ours[1], theirs[1], equal_var=False).pvalue])
+    assert _welch_probabilities(ours, theirs) == pytest.approx(
+        [1.0, stats.ttest_ind(ours[1], theirs[1], equal_var=False).pvalue]
+    )
 
 
 def test_what_is_simulated_in_the_place_of_measurements_was_not_measured(measured):
     times = 0.5 * np.arange(30.0)
-    made_up = along(measured, times, 1e-6, 60).measurements
+    made_up = make_simulator(measured, times, 1e-6, 60).measurements
     assert made_up.bounds.tolist() == [[0, 30]]
     assert made_up.times is times
     assert not made_up.measured.any()
@@ -199,6 +212,6 @@ def test_what_is_simulated_in_the_place_of_measurements_was_not_measured(measure
 def test_the_level_is_shared_by_means_and_variances_of_all_states(monkeypatch, measured):
     """0.01 over six comparisons."""
     for probability, is_kept in ((0.0018, True), (0.0015, False)):
-        monkeypatch.setattr(long_run, "_welch", lambda *_, level=probability: [1.0, level, 0.5])
+        monkeypatch.setattr(long_run, "_welch_probabilities", lambda *_, level=probability: [1.0, level, 0.5])
         seen = looked(measured, TRUTH)
         assert (seen.is_kept, seen.probability) == (is_kept, probability)

@@ -12,16 +12,24 @@ from atoll_coordinator.model.inference.prediction import (
 )
 from atoll_coordinator.model.inference.prediction import (
     _differences,
-    _Elsewhere,
-    _Misses,
+    _Disagreement,
+    _OtherInitialStates,
     _r2,
-    draws,
-    predict,
+    compare_predictions,
+    draw_systems,
 )
 from atoll_coordinator.model.shooting.points_between import _far_apart, _latin_hypercube
 from atoll_coordinator.model.shooting.system import system_of
 from atoll_coordinator.settings import SETTINGS
-from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, LOTKA, LOTKA_TEXT, SWING, Known, measurements
+from tests.unit.coordinator.model.shooting.made import (
+    DECAY,
+    DRIVEN,
+    LOTKA,
+    LOTKA_TEXT,
+    SWING,
+    Known,
+    measurements,
+)
 
 TIMES = 0.1 * np.arange(40.0)
 WAVE = Known(("x", "y"), lambda _, z: [6.283 * z[1], -6.283 * z[0]])
@@ -47,7 +55,7 @@ def truth():
 
 
 def test_a_model_without_rivals_is_relied_upon(lotka, truth):
-    for prediction in predict(lotka, truth, [], 1e-6):
+    for prediction in compare_predictions(lotka, truth, [], 1e-6):
         assert (prediction.starts, prediction.followed, prediction.probability, prediction.is_disputed) == (
             12,
             12,
@@ -60,7 +68,9 @@ def test_a_model_without_rivals_is_relied_upon(lotka, truth):
 
 def test_a_rival_that_predicts_the_same_does_not_count(lotka, truth):
     near = system(LOTKA, "3.01*x - 2*x*y - x**2", LOTKA_TEXT[1])
-    assert [prediction.probability for prediction in predict(lotka, truth, [Other(near, 0, 1.0, 1.0)], 1e-6)] == [
+    assert [
+        prediction.probability for prediction in compare_predictions(lotka, truth, [Other(near, 0, 1.0, 1.0)], 1e-6)
+    ] == [
         1.0,
         1.0,
     ]
@@ -68,7 +78,7 @@ def test_a_rival_that_predicts_the_same_does_not_count(lotka, truth):
 
 def test_a_rival_that_predicts_otherwise_takes_its_share_of_the_odds(lotka, truth):
     other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1])
-    x, y = predict(lotka, truth, [Other(other, 0, 0.25, 0.25)], 1e-6)
+    x, y = compare_predictions(lotka, truth, [Other(other, 0, 0.25, 0.25)], 1e-6)
     assert x.probability == pytest.approx(0.8)
     assert x.is_disputed
     for name, low, high in (("x", 0.0, 8.0), ("y", 0.0, 3.1)):
@@ -78,23 +88,23 @@ def test_a_rival_that_predicts_otherwise_takes_its_share_of_the_odds(lotka, trut
 
 def test_rivals_of_two_equations_are_independent(lotka, truth):
     one, other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1]), system(LOTKA, LOTKA_TEXT[0], "-0.5*y")
-    x, _ = predict(lotka, truth, [Other(one, 0, 1.0, 1.0), Other(other, 1, 1.0, 1.0)], 1e-6)
+    x, _ = compare_predictions(lotka, truth, [Other(one, 0, 1.0, 1.0), Other(other, 1, 1.0, 1.0)], 1e-6)
     assert x.probability == pytest.approx(0.25)
 
 
 def test_rivals_of_one_equation_exclude_one_another(lotka, truth):
     one, other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1]), system(LOTKA, "-0.6*x", LOTKA_TEXT[1])
-    x, _ = predict(lotka, truth, [Other(one, 0, 1.0, 1.0), Other(other, 0, 1.0, 1.0)], 1e-6)
+    x, _ = compare_predictions(lotka, truth, [Other(one, 0, 1.0, 1.0), Other(other, 0, 1.0, 1.0)], 1e-6)
     assert x.probability == pytest.approx(1.0 / 3.0)
 
 
 def test_a_rival_that_runs_away_predicts_otherwise(lotka, truth):
     other = system(LOTKA, "3*x*x", LOTKA_TEXT[1])
-    assert predict(lotka, truth, [Other(other, 0, 1.0, 1.0)], 1e-6)[0].probability == pytest.approx(0.5)
+    assert compare_predictions(lotka, truth, [Other(other, 0, 1.0, 1.0)], 1e-6)[0].probability == pytest.approx(0.5)
 
 
 def test_a_model_that_runs_away_is_followed_nowhere(lotka):
-    for prediction in predict(lotka, system(LOTKA, "30*x*x", "30*y*y"), [], 1e-6):
+    for prediction in compare_predictions(lotka, system(LOTKA, "30*x*x", "30*y*y"), [], 1e-6):
         assert (prediction.followed, prediction.unfinished, prediction.probability) == (0, 0, 0.0)
 
 
@@ -103,17 +113,17 @@ def test_what_was_not_measured_is_far():
     one = measurements(LOTKA, [[8.0, 2.0]], TIMES)
     many = measurements(LOTKA, [[x, y] for x in (1.0, 4.0, 8.0) for y in (0.5, 2.0, 3.0)], TIMES)
     truth = system(LOTKA, *LOTKA_TEXT)
-    assert predict(many, truth, [], 1e-6)[0].novelty < predict(one, truth, [], 1e-6)[0].novelty
+    assert compare_predictions(many, truth, [], 1e-6)[0].novelty < compare_predictions(one, truth, [], 1e-6)[0].novelty
 
 
 def test_what_goes_beyond_the_measured_range_is_said():
     """A swing measured for a quarter of its period never has x below zero."""
     quarter = measurements(SWING, [[1.0, 0.0]], 0.02 * np.arange(50.0))
-    x, _ = predict(quarter, system(SWING, "y", "-2*x - 0.3*y"), [], 1e-6)
+    x, _ = compare_predictions(quarter, system(SWING, "y", "-2*x - 0.3*y"), [], 1e-6)
     assert x.reached is not None
     assert x.reached < 0.0
     whole = measurements(SWING, [[1.0, 0.0], [-1.0, 0.5]], TIMES)
-    assert predict(whole, system(SWING, "-0.1*x", "-0.1*y"), [], 1e-6)[0].reached is None
+    assert compare_predictions(whole, system(SWING, "-0.1*x", "-0.1*y"), [], 1e-6)[0].reached is None
 
 
 @pytest.mark.parametrize(("times", "is_left"), [(0.02 * np.arange(50.0), True), (TIMES, False)])
@@ -121,7 +131,7 @@ def test_beyond_the_measured_range_a_rival_has_the_odds_that_the_data_give_it(ti
     """A rival that is less plausible, and fits as well, where x goes beyond, or not."""
     rows = measurements(SWING, [[1.0, 0.0]], times)
     rival = Other(system(SWING, "y", "-0.5*x - 0.3*y"), 1, 1e-3, 1.0)
-    x, _ = predict(rows, system(SWING, "y", "-2*x - 0.3*y"), [rival], 1e-6)
+    x, _ = compare_predictions(rows, system(SWING, "y", "-2*x - 0.3*y"), [rival], 1e-6)
     assert (x.reached is not None) == is_left
     assert x.probability == pytest.approx(0.5 if is_left else 0.999, abs=1e-3)
     assert x.is_disputed
@@ -131,12 +141,12 @@ def test_a_process_that_leaves_the_measured_range_as_it_was_measured_to_is_follo
     """Growth measured to 20 leads from 10 to 200; nothing says that it should not, nor that it should."""
     grown = measurements(GROWTH, [[1.0]], TIMES_OF_GROWTH)
     truth = system(GROWTH, "0.3*x")
-    (prediction,) = predict(grown, truth, [], 1e-6)
+    (prediction,) = compare_predictions(grown, truth, [], 1e-6)
     assert (prediction.starts, prediction.followed) == (12, 12)
     rival = system(GROWTH, "0.3*x + 0.0001*x*x")
-    assert predict(grown, truth, [Other(rival, 0, 1.0, 1.0)], 1e-6)[0].probability == 1.0
+    assert compare_predictions(grown, truth, [Other(rival, 0, 1.0, 1.0)], 1e-6)[0].probability == 1.0
     other = system(GROWTH, "0.1*x*x")
-    assert predict(grown, truth, [Other(other, 0, 1.0, 1.0)], 1e-6)[0].probability == 0.5
+    assert compare_predictions(grown, truth, [Other(other, 0, 1.0, 1.0)], 1e-6)[0].probability == 0.5
 
 
 @pytest.mark.parametrize(
@@ -148,7 +158,9 @@ def test_a_process_that_leaves_on_another_side_runs_away(known, model):
     """Growth and decay end at one end of the range; of both together the one begins where the other ends."""
     systems = {"growth": (GROWTH, [[1.0]]), "decay": (DECAY, [[2.0]]), "both": (SETTLING, [[-1.0], [1.0]])}
     known_system, starts = systems[known]
-    prediction = predict(measurements(known_system, starts, TIMES_OF_GROWTH), system(known_system, model), [], 1e-6)[0]
+    prediction = compare_predictions(
+        measurements(known_system, starts, TIMES_OF_GROWTH), system(known_system, model), [], 1e-6
+    )[0]
     assert prediction.followed < prediction.starts
 
 
@@ -156,7 +168,9 @@ def test_a_measured_row_of_a_fast_oscillator_is_allowed_its_steps():
     """Five hundred rows, ten to a period: the hundred that are looked at would have a fifth of the steps."""
     fast = measurements(WAVE, [[1.0, 0.0]], 0.1 * np.arange(500.0))
     truth = system(WAVE, "6.283*y", "-6.283*x")
-    assert [(prediction.followed, prediction.unfinished) for prediction in predict(fast, truth, [], 1e-10)] == [
+    assert [
+        (prediction.followed, prediction.unfinished) for prediction in compare_predictions(fast, truth, [], 1e-10)
+    ] == [
         (12, 0),
         (12, 0),
     ]
@@ -164,21 +178,21 @@ def test_a_measured_row_of_a_fast_oscillator_is_allowed_its_steps():
 
 def test_running_out_of_steps_is_said_to_be_that(lotka, truth):
     fast = system(LOTKA, "6000*(y - 2)", "-6000*(x - 2)")
-    for prediction in predict(lotka, fast, [], 1e-6):
+    for prediction in compare_predictions(lotka, fast, [], 1e-6):
         assert (prediction.starts, prediction.followed, prediction.unfinished) == (12, 0, 12)
-    x, _ = predict(lotka, truth, [Other(fast, 0, 1.0, 1.0)], 1e-6)
+    x, _ = compare_predictions(lotka, truth, [Other(fast, 0, 1.0, 1.0)], 1e-6)
     assert (x.probability, x.is_disputed) == (1.0, False)
 
 
 def test_what_a_rival_predicts_where_it_has_enough_steps_counts(lotka, truth):
     """It turns the faster the farther away it begins, at the rate that it keeps."""
     partly = system(LOTKA, "500*(x**2 + y**2 - 1)**3*(y - 2)", LOTKA_TEXT[1])
-    x, _ = predict(lotka, truth, [Other(partly, 0, 1.0, 1.0)], 1e-6)
+    x, _ = compare_predictions(lotka, truth, [Other(partly, 0, 1.0, 1.0)], 1e-6)
     assert (x.probability, x.is_disputed) == (0.5, True)
 
 
 def spread_of(rows):
-    return _Elsewhere(rows, 1e-6, is_near=False).starts
+    return _OtherInitialStates(rows, 1e-6, is_near=False).starts
 
 
 def test_initial_states_keep_what_all_measured_ones_have_in_common():
@@ -209,7 +223,7 @@ def test_ten_right_pendulums_are_relied_upon():
     right = system(
         pendulums, *names[count:], *(f"-{c!r}*sin({a})" for a, c in zip(angles, squares.tolist(), strict=True))
     )
-    for prediction in predict(rows, right, [], 1e-6):
+    for prediction in compare_predictions(rows, right, [], 1e-6):
         assert (prediction.starts, prediction.followed, prediction.probability) == (12, 12, 1.0)
 
 
@@ -226,9 +240,9 @@ def test_rows_in_step_with_a_period_are_not_one_state(rows_a_period, rows):
     cycle = np.array([np.cos(phases), -np.sin(phases)])
     measured = measurements(WAVE, [[1.0, 0.0]], TIMES)
     measured = replace(measured, smoothed=cycle, times=times, bounds=np.array([[0, rows]]))
-    region = _Elsewhere(measured, 1e-6, is_near=False)
+    region = _OtherInitialStates(measured, 1e-6, is_near=False)
     assert (np.ptp(region.starts, axis=0) > 1.0).all()
-    (distances,) = region.distances([cycle[:, : 4 * rows_a_period]])
+    (distances,) = region.distances_from_measured([cycle[:, : 4 * rows_a_period]])
     assert distances.max() < 1e-12
 
 
@@ -243,13 +257,13 @@ def test_with_inputs_other_initial_states_take_those_of_a_measured_trajectory():
     """A rival with another answer to the input is found, and a model that runs away with it as well."""
     driven = measurements(DRIVEN, [[1.0]], TIMES)
     law, other = (system_of([DRIVEN.parsed(text)], DRIVEN.names, DRIVEN.names) for text in ("-0.8*x + 1.5*u", "-0.8*x"))
-    (prediction,) = predict(driven, law, [Other(other, 0, 1.0, 1.0)], 1e-6)
+    (prediction,) = compare_predictions(driven, law, [Other(other, 0, 1.0, 1.0)], 1e-6)
     assert prediction.followed == prediction.starts
     assert prediction.probability < 0.6
-    (alone,) = predict(driven, law, [], 1e-6)
+    (alone,) = compare_predictions(driven, law, [], 1e-6)
     assert alone.probability == 1.0
     runaway = system_of([DRIVEN.parsed("9*x + 1.5*u")], DRIVEN.names, DRIVEN.names)
-    assert predict(driven, runaway, [], 1e-6)[0].followed < 12
+    assert compare_predictions(driven, runaway, [], 1e-6)[0].followed < 12
 
 
 def test_with_groups_other_initial_states_take_the_constants_of_a_group_in_turn():
@@ -257,22 +271,22 @@ def test_with_groups_other_initial_states_take_the_constants_of_a_group_in_turn(
     grouped = replace(measurements(DECAY, [[2.0], [2.0]], TIMES), groups=np.array([0, 1]))
     whole = system(DECAY, "-0.5*x")
     sharing = whole.sharing_numbers(np.array([whole.constants, whole.constants]), (), 0)
-    assert predict(grouped, sharing, [], 1e-6)[0].followed == 12
+    assert compare_predictions(grouped, sharing, [], 1e-6)[0].followed == 12
     growing = sharing.with_values(np.array([-0.5, 5.0]))
-    assert predict(grouped, growing, [], 1e-6)[0].followed == 6
+    assert compare_predictions(grouped, growing, [], 1e-6)[0].followed == 6
 
 
 def test_with_groups_an_initial_state_lies_between_states_of_its_group():
     """What one group never comes near says nothing of its constants."""
     grouped = replace(measurements(DECAY, [[2.0], [200.0]], TIMES), groups=np.array([0, 1]))
-    starts = _Elsewhere(grouped, 1e-6, is_near=False).starts[:, 0]
+    starts = _OtherInitialStates(grouped, 1e-6, is_near=False).starts[:, 0]
     assert (starts[::2] <= 2.0).all()
     assert (starts[1::2] > 0.9 * 200.0 * np.exp(-0.5 * TIMES[-1])).all()
 
 
 def test_draws_spread_as_the_covariance_says():
     fitted = system(DECAY, "-0.5*x")
-    drawn = np.array([draw.values for draw in islice(draws(fitted, np.array([[0.01]])), 12)])
+    drawn = np.array([draw.values for draw in islice(draw_systems(fitted, np.array([[0.01]])), 12)])
     assert 0.03 < drawn.std() < 0.3
 
 
@@ -283,13 +297,13 @@ def test_draws_in_other_units_are_the_same_draws(scale):
     units = np.array([scale, 1.0 / scale, 1.0])
     covariance = np.array([[4.0, 1.0, 0.0], [1.0, 1.0, 0.1], [0.0, 0.1, 0.25]]) * 1e-4
     scaled = fitted.with_values(fitted.values * units)
-    there = [draw.values / units for draw in islice(draws(scaled, covariance * np.outer(units, units)), 12)]
-    for own, other in zip(draws(fitted, covariance), there, strict=False):
+    there = [draw.values / units for draw in islice(draw_systems(scaled, covariance * np.outer(units, units)), 12)]
+    for own, other in zip(draw_systems(fitted, covariance), there, strict=False):
         assert own.values == pytest.approx(other, rel=1e-9)
 
 
 def test_a_system_without_constants_has_no_draws():
-    assert not [*draws(system(DECAY, "x"), np.zeros((0, 0)))]
+    assert not [*draw_systems(system(DECAY, "x"), np.zeros((0, 0)))]
 
 
 COUNT = SETTINGS.shooting.lengths[-1]
@@ -304,7 +318,7 @@ def test_constants_are_drawn_until_the_claim_is_decided(lotka, truth, wrong, tak
     """Of 38 that all agree a share of 0.95 is likely; where one in twenty differs no number would decide."""
     other, asked = system(LOTKA, "-0.5*x", LOTKA_TEXT[1]), []
     drawn = (asked.append(place) or (other if place in wrong else truth) for place in range(1000))
-    x, _ = predict(lotka, truth, [], 1e-6, drawn)
+    x, _ = compare_predictions(lotka, truth, [], 1e-6, drawn)
     assert (len(asked), x.probability) == (taken, pytest.approx(probability))
 
 
@@ -312,28 +326,30 @@ def test_courses_last_as_long_as_the_longest_trajectory_and_are_allowed_its_rows
     three = measurements(LOTKA, STARTS, TIMES)
     bounds, owners = np.array([[0, 20], [20, 60], [60, 100], [100, 120]]), np.array([0, 1, 1, 2])
     times = np.concatenate([TIMES[:20], 7.0 + 0.1 * np.arange(80.0), TIMES[:20]])
-    region = _Elsewhere(replace(three, bounds=bounds, owners=owners, times=times), 1e-6, is_near=False)
+    region = _OtherInitialStates(replace(three, bounds=bounds, owners=owners, times=times), 1e-6, is_near=False)
     along = region._estimator(0).measurements.times
     assert (len(along), along[0], along[-1]) == (COUNT, 0.0, pytest.approx(7.9))
-    assert {course.shape for course in region.courses(truth, range(12))} == {(2, COUNT)}
+    assert {course.shape for course in region.simulate(truth, range(12))} == {(2, COUNT)}
 
 
 def test_without_a_dispute_the_next_measurement_is_where_courses_are_farthest_from_the_measured(truth):
     one = measurements(LOTKA, [[8.0, 2.0]], TIMES)
-    elsewhere = _Elsewhere(one, 1e-6, is_near=False)
-    distances = elsewhere.distances(elsewhere.courses(truth, range(12)))
+    elsewhere = _OtherInitialStates(one, 1e-6, is_near=False)
+    distances = elsewhere.distances_from_measured(elsewhere.simulate(truth, range(12)))
     assert min(distance.min() for distance in distances) >= 0.0
-    x, _ = predict(one, truth, [], 1e-6)
+    x, _ = compare_predictions(one, truth, [], 1e-6)
     assert not x.is_disputed
     assert x.novelty == pytest.approx(np.median(np.concatenate(distances)))
-    assert x.measure_from == elsewhere.named(int(np.argmax([distance.max() for distance in distances])))
+    assert x.measure_from == elsewhere.named_state(int(np.argmax([distance.max() for distance in distances])))
 
 
 def test_a_distance_is_the_largest_share_of_a_width_to_the_nearest_row():
     rows = measurements(SWING, [[1.0, 0.0]], TIMES)
-    elsewhere = _Elsewhere(rows, 1e-6, is_near=False)
+    elsewhere = _OtherInitialStates(rows, 1e-6, is_near=False)
     width = np.ptp(rows.smoothed, axis=1)
-    (distances,) = elsewhere.distances([np.tile((rows.smoothed[:, :1] + 2.0 * width[:, None] * [[0.0], [1.0]]), 8)])
+    (distances,) = elsewhere.distances_from_measured(
+        [np.tile((rows.smoothed[:, :1] + 2.0 * width[:, None] * [[0.0], [1.0]]), 8)]
+    )
     assert len(distances) == 2
     high = (rows.smoothed[1, 0] + 2.0 * width[1] - rows.smoothed[1]) / width[1]
     nearest = np.maximum(high, np.abs(rows.smoothed[0, 0] - rows.smoothed[0]) / width[0]).min()
@@ -341,7 +357,7 @@ def test_a_distance_is_the_largest_share_of_a_width_to_the_nearest_row():
 
 
 def test_near_measured_states_means_a_thousandth_of_their_deviation_away(lotka):
-    starts = _Elsewhere(lotka, 1e-6, is_near=True).starts
+    starts = _OtherInitialStates(lotka, 1e-6, is_near=True).starts
     rows = np.linspace(0, lotka.rows - 1, 12).astype(int)
     away = (starts - lotka.smoothed[:, rows].T) / lotka.scales
     assert away == pytest.approx(np.full((12, 2), SETTINGS.common.negligible))
@@ -349,21 +365,21 @@ def test_near_measured_states_means_a_thousandth_of_their_deviation_away(lotka):
 
 def test_of_what_lies_beyond_the_range_the_farther_end_is_said():
     quarter = measurements(SWING, [[-1.0, 0.0]], 0.02 * np.arange(50.0))
-    x, _ = predict(quarter, system(SWING, "y", "-2*x - 0.3*y"), [], 1e-6)
+    x, _ = compare_predictions(quarter, system(SWING, "y", "-2*x - 0.3*y"), [], 1e-6)
     assert x.reached is not None
     assert x.reached > 0.0
-    elsewhere = _Elsewhere(quarter, 1e-6, is_near=False)
+    elsewhere = _OtherInitialStates(quarter, 1e-6, is_near=False)
     low, high = float(quarter.smoothed[0].min()), float(quarter.smoothed[0].max())
     for below, above in ((0.3, 0.2), (0.2, 0.3)):
         values = [np.array([[low - below * (high - low), high + above * (high - low)]])]
-        assert elsewhere.reached(values, 0) == pytest.approx(values[0][0, int(above > below)])
-    assert elsewhere.reached([np.array([[low - 0.09 * (high - low), high + 0.09 * (high - low)]])], 0) is None
+        assert elsewhere.farthest_value(values, 0) == pytest.approx(values[0][0, int(above > below)])
+    assert elsewhere.farthest_value([np.array([[low - 0.09 * (high - low), high + 0.09 * (high - low)]])], 0) is None
 
 
 def test_chaos_ends_what_can_be_predicted(truth):
     rows = measurements(LOTKA, STARTS, TIMES)
-    elsewhere = _Elsewhere(rows, 1e-6, is_near=False)
-    courses = elsewhere.courses(truth, range(12))
+    elsewhere = _OtherInitialStates(rows, 1e-6, is_near=False)
+    courses = elsewhere.simulate(truth, range(12))
     assert elsewhere.horizon(truth, courses) == COUNT
     lost = [course + (np.arange(COUNT) >= COUNT // 4) * 10.0 for course in courses]
     assert elsewhere.horizon(truth, lost) == COUNT // 4
@@ -374,27 +390,27 @@ def test_chaos_ends_what_can_be_predicted(truth):
 @pytest.mark.parametrize(("height", "rows"), [(0.2, COUNT), (0.3, COUNT // 2), (0.4, COUNT // 4)])
 def test_what_can_be_predicted_ends_where_a_tenth_of_the_variance_is_lost(monkeypatch, lotka, truth, height, rows):
     """A step of one of the states after a quarter of a wave that goes back and forth between -1 and 1."""
-    elsewhere = _Elsewhere(lotka, 1e-6, is_near=False)
+    elsewhere = _OtherInitialStates(lotka, 1e-6, is_near=False)
     wave = np.tile(np.sin(np.arange(float(COUNT))), (2, 1))
     step = np.array([[height], [0.0]]) * (np.arange(COUNT) >= COUNT // 4)
-    monkeypatch.setattr(elsewhere, "_course", lambda *_: wave + step)
+    monkeypatch.setattr(elsewhere, "_simulate", lambda *_: wave + step)
     assert elsewhere.horizon(truth, [wave] * 12) == rows
 
 
 def test_what_a_rival_predicts_after_chaos_has_set_in_does_not_count(monkeypatch, lotka, truth):
     slower = Other(system(LOTKA, "2*x - 2*x*y - x**2", LOTKA_TEXT[1]), 0, 1.0, 1.0)
-    assert predict(lotka, truth, [slower], 1e-6)[0].probability == 0.5
-    monkeypatch.setattr(_Elsewhere, "horizon", lambda *_: 10)
-    assert predict(lotka, truth, [slower], 1e-6)[0].probability == 1.0
+    assert compare_predictions(lotka, truth, [slower], 1e-6)[0].probability == 0.5
+    monkeypatch.setattr(_OtherInitialStates, "horizon", lambda *_: 10)
+    assert compare_predictions(lotka, truth, [slower], 1e-6)[0].probability == 1.0
 
 
 def test_chaos_is_looked_for_a_thousandth_of_the_deviation_away_in_any_unit(monkeypatch, truth):
     small = measurements(LOTKA, STARTS, TIMES)
     small = replace(small, smoothed=1e-6 * small.smoothed, scales=1e-6 * small.scales)
-    elsewhere = _Elsewhere(small, 1e-6, is_near=False)
+    elsewhere = _OtherInitialStates(small, 1e-6, is_near=False)
     own = [np.tile(np.sin(np.arange(float(COUNT))), (2, 1))] * 12
     asked, answers = [], iter([*own[:6], *["ran away"] * 6])
-    monkeypatch.setattr(elsewhere, "_course", lambda _, _place, start: asked.append(start) or next(answers))
+    monkeypatch.setattr(elsewhere, "_simulate", lambda _, _place, start: asked.append(start) or next(answers))
     assert elsewhere.horizon(truth, own) == COUNT
     away = (np.array(asked) - elsewhere.starts) / small.scales
     assert np.abs(away) == pytest.approx(np.full((12, 2), SETTINGS.common.negligible))
@@ -402,13 +418,13 @@ def test_chaos_is_looked_for_a_thousandth_of_the_deviation_away_in_any_unit(monk
 
 def test_a_rival_is_disputed_where_it_weighs_most(lotka, truth):
     """Of equal odds the one that predicts the farther course; of the start, that where it is the farthest."""
-    elsewhere = _Elsewhere(lotka, 1e-6, is_near=False)
+    elsewhere = _OtherInitialStates(lotka, 1e-6, is_near=False)
     other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1])
-    own, theirs = (elsewhere.courses(courses_system, range(12)) for courses_system in (truth, other))
+    own, theirs = (elsewhere.simulate(courses_system, range(12)) for courses_system in (truth, other))
     sizes = [np.abs(one[0] - two[0]).max() for one, two in zip(own, theirs, strict=True)]
     for odds in (0.25, 1.0):
-        x, _ = predict(lotka, truth, [Other(other, 0, odds, odds)], 1e-6)
-        assert x.measure_from == elsewhere.named(int(np.argmax(sizes)))
+        x, _ = compare_predictions(lotka, truth, [Other(other, 0, odds, odds)], 1e-6)
+        assert x.measure_from == elsewhere.named_state(int(np.argmax(sizes)))
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
@@ -420,7 +436,7 @@ def test_r2_is_of_all_courses_together(unit):
 
 def test_a_state_that_does_not_change_is_predicted():
     still = Known(("x", "y"), lambda _, z: [-0.5 * z[0], 0.0])
-    _, y = predict(measurements(still, [[2.0, 1.0]], TIMES), system(still, "-0.5*x", "0*y"), [], 1e-6)
+    _, y = compare_predictions(measurements(still, [[2.0, 1.0]], TIMES), system(still, "-0.5*x", "0*y"), [], 1e-6)
     assert (y.followed, y.probability, y.reached) == (12, 1.0, None)
     assert 0.0 < y.novelty < 0.1
 
@@ -442,17 +458,17 @@ RAMP = np.array([[0.0, 0.1, 0.2, 0.3]])
     ],
 )
 def test_a_rival_that_runs_away_from_one_state_alone_predicts_otherwise_there(courses, agreement, place):
-    misses, differences = _Misses(1), _differences(courses, [RAMP, RAMP], 1)
+    misses, differences = _Disagreement(1), _differences(courses, [RAMP, RAMP], 1)
     if differences is not None:
         misses.add(0, 1.0, *differences)
-    assert (misses.agreement(0), misses.unlike(0)) == (agreement, place)
+    assert (misses.agreement(0), misses.most_disputed_place(0)) == (agreement, place)
 
 
 def test_draws_of_constants_that_go_together_are_numbers():
     """Rounding leaves such a covariance an eigenvalue below 0."""
     fitted = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
     covariance = 1e-4 * (np.ones((3, 3)) + 1e-12 * (1.0 - np.eye(3)))
-    drawn = np.array([draw.values - fitted.values for draw in islice(draws(fitted, covariance), 12)])
+    drawn = np.array([draw.values - fitted.values for draw in islice(draw_systems(fitted, covariance), 12)])
     assert drawn == pytest.approx(np.tile(drawn[:, :1], 3), abs=1e-7)
     assert 0.003 < drawn.std() < 0.03
 
@@ -460,11 +476,11 @@ def test_draws_of_constants_that_go_together_are_numbers():
 def test_draws_have_the_covariance_that_they_are_given():
     fitted = system(LOTKA, "3.5*x - 2.5*x*y", "0.5*y")
     covariance = np.array([[4.0, 1.9, 0.0], [1.9, 1.0, 0.1], [0.0, 0.1, 0.25]]) * 1e-4
-    drawn = np.array([draw.values for draw in islice(draws(fitted, covariance), 12)]) - fitted.values
+    drawn = np.array([draw.values for draw in islice(draw_systems(fitted, covariance), 12)]) - fitted.values
     whitened = np.linalg.solve(np.linalg.cholesky(covariance), drawn.T)
     assert 18.0 < (whitened**2).sum() < 60.0  # chi squared of 36: 0.5 % at either side
     covariance[2], covariance[:, 2] = 0.0, 0.0
-    assert {draw.values[2] for draw in islice(draws(fitted, covariance), 12)} == {fitted.values[2]}
+    assert {draw.values[2] for draw in islice(draw_systems(fitted, covariance), 12)} == {fitted.values[2]}
 
 
 def test_points_far_apart_are_as_far_from_those_before_as_any():
@@ -476,7 +492,7 @@ def test_points_far_apart_are_as_far_from_those_before_as_any():
 
 
 def elsewhere(known, starts, times):
-    return _Elsewhere(measurements(known, starts, times), 1e-6, is_near=False)
+    return _OtherInitialStates(measurements(known, starts, times), 1e-6, is_near=False)
 
 
 @pytest.mark.parametrize(
@@ -529,7 +545,7 @@ def test_one_trajectory_that_ends_at_the_end_of_the_range_is_enough():
 def test_a_course_that_leaves_on_another_side_is_not_followed_for_a_while():
     """From near the end of a decay little was measured, and a growth is small for so long; it is one all the same."""
     region = elsewhere(DECAY, [[2.0]], TIMES_OF_GROWTH)
-    assert region.own_courses(system(DECAY, "0.5*x")) == ["ran away"] * 12
+    assert region.simulate_model(system(DECAY, "0.5*x")) == ["ran away"] * 12
     assert region._rows == {}
 
 
@@ -554,7 +570,10 @@ def test_the_nearest_state_is_near_in_all_that_is_measured():
 def test_beside_smoothed_states_other_initial_states_are_near_those_of_trajectories():
     """A tenth of the way to others: farther away the smoothed state would not be as it was measured."""
     rows = replace(measurements(DRIVEN, ([1.0], [3.0]), TIMES), has_smoothed_inputs=True)
-    near, far = _Elsewhere(rows, 1e-6, is_near=False).starts, spread_of(replace(rows, has_smoothed_inputs=False))
+    near, far = (
+        _OtherInitialStates(rows, 1e-6, is_near=False).starts,
+        spread_of(replace(rows, has_smoothed_inputs=False)),
+    )
     begun = np.array([[1.0], [3.0]] * (len(near) // 2))
     assert np.abs(near - begun) == pytest.approx(0.1 * np.abs(far - begun), abs=1e-6)
     assert len(np.unique(near, axis=0)) > 2

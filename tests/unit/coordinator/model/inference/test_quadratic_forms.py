@@ -8,7 +8,7 @@ from scipy import special, stats
 
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
 from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, smooth
-from atoll_coordinator.model.inference.quadratic_forms import positive_tail, variance_ratio_tail
+from atoll_coordinator.model.inference.quadratic_forms import probability_of_positive_sum, variance_ratio_tail
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother, residual_statistics
 from atoll_coordinator.model.loess_matrix import loess_matrix
 
@@ -19,20 +19,22 @@ DRAWS = 300
 @pytest.mark.parametrize("counts", [(3, 10), (20, 200)])
 def test_the_tail_of_a_ratio_of_independent_variances_is_that_of_f(ratio, counts):
     first, second = counts
-    tails = positive_tail(np.array([1.0 / first, -ratio / second]), np.array(counts, dtype=float))
+    tails = probability_of_positive_sum(np.array([1.0 / first, -ratio / second]), np.array(counts, dtype=float))
     assert tails == pytest.approx(special.fdtrc(first, second, ratio), rel=0.06)
 
 
 def test_the_tail_is_near_one_half_where_the_mean_is_zero():
-    assert positive_tail(np.array([1.0, -1.0]), np.array([7.0, 7.0])) == pytest.approx(0.5, abs=1e-12)
+    assert probability_of_positive_sum(np.array([1.0, -1.0]), np.array([7.0, 7.0])) == pytest.approx(0.5, abs=1e-12)
     draw = np.random.default_rng(0)
     sums = draw.chisquare(8, 200_000) - 2.0 * draw.chisquare(4, 200_000)
-    assert positive_tail(np.array([1.0, -2.0]), np.array([8.0, 4.0])) == pytest.approx((sums > 0.0).mean(), abs=0.005)
+    assert probability_of_positive_sum(np.array([1.0, -2.0]), np.array([8.0, 4.0])) == pytest.approx(
+        (sums > 0.0).mean(), abs=0.005
+    )
 
 
 def test_sums_of_one_sign_have_no_tail():
-    assert positive_tail(np.array([1.0, 0.0]), np.ones(2)) == 1.0
-    assert positive_tail(np.array([-1.0, 2.0]), np.array([1.0, 0.0])) == 0.0
+    assert probability_of_positive_sum(np.array([1.0, 0.0]), np.ones(2)) == 1.0
+    assert probability_of_positive_sum(np.array([-1.0, 2.0]), np.array([1.0, 0.0])) == 0.0
 
 
 @pytest.mark.parametrize(("rows", "span", "degree"), [(40, 15, 3), (41, 30, 4), (21, 40, 3)])
@@ -69,7 +71,7 @@ def p_values(rows: int, trajectories: int, missed: float) -> tuple[float, ...]:
         estimate = estimate_derivatives(signals, Differentiation())
         assert estimate.smoother is not None
         reference = ReferenceSmoother(estimate.narrower_span, estimate.smoother.degree, estimate.narrower_noise)
-        tails.append(residual_statistics(residuals, estimate.noise, 2.0 * trajectories, reference).too_large)
+        tails.append(residual_statistics(residuals, estimate.noise, 2.0 * trajectories, reference).size_probability)
     return tuple(tails)
 
 
@@ -91,6 +93,6 @@ def test_p_is_small_if_the_model_misses_something():
 def test_residuals_of_another_size_than_the_reference_are_judged():
     draw = np.random.default_rng(3)
     errors = [draw.normal(size=50)]
-    assert residual_statistics(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 0.5)).too_large < 1e-6
-    assert residual_statistics(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 0.0)).too_large == 0.0
-    assert residual_statistics(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 2.0)).too_large > 0.99
+    assert residual_statistics(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 0.5)).size_probability < 1e-6
+    assert residual_statistics(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 0.0)).size_probability == 0.0
+    assert residual_statistics(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 2.0)).size_probability > 0.99

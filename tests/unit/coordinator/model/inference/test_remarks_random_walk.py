@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Quantisation, Recording, Smoothing, Trajectory
-from atoll_coordinator.model.inference.remarks import stochastic_remarks
+from atoll_coordinator.model.inference.remarks import warn_of_random_walk
 
 TIMES = 0.05 * np.arange(1000)
 
@@ -16,7 +16,7 @@ def recording(states: np.ndarray) -> Recording:
 
 
 def remarks(measured: Recording, values: np.ndarray) -> list[str]:
-    return stochastic_remarks(measured, ("x",), [values[None]])
+    return warn_of_random_walk(measured, ("x",), [values[None]])
 
 
 def walk(seed: int) -> np.ndarray:
@@ -27,7 +27,7 @@ def walk(seed: int) -> np.ndarray:
 def test_a_walk_about_a_simulation_proposes_the_option(seed: int) -> None:
     wave = 2.0 * np.sin(TIMES)
     assert "with --stochastic" in remarks(recording(wave + walk(seed)), wave)[0]
-    assert "'x'" in stochastic_remarks(recording(wave + walk(seed)))[0]
+    assert "'x'" in warn_of_random_walk(recording(wave + walk(seed)))[0]
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
-from atoll_coordinator.model.inference.remarks import unexplained_remarks
+from atoll_coordinator.model.inference.remarks import warn_of_residual_pattern
 from atoll_coordinator.model.refinement import Refined
 from atoll_core.expression.text.parsing import from_infix
 
@@ -30,7 +30,7 @@ def remarks(recorded, grade="doubtful", **equations):
         name: Refined(None, from_infix(text, recorded.state_symbols), 0.0, 0.0, grade=grade)
         for name, text in equations.items()
     }
-    return "\n".join(unexplained_remarks(recorded, shown))
+    return "\n".join(warn_of_residual_pattern(recorded, shown))
 
 
 def growth(rates, seed=0):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.inference import shared_terms
-from atoll_coordinator.model.inference.final_model import errors_of_constants, estimate_errors
-from atoll_coordinator.model.inference.shared_terms import fit_together
+from atoll_coordinator.model.inference.final_model import estimate_errors, estimate_errors_of_constants
+from atoll_coordinator.model.inference.shared_terms import fit_shared_terms
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.writing.expansion import expand_program
 from tests.unit.coordinator.model.shooting.made import Known, compare, measurements
@@ -28,7 +28,7 @@ def fitted_together(known, texts, noise=0.003):
     """Return the comparison, the model whose terms are fitted apart, and the one where they are fitted together."""
     comparison = compare(known, measurements(known, STARTS, TIMES, noise=noise))
     apart = comparison.fit_model([known.parsed(text) for text in texts])
-    return comparison, apart, fit_together(comparison, apart, apart.programs)
+    return comparison, apart, fit_shared_terms(comparison, apart, apart.programs)
 
 
 ENTERS = ("1.1 - 1.9*x/(0.7 + x)", "3.7*x/(0.9 + x) - 0.5*y")
@@ -55,7 +55,7 @@ def test_a_flux_that_leaves_and_enters_has_one_set_of_constants(together):
 def test_its_constants_are_known_better(together):
     comparison, apart, made = together
     before = np.sqrt(np.diag(estimate_errors(comparison, apart).covariance))
-    errors = errors_of_constants(comparison, made.model)
+    errors = estimate_errors_of_constants(comparison, made.model)
     after = np.sqrt(np.diag(errors.covariance))
     assert (after < before).all()
     assert after[[1, 2]] == pytest.approx(after[[3, 4]] / [2.0, 1.0])
@@ -86,7 +86,7 @@ def test_a_variable_alone_is_a_flux_if_it_leaves_as_fast_as_it_enters():
 def paired(one: str, other: str) -> list[tuple[float, ...]]:
     """Return the numbers that stand in the same place of the one term that two expressions have."""
     expansions = [expand_program(from_infix(text, ("x", "y"))) for text in (one, other)]
-    ((those),) = shared_terms._common(expansions).values()
+    ((those),) = shared_terms._find_common_terms(expansions).values()
     if len({term.layout for term in those}) > 1:
         return []
     numbers = [[expansions[term.equation].program.constants[place[1]] * sign for place, sign in term.inner]

@@ -7,11 +7,11 @@ import pytest
 
 from atoll_coordinator.model.constants import standard_errors
 from atoll_coordinator.model.inference.final_model import estimate_errors
-from atoll_coordinator.model.inference.residual_covariance import widening
+from atoll_coordinator.model.inference.residual_covariance import estimate_variance_inflation
 from atoll_coordinator.model.inference.trajectory_simulation import (
-    bands,
-    fit_starts,
-    r2_of,
+    compute_r2,
+    fit_initial_states,
+    simulated_standard_errors,
 )
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
@@ -37,13 +37,13 @@ def describe_constants(comparison, shown, errors):
 
 
 def find_correlations(comparison, variables, shown, errors):
-    places = standard_errors.fitted_places(comparison.fixed, variables, tuple(map(as_written, shown)))
+    places = standard_errors.list_fitted_places(comparison.fixed, variables, tuple(map(as_written, shown)))
     return standard_errors.find_correlations(places, errors)
 
 
 def banded(comparison, rows, model):
     errors = estimate_errors(comparison, model)
-    return bands(rows, model.fit, errors.bounded, errors.scale)
+    return simulated_standard_errors(rows, model.fit, errors.finite_covariance, errors.scale)
 
 
 def drawn(seed, noise=NOISE):
@@ -125,7 +125,7 @@ def test_bands_integrate_once_however_many_pieces_there_are(monkeypatch):
     monkeypatch.setattr(MultipleShooting, "sensitivities", lambda self, fit: times.append(1) or integrate(self, fit))
     errors = estimate_errors(comparison, model)
     times.clear()
-    bands(rows, model.fit, errors.bounded, errors.scale)
+    simulated_standard_errors(rows, model.fit, errors.finite_covariance, errors.scale)
     assert len(times) == 1
 
 
@@ -190,11 +190,11 @@ def test_shown_values_stand_beside_fitted_ones():
 
 def test_held_constants_stay_and_starts_are_fitted():
     comparison, model = drawn(3)
-    fit = fit_starts(comparison, [TRUTH])
+    fit = fit_initial_states(comparison, [TRUTH])
     assert fit.system.values.size == 0
     assert fit.squares[0] >= model.fit.squares[0]
     assert fit.starts[:, 0] == pytest.approx([2.0, 1.0, -1.5], abs=4.0 * NOISE)
-    near = fit_starts(comparison, [TRUTH], model.fit)
+    near = fit_initial_states(comparison, [TRUTH], model.fit)
     assert near.squares[0] == pytest.approx(fit.squares[0], rel=1e-5)
 
 
@@ -206,8 +206,8 @@ def test_r2_is_the_share_that_is_explained_of_what_was_measured():
     kept = np.delete(np.arange(60), 3)
     values, left = rows.measured[0, kept], (rows.measured - fit.simulated)[0, kept]
     expected = 1.0 - float(left @ left) / float(((values - values.mean()) ** 2).sum())
-    assert r2_of(rows, fit, slice(None)) == [pytest.approx(expected)]
-    assert r2_of(rows, fit, np.array([3])) == [None]
+    assert compute_r2(rows, fit, slice(None)) == [pytest.approx(expected)]
+    assert compute_r2(rows, fit, np.array([3])) == [None]
 
 
 def test_constants_are_fitted_by_weight_and_their_errors_say_so():
@@ -243,4 +243,6 @@ def test_what_goes_together_in_a_state_without_noise_widens_no_interval():
     model = comparison.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
     wave = np.stack([model.fit.residuals[0], 1e-4 * np.sin(np.arange(rows.rows) / 4.0)])
     fit = replace(model.fit, residuals=wave)
-    assert widening(rows, fit, noisy) < 0.7 * widening(rows, fit, np.array([True, True]))
+    assert estimate_variance_inflation(rows, fit, noisy) < 0.7 * estimate_variance_inflation(
+        rows, fit, np.array([True, True])
+    )

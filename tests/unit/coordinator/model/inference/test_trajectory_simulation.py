@@ -9,7 +9,7 @@ import pytest
 
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.model.constants.standard_errors import joint_covariance
-from atoll_coordinator.model.inference.trajectory_simulation import listed_trajectories
+from atoll_coordinator.model.inference.trajectory_simulation import list_trajectories
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.result.findings import Place
 from atoll_core.data.dataset import Dataset, Target
@@ -32,7 +32,7 @@ def listed(fit=True, *, errors=0.1, times=TIMES, simulated=None, unused=None, pi
         rows.weights[0, unused] = 0.0
         rows.measured[0] += 7.0
     spread = None if errors is None else np.full(rows.measured.shape, errors)
-    parts = listed_trajectories(rows, found, spread, ("x",), Preparation(dataset, made, source=source), 2.5)
+    parts = list_trajectories(rows, found, spread, ("x",), Preparation(dataset, made, source=source), 2.5)
     return [part.model_dump(mode="json") for part in parts], measured, found
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.constants.standard_errors import student_95
-from atoll_coordinator.model.inference.residual_covariance import expected_widening
+from atoll_coordinator.model.constants.standard_errors import student_quantile_95
+from atoll_coordinator.model.inference.residual_covariance import expected_variance_inflation
 from atoll_core.data.dataset import FloatArray
 
 
@@ -26,7 +26,7 @@ def _fitted(rows: int, correlation: float, seed: int) -> tuple[FloatArray, Float
 def _widening(columns: FloatArray, residuals: FloatArray, owners: FloatArray | None = None) -> float:
     rows = len(residuals)
     numbers = np.zeros(rows, np.int64) if owners is None else owners.astype(np.int64)
-    return expected_widening(columns, residuals, numbers, np.arange(rows, dtype=np.float64), 2)
+    return expected_variance_inflation(columns, residuals, numbers, np.arange(rows, dtype=np.float64), 2)
 
 
 def _coverage(rows: int, correlation: float, *, is_widened: bool) -> float:
@@ -35,7 +35,7 @@ def _coverage(rows: int, correlation: float, *, is_widened: bool) -> float:
         columns, residuals, estimate = _fitted(rows, correlation, seed)
         variance = residuals @ residuals / (rows - 2) * np.linalg.inv(columns.T @ columns)
         wide = _widening(columns, residuals) if is_widened else 1.0
-        hits.append(abs(estimate[0]) <= student_95(rows - 2) * np.sqrt(wide * variance[0, 0]))
+        hits.append(abs(estimate[0]) <= student_quantile_95(rows - 2) * np.sqrt(wide * variance[0, 0]))
     return float(np.mean(hits))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.inference.residuals import residual_statistics
-from atoll_coordinator.model.inference.verdict import RULES, judge, make_checks, with_objection
+from atoll_coordinator.model.inference.verdict import RULES, add_objection, judge, make_checks
 from atoll_coordinator.model.refinement import JobKind
 from atoll_coordinator.result.equations import Check
 from tests.unit.coordinator.model.inference.cases import (
@@ -137,9 +137,9 @@ def test_a_test_that_would_have_seen_nothing_has_not_passed() -> None:
 
 def test_the_power_of_tests_grows_with_rows() -> None:
     few, many = (residual_statistics(noise(0.1, rows=rows), 0.1, 3.0) for rows in (4, 100))
-    assert few.seen_ratio > many.seen_ratio >= 1.25
-    assert few.seen_correlation > many.seen_correlation >= 0.1
-    assert math.isinf(residual_statistics(noise(0.1, rows=1), 0.1, 4.0).seen_ratio)
+    assert few.detectable_ratio > many.detectable_ratio >= 1.25
+    assert few.detectable_correlation > many.detectable_correlation >= 0.1
+    assert math.isinf(residual_statistics(noise(0.1, rows=1), 0.1, 4.0).detectable_ratio)
 
 
 @pytest.mark.parametrize("level", [2e-4, 1e-3])
@@ -168,11 +168,11 @@ def test_a_term_that_may_follow_errors_of_a_solver_is_not_exact(part: str) -> No
 
 def test_an_equation_that_others_agree_with_on_the_curve_alone_is_not_exact() -> None:
     """Odds of one in two hundred are what an exact verdict may be wrong by."""
-    assert judge(replace(CLEAN, rivals=0.0049)).grade == "exact"
-    unsure = judge(replace(CLEAN, rivals=0.0052))
+    assert judge(replace(CLEAN, odds_of_alternatives=0.0049)).grade == "exact"
+    unsure = judge(replace(CLEAN, odds_of_alternatives=0.0052))
     assert unsure.grade == "good"
     assert "easure from x = 1, y = 2" in unsure.reason
-    doubted = judge(replace(CLEAN, rivals=1.0, alternative=0.0))
+    doubted = judge(replace(CLEAN, odds_of_alternatives=1.0, alternative=0.0))
     assert doubted.grade == "doubtful"
 
 
@@ -245,7 +245,7 @@ def test_an_objection_of_another_kind_makes_a_good_equation_doubtful_and_no_othe
         (CLEAN, "doubtful"),
         (replace(NOISY, residuals=noise(1.9)), "no model"),
     ):
-        verdict = with_objection(judge(evidence), "units", "failed", "units contradict it")
+        verdict = add_objection(judge(evidence), "units", "failed", "units contradict it")
         assert verdict.grade == grade
         assert verdict.checks[-1] == Check(name="units", outcome="failed", reason="units contradict it")
 
@@ -253,10 +253,10 @@ def test_an_objection_of_another_kind_makes_a_good_equation_doubtful_and_no_othe
 def test_the_best_of_several_orders_of_rows_is_a_pattern_less_often() -> None:
     """Chance has as many goes as there are columns to sort the rows by."""
     draws = np.random.default_rng(0).normal(0.0, 0.1, 81)
-    patterned = replace(TARGET, residuals=(draws[1:] + 0.3 * draws[:-1],))
-    alone = patterned.statistics.patterned
-    assert replace(patterned, orders=5).statistics.patterned == pytest.approx(5.0 * alone)
-    assert replace(patterned, orders=10**9).statistics.patterned == 1.0
+    pattern_probability = replace(TARGET, residuals=(draws[1:] + 0.3 * draws[:-1],))
+    alone = pattern_probability.statistics.pattern_probability
+    assert replace(pattern_probability, orders=5).statistics.pattern_probability == pytest.approx(5.0 * alone)
+    assert replace(pattern_probability, orders=10**9).statistics.pattern_probability == 1.0
 
 
 def test_noise_that_is_known_from_the_residuals_alone_is_said_to_be() -> None:

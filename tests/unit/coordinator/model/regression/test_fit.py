@@ -7,7 +7,7 @@ import pytest
 
 from atoll_coordinator.model.description_length import RegressionCriterion, program_length
 from atoll_coordinator.model.pools import decode_members
-from atoll_coordinator.model.regression.equation import WeighedRows, estimate_constants, estimate_errors, fit_equation
+from atoll_coordinator.model.regression.equation import WeightedRows, estimate_constants, estimate_errors, fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
@@ -162,7 +162,7 @@ def test_rows_that_are_compared_are_not_in_step_with_a_period():
     """Of 6,000 rows with three to a period, every third one would be the same point."""
     phases = np.tile([1.0, 2.0, 4.0], 2000)
     problem = Problem(("x",), phases[None], Target("y", "y", 3.0 * phases, 0.0, 1.0))
-    spread = WeighedRows(problem, phases).spread(2000)
+    spread = WeightedRows(problem, phases).subsample(2000)
     sought = spread.problem
     assert set(sought.inputs[0]) == {1.0, 2.0, 4.0}
     assert sought.target.values.tolist() == (3.0 * sought.inputs[0]).tolist()

@@ -9,7 +9,7 @@ import pytest
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result, result_digest
-from atoll_coordinator.model.result.known import known_entries, with_remarks
+from atoll_coordinator.model.result.known_equations import known_entries, warn_of_missing_values
 from atoll_core.config import EvolutionConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.data.notes import Note
@@ -44,7 +44,7 @@ def test_one_without_a_value_everywhere_has_no_finite_error():
 
 def test_one_without_a_value_everywhere_is_warned_of():
     config = JobConfig(prior=PriorConfig(known={"x": "3*x", "y": "log(x)"}))
-    prepared = with_remarks(Preparation(DATASET, None), config)
+    prepared = warn_of_missing_values(Preparation(DATASET, None), config)
     assert prepared.dataset.warnings == ("The known equation of 'y' has no finite value on 25 of 50 rows.",)
 
 

@@ -9,7 +9,7 @@ from atoll_core.expression.writing.expansion import shape_of, terms_of
 from tests.unit.coordinator.model.parts import constant
 from tests.unit.coordinator.model.result.plain import plainly
 
-shared_terms = plainly(made.shared_terms)
+shared_terms = plainly(made.find_shared_terms)
 
 NAMES = ("x", "y", "z")
 

@@ -18,7 +18,9 @@ from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig, JobConfig
 from tests.unit.coordinator.model.result.plain import plainly
 
-data, system, noise, smoothing = map(plainly, (tables.data, tables.system, tables.noise, tables.smoothing))
+data, system, noise, smoothing = map(
+    plainly, (tables.describe_data, tables.describe_system, tables.describe_noise, tables.describe_smoothing)
+)
 
 
 def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory:
@@ -131,7 +133,7 @@ def test_no_table_without_smoothed_states_and_nothing_but_numbers() -> None:
 
 
 def whole(errors: dict[str, Errors]) -> Result:
-    return Result(equations=(), symbols={}, noise=tables.noise(recording(trajectory(101)), errors))
+    return Result(equations=(), symbols={}, noise=tables.describe_noise(recording(trajectory(101)), errors))
 
 
 def test_what_residuals_say_of_errors_is_listed_and_told_in_words():

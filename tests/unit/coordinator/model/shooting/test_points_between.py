@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from atoll_coordinator.model.inference.prediction import _Elsewhere
+from atoll_coordinator.model.inference.prediction import _OtherInitialStates
 from atoll_coordinator.model.shooting.points_between import points_between, points_in_boxes, remove_conserved_directions
 from tests.unit.coordinator.model.shooting.made import Known, measurements
 
@@ -51,6 +51,6 @@ def test_inputs_stay_as_they_are_at_a_measured_point():
 
 def test_initial_states_near_measured_ones_keep_their_sum():
     made = measurements(EPIDEMIC, ([0.97, 0.03, 0.0], [0.8, 0.2, 0.0]), TIMES, noise=0.0)
-    starts = _Elsewhere(made, 1e-6, is_near=True).starts
+    starts = _OtherInitialStates(made, 1e-6, is_near=True).starts
     np.testing.assert_allclose(starts.sum(axis=1), 1.0, atol=1e-8)
     assert np.abs(starts[:, :, None] - made.smoothed).max(axis=1).min() > 1e-6

@@ -24,10 +24,11 @@ from tests.unit.coordinator.model.stochastic.processes import ornstein_uhlenbeck
 NAMES = ("x", "v", "w")
 
 
-def checks_of(residuals: FloatArray, state: int, *, has_noise: bool) -> ProcessChecks:
+def list_checks(residuals: FloatArray, state: int, *, has_noise: bool) -> ProcessChecks:
     """Return the checks of the drift of a state whose whitened steps are given."""
     steps = SimpleNamespace(
-        states=NAMES, residuals=residuals, driven=[] if has_noise else [state], certain=[], has_noise=True,
+        states=NAMES, residuals=residuals, noiseless_states=[] if has_noise else [state], exact_states=[],
+        has_noise=True,
         chosen=SimpleNamespace(is_stopped=False),
     )  # fmt: skip
     target = Target("", "", residuals[state], 0.0, 1.0)
@@ -37,7 +38,7 @@ def checks_of(residuals: FloatArray, state: int, *, has_noise: bool) -> ProcessC
 def test_independent_steps_of_variance_one_are_not_objected_to() -> None:
     residuals = np.random.default_rng(2).standard_normal((3, 4000))
     for state in range(3):
-        checks = checks_of(residuals, state, has_noise=state == 1)
+        checks = list_checks(residuals, state, has_noise=state == 1)
         assert checks.check_correlation_of_states().outcome == "passed"
         assert checks.check_size_of_steps().outcome == ("not applicable" if state == 1 else "passed")
 
@@ -45,14 +46,14 @@ def test_independent_steps_of_variance_one_are_not_objected_to() -> None:
 def test_steps_that_go_together_with_those_of_another_state_are_objected_to() -> None:
     residuals = np.random.default_rng(2).standard_normal((3, 4000))
     residuals[2] = np.sqrt(0.99) * residuals[2] - 0.1 * residuals[1]
-    check = checks_of(residuals, 1, has_noise=True).check_correlation_of_states()
+    check = list_checks(residuals, 1, has_noise=True).check_correlation_of_states()
     assert check.outcome == "failed"
     assert check.reason.startswith("the residual steps are correlated with the steps of w")
 
 
 def test_steps_that_are_too_small_for_the_noise_of_others_are_objected_to() -> None:
     residuals = 0.5 * np.random.default_rng(2).standard_normal((3, 4000))
-    checks = checks_of(residuals, 2, has_noise=False)
+    checks = list_checks(residuals, 2, has_noise=False)
     assert (checks.check_size_of_steps().outcome, checks.check_correlation_of_states().outcome) == ("failed", "passed")
 
 

@@ -57,9 +57,9 @@ def test_a_variance_that_must_depend_on_a_variable_does_not_become_zero() -> Non
     states = np.round(euler_maruyama(120, 0.1, seed=1), 7)
     programs = [from_infix(text, ["x", "v"]) for text in ("v", "-x - 0.5*v", "0.01*v*v", "0.25")]
     model = ProcessModel(tuple(programs[:2]), tuple(programs[2:]), ((0, 0), (1, 1)), (0.0, 0.0))
-    assert is_zero(begun(states)._as_euler_maruyama(model).model.programs[2])
+    assert is_zero(begun(states)._fit_as_euler_maruyama(model).model.programs[2])
     choice = begun(states, required={"[x]": ("v",)})
-    assert not is_zero(choice._as_euler_maruyama(model).model.programs[2])
+    assert not is_zero(choice._fit_as_euler_maruyama(model).model.programs[2])
 
 
 def test_a_table_made_by_euler_and_maruyama_is_taken_for_that() -> None:

@@ -1,7 +1,7 @@
-"""Columns by their names and the options alone: units in names, which columns options name, contradictions. Pure.
+"""Names of columns and options: units in names, columns that options name, contradictions between options. Pure.
 
-A unit is a product of powers of known symbols, such as ``m s^-2``, ``mol/(L h)`` or ``µg/mL``; here it is only told
-from data and from remarks in a header.
+A unit is a product of powers of known symbols, such as ``m s^-2``, ``mol/(L h)`` or ``µg/mL``. This module only
+distinguishes units from data and from remarks in a header; `atoll_coordinator.units` interprets them.
 """
 
 import re
@@ -12,15 +12,15 @@ from atoll_core.config import DataConfig
 from atoll_core.errors import Field, UsageError
 
 TIME_NAMES: Final = ("t", "time", "Time", "TIME")
-"""Names of the time unless options name it, in this order."""
+"""Default names of the time column, in order of preference; options may name another column."""
 TRAJECTORY_NAME: Final = "trajectory"
-"""Name of the trajectory column unless options name it."""
+"""Default name of the trajectory column; options may name another column."""
 
 _SINGLE: Final = ("time", "trajectory", "group", "target", "weights")
 _SEVERAL: Final = ("states", "inputs", "derivatives", "only", "offsets", "hold")
-"""Options that name one column, and several."""
+"""Options that name one column, and options that name several columns."""
 _EXCLUSIONS: Final = (
-    ("target", "derivatives", "give the one column set that is sought"),
+    ("target", "derivatives", "both give left-hand sides; name one of them"),
     ("step", "target", "rows of an explicit regression have no time"),
     ("step", "derivatives", "given derivatives need no time"),
     ("order", "target", "explicit regression has no time derivative"),
@@ -29,21 +29,21 @@ _EXCLUSIONS: Final = (
     ("offsets", "target derivatives", "offsets belong to states measured in time"),
     ("hold", "target", "rows of an explicit regression do not follow one another"),
     ("hold", "derivatives", "nothing is differentiated, and rows need not follow one another"),
-    ("hold", "stochastic", "a step of a process takes the mean of an input over its ends"),
+    ("hold", "stochastic", "a step of a process uses the mean of an input over both ends of the step"),
     ("stochastic", "target", "an explicit regression has no process"),
     ("stochastic", "derivatives", "a process is described by the steps of its states"),
     ("stochastic", "order", "name the velocities among the states instead"),
     ("stochastic", "only", "the likelihood of a step needs the equations of all states"),
     ("stochastic", "robust", "nothing is smoothed"),
-    ("stochastic", "weights", "the diffusion says how much each step counts"),
-    ("stochastic", "offsets", "increments know nothing of offsets"),
+    ("stochastic", "weights", "the diffusion determines the weight of each step"),
+    ("stochastic", "offsets", "increments do not depend on offsets"),
     ("stochastic", "group per_trajectory", "the likelihood of a step has one set of constants"),
     ("group", "per_trajectory", "name the column, or let all differ"),
     ("group", "target derivatives", "constants by group need states measured in time"),
     ("per_trajectory", "target derivatives", "constants by group need states measured in time"),
     ("per_trajectory", "holdout", "constants of held-out trajectories are unknown"),
 )
-"""Options that mean nothing together, and why."""
+"""Pairs of options that exclude each other, and why."""
 _COMPATIBLE: Final = ({"inputs", "time"}, {"trajectory", "group"})
 """Roles that one column may have."""
 _WITH_UNIT: Final = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
@@ -69,7 +69,7 @@ _LONGEST: Final = 30
 
 
 def find_time_column(names: Sequence[str], config: DataConfig) -> str | None:
-    """Return the column that options name as the time, else a column with such a name and no role except input."""
+    """Return the column that options name as the time, else a column in `TIME_NAMES` with no role except input."""
     other = (config.target, config.trajectory, config.weights, *(config.states or ()), *(config.derivatives or ()))
     return config.time or next((name for name in TIME_NAMES if name in names and name not in other), None)
 
@@ -89,7 +89,7 @@ def named_columns(config: DataConfig) -> frozenset[str]:
 
 
 def split_unit(header: str) -> tuple[str, str]:
-    """Split ``name [unit]``, and ``name (unit)`` if the unit is known; a header that is only a unit stays whole."""
+    """Split ``name [unit]``, and ``name (unit)`` if the unit is known; a header that is only a unit is not split."""
     match = _WITH_UNIT.match(header.strip()) or _IN_PARENTHESES.match(header.strip())
     if match is None or not match["name"] or (header.strip()[-1] == ")" and not are_units([match["unit"].strip()])):
         return header.strip(), ""
@@ -97,7 +97,7 @@ def split_unit(header: str) -> tuple[str, str]:
 
 
 def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
-    """Return `config` with ``name [unit]`` shortened to ``name`` wherever only that is among `names`."""
+    """Return `config` with ``name [unit]`` shortened to ``name`` if only ``name`` is among `names`."""
     known = set(names)
 
     def plain(name: str) -> str:
@@ -117,7 +117,7 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
 
 
 def check_options(config: DataConfig) -> None:
-    """Raise UsageError when options contradict each other, regardless of the data."""
+    """Raise UsageError if options contradict each other, regardless of the data."""
 
     def is_set(name: str) -> bool:
         return config.order == 2 if name == "order" else getattr(config, name) not in (None, False, ())
@@ -129,7 +129,7 @@ def check_options(config: DataConfig) -> None:
                 raise UsageError(f"%s and %s exclude each other; {reason}", *fields)
     if config.derivatives is not None and config.states is not None and len(config.derivatives) != len(config.states):
         counts = f"{len(config.states)} states and {len(config.derivatives)} derivatives"
-        raise UsageError(f"{counts} were named; give one derivative per state, in the same order")
+        raise UsageError(f"{counts} were named; name one derivative for each state, in the same order")
     columns = {name: getattr(config, name) or () for name in ("states", "inputs", "derivatives")}
     single = ("target", "trajectory", "group", "time", "weights")
     columns |= {name: (getattr(config, name),) for name in single if getattr(config, name) is not None}

@@ -1,4 +1,4 @@
-"""Checks of measurements before anything is computed from them. Each failure is one sentence with advice. Pure."""
+"""Selects the rows that can be used, and checks the measured values. Each failure is one sentence with advice. Pure."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.data.roles.columns import TIME_NAMES
+from atoll_coordinator.data.roles.names_and_options import TIME_NAMES
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig
@@ -19,21 +19,21 @@ from atoll_core.errors import DataError
 BoolArray = npt.NDArray[np.bool_]
 MIN_ROWS = SETTINGS.common.fewest_rows
 SMALLEST: Final = 1e-150
-"""Guard: numbers below this, or above its inverse, have a square that under- or overflows."""
+"""Guard: the square of numbers below this underflows, and the square of numbers above its inverse overflows."""
 _JUMP: Final = 3.0
-"""A jump of a wrapped angle is this many times as large as every other step, and differs from a turn by at most this
-many times the steps next to it."""
+"""Limit for jumps of a wrapped angle: a jump is this many times as large as every other step, and differs from a full
+turn by at most this many times the steps next to it."""
 _TURNS: Final = ((6.283185307179586, "2 pi", ""), (360.0, "360", ":deg"))
 """A full turn, its name in messages, and the unit that `--angle` appends."""
 
 
 def select_usable_rows(table: Table, roles: Roles, config: DataConfig) -> tuple[list[int], list[str]]:
-    """Return the rows that are used, and sentences for the user.
+    """Return the usable rows, and sentences for the user.
 
-    A used row has weight; all columns that must be known are finite in it; and where states are measured in time, at
-    least one state is: a missing value of a state costs that value alone. Raises DataError where there are too few
-    rows, a weight is negative or no number, or a used column is not finite in a row with weight although missing
-    numbers are not to be dropped.
+    A usable row has a positive weight, and finite values of all columns that must be known. If states are measured in
+    time, one finite state is enough: a missing value of a state removes only this value. Raises DataError if there are
+    too few rows, if a weight is negative or no number, or if options do not allow dropping missing numbers but a used
+    column is not finite in a row with weight.
     """
     _check_count(table, table.rows)
     weighted, unused = _weighted_rows(table, roles.weights)
@@ -48,7 +48,7 @@ def _check_count(table: Table, count: int) -> None:
 
 
 def check_searched_rows(table: Table, roles: Roles, rows: Sequence[int]) -> None:
-    """Raise DataError when the `rows` that the search may see are too few, or a column is constant that is sought."""
+    """Raise DataError if the search has too few `rows`, or if a column with an equation is constant in them."""
     _check_count(table, len(rows))
     for name in roles.derivatives or roles.equations:
         role = "state" if name in roles.states else "derivative" if roles.derivatives else "target"
@@ -56,7 +56,7 @@ def check_searched_rows(table: Table, roles: Roles, rows: Sequence[int]) -> None
 
 
 def check_sizes(columns: Mapping[str, FloatArray]) -> None:
-    """Raise DataError when a column (by name) that equations may use has no squares; a column of zeros may be used."""
+    """Raise DataError if squares of a column (by name) over- or underflow; a column of zeros is allowed."""
     for name, column in columns.items():
         values = column[np.isfinite(column)]
         if values.any():
@@ -64,15 +64,16 @@ def check_sizes(columns: Mapping[str, FloatArray]) -> None:
 
 
 def check_size(name: str, size: float) -> None:
-    """Raise DataError unless the square of `size`, the size of the values of `name`, is a number above zero."""
+    """Raise DataError unless the square of `size`, the size of the values of `name`, is finite and above zero."""
     if not SMALLEST < size < 1.0 / SMALLEST:
         raise DataError(f"the values of '{name}' are too large or too small to compute with; choose another unit")
 
 
 def check_rates(time: str, times: Sequence[FloatArray], states: Mapping[str, Sequence[FloatArray]], order: int) -> None:
-    """Raise DataError when steps of the time, or rates of a state over them, have no squares.
+    """Raise DataError if squares of time steps, or of a state's rates over them, over- or underflow.
 
-    `times` ascend strictly; `states` has values by name along the same trajectories; `order` is the derivatives'.
+    `times` ascend strictly; `states` has values by name along the same trajectories; `order` is the order of the
+    derivatives.
     """
     step = min((float(np.diff(part).min()) for part in times if len(part) > 1), default=1.0)
     step *= step if order == 2 else 1.0
@@ -84,9 +85,9 @@ def check_rates(time: str, times: Sequence[FloatArray], states: Mapping[str, Seq
 
 
 def check_varies(table: Table, name: str, values: FloatArray, role: str, *, is_only: bool = False) -> None:
-    """Raise DataError when a column that is a state, a derivative or the target has too few values, or is constant.
+    """Raise DataError if a column that is a state, a derivative or the target has too few values, or is constant.
 
-    `is_only` is true for the only column with an equation: then no other choice of states helps.
+    `is_only` is true for the only column with an equation: then another choice of states does not help.
     """
     values = values[np.isfinite(values)]
     if len(values) < MIN_ROWS:
@@ -124,12 +125,13 @@ def check_trajectory(table: Table, name: str, times: FloatArray, rows: Sequence[
 
 
 def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
-    """Raise DataError when a state jumps by a full turn, as a wrapped angle does.
+    """Raise DataError if a state jumps by a full turn, as a wrapped angle does.
 
-    A wrapped angle stays within one turn, and where it jumps it moves on smoothly once the turn is taken out. Noise
-    makes steps of all sizes up to the largest, whereas a jump stands out from all other steps. With few rows far apart
-    a fall may be about a turn by chance: where none of n other steps is half a turn, the next one is with probability
-    1/(n + 2) (Laplace's rule of succession); it is multiplied by the share of a turn by which the fall misses a turn.
+    A wrapped angle stays within one turn, and after subtraction of a full turn its jumps are as smooth as its other
+    steps. A jump is larger than all other steps, whereas noise makes steps of all sizes. With few rows far apart, a
+    step may be about a full turn by chance. If none of n other steps reaches half a turn, the next step does so with
+    probability 1/(n + 2) (Laplace's rule of succession). This is multiplied by the difference between step and full
+    turn, as a share of a turn.
     """
     parts = [part[np.isfinite(part)] for part in parts]
     values = np.concatenate(parts)
@@ -141,7 +143,7 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
         usual = max(float(np.max(np.abs(each)[np.abs(each) < 0.5 * turn], initial=0.0)) for each in steps)
         margins = [margin for each in steps for margin in _margins_of_turns(each, usual, turn)]
         others = sum(int(np.count_nonzero(np.abs(each) < 0.5 * turn)) for each in steps)
-        mean = math.fsum(margins) / max(len(margins), 1)  # of many jumps: they may be one kind of event
+        mean = math.fsum(margins) / max(len(margins), 1)  # several jumps do not multiply: they may be one kind of event
         if margins and min(2.0 * mean / turn, 1.0) / (others + 2) <= SETTINGS.inference.improbable:
             count = f"{len(margins)} time{'s' if len(margins) > 1 else ''}"
             raise DataError(
@@ -151,9 +153,10 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
 
 
 def _margins_of_turns(steps: FloatArray, usual: float, turn: float) -> list[float]:
-    """Return for each step of about a `turn` how much it differs from its neighbours once the turn is taken out.
+    """Return for each step of about a `turn` the difference from its neighbours after subtraction of the turn.
 
-    Its size stands out from `usual` steps, and differs from the turn by little more than the steps next to it.
+    Such a step is much larger than the `usual` steps, and differs from the turn by little more than the steps next to
+    it.
     """
     margins = []
     for index in np.flatnonzero(np.abs(steps) > max(0.5 * turn, _JUMP * usual)).tolist():
@@ -161,7 +164,7 @@ def _margins_of_turns(steps: FloatArray, usual: float, turn: float) -> list[floa
         near = [float(steps[other]) for other in (index - 1, index + 1) if 0 <= other < len(steps)]
         near = [other for other in near if abs(other) < 0.5 * turn]
         around = max(map(abs, near), default=0.0)
-        largest = min(_JUMP * around, usual)  # without the turn the step is no larger than other steps
+        largest = min(_JUMP * around, usual)  # after subtraction of the turn the step is no larger than other steps
         if abs(abs(step) - turn) <= largest + SETTINGS.common.negligible * turn:
             rest = step - math.copysign(turn, step)
             margins.append(max((abs(rest - other) for other in near), default=usual))
@@ -169,7 +172,7 @@ def _margins_of_turns(steps: FloatArray, usual: float, turn: float) -> list[floa
 
 
 def _weighted_rows(table: Table, name: str | None) -> tuple[list[int], list[str]]:
-    """Return the rows that have weight, all of them without a column, and a sentence when others are left out."""
+    """Return the rows with weight (all rows without a column of weights), and a sentence if rows are left out."""
     if name is None:
         return [*range(table.rows)], []
     weights = table.column(name)
@@ -190,9 +193,9 @@ def _weighted_rows(table: Table, name: str | None) -> tuple[list[int], list[str]
 
 
 def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) -> tuple[list[int], list[str]]:
-    """Return the rows `weighted` with all needed values, and sentences when rows or values are left out.
+    """Return the rows among `weighted` with all needed values, and sentences if rows or values are left out.
 
-    One state measured in time is enough; of all other columns in use each is needed.
+    Of the states measured in time, one value is enough; every other used column is needed.
     """
     used = [table.names.index(name) for name in roles.used]
     has_weight = np.isin(np.arange(table.rows), weighted)
@@ -205,23 +208,23 @@ def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) ->
     kept = np.flatnonzero(has_weight & ~is_lost).tolist()
     if not drop:
         few = [name for name, counts in zip(roles.used, (~bad[:, kept]).sum(axis=1), strict=True) if counts < MIN_ROWS]
-        raise DataError(_not_finite(table, used, bad, _cure(table, roles, bad, few)))
+        raise DataError(_missing_numbers_message(table, used, bad, _advice_on_missing(table, roles, bad, few)))
     if not kept:
-        raise DataError(f"every row of {table.files[0]} holds NaN or infinity; nothing is left to search")
+        raise DataError(f"every row of {table.files[0]} holds NaN or infinity; no row is left to search")
     sentences = []
     if len(kept) < len(weighted):
         sentences.append(f"{len(weighted) - len(kept)} of {table.rows} rows hold NaN or infinity and were dropped.")
     counts = zip(bad[:, kept].sum(axis=1).tolist(), roles.used, strict=True)
     values = [f"{count} of {name}" for count, name in counts if count]
     if values:
-        sentences.append(f"Values are missing, {' and '.join(values)}; their rows count for the other states.")
+        sentences.append(f"Values are missing, {' and '.join(values)}; their rows are used for the other states.")
     return kept, sentences
 
 
-def _cure(table: Table, roles: Roles, bad: BoolArray, few: Sequence[str]) -> str:
-    """Return advice where numbers are missing; `few` columns have too few values in the rows that would be left."""
+def _advice_on_missing(table: Table, roles: Roles, bad: BoolArray, few: Sequence[str]) -> str:
+    """Return advice on missing numbers; the columns `few` would have too few values in the remaining rows."""
     if not few:
-        return "correct them, or add --missing drop to do without them"
+        return "correct them, or add --missing drop to leave them out"
     known = dict(zip(roles.used, (~bad).sum(axis=1).tolist(), strict=True))
     poor = min(known, key=lambda name: known[name])
     count = f"'{poor}' has {known[poor]} {'value' if known[poor] == 1 else 'values'} in {table.rows} rows"
@@ -233,8 +236,8 @@ def _cure(table: Table, roles: Roles, bad: BoolArray, few: Sequence[str]) -> str
     return needed if is_needed else f"{needed}, or leave it out of the file"
 
 
-def _not_finite(table: Table, used: Sequence[int], bad: BoolArray, advice: str) -> str:
-    """Return the message: the first bad column and its rows, how many rows are bad over all, and the advice."""
+def _missing_numbers_message(table: Table, used: Sequence[int], bad: BoolArray, advice: str) -> str:
+    """Return the message: the first bad column and its rows, the number of all bad rows, and the advice."""
     names = [table.names[index] for index in used]
     first = int(np.argmax(bad.any(axis=1)))
     rows = np.flatnonzero(bad[first]).tolist()
@@ -244,7 +247,7 @@ def _not_finite(table: Table, used: Sequence[int], bad: BoolArray, advice: str) 
     others = [name for name, bad_rows in zip(names, bad, strict=True) if bad_rows.any() and name != names[first]]
     if others:
         total = int(bad.any(axis=0).sum())
-        text += f", and so do {', '.join(others)} ({total} rows over all)"
+        text += f", and so do {', '.join(others)} ({total} rows in all)"
     return f"{text}; {advice}"
 
 

@@ -21,9 +21,9 @@ import numpy as np
 from atoll_coordinator.data.increments import Steps, all_windows, lagged, products, split_into_bins
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.description_length import RegressionCriterion, constant_nats_of, system_length
-from atoll_coordinator.model.regression.equation import target_shortening
+from atoll_coordinator.model.regression.equation import make_target_shortening
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.regression.shortening import Measured
+from atoll_coordinator.model.regression.shortening import MeasuredProgram
 from atoll_coordinator.model.sparse.atoms import product_atoms, product_libraries
 from atoll_coordinator.model.sparse.regression import Regression, Sum
 from atoll_coordinator.model.sparse.rows import Rows
@@ -57,16 +57,16 @@ class CandidateFinder:
     deadline: Deadline
 
     @cached_property
-    def _rates(self) -> FloatArray:
-        return mean_squares(self.steps)
+    def _noise_rates(self) -> FloatArray:
+        return estimate_noise_rates(self.steps)
 
     def find(
         self,
         number: int,
         model: ProcessModel,
-        begun: Sequence[Program],
+        starts: Sequence[Program],
         *,
-        looks_around: bool,
+        tries_neighbours: bool,
     ) -> list[Program]:
         """Return the most promising programs for one equation, factors of one as constants, the best first.
 
@@ -76,21 +76,23 @@ class CandidateFinder:
             begun: programs of the search.
             looks_around: whether neighbours of the best programs are tried as well.
         """
-        problem, weights = _problem(number, model, self.steps, self._rates, self.names)
+        problem, weights = _make_problem(number, model, self.steps, self._noise_rates, self.names)
         space = self.config.space
         operators = frozenset(BY_NAME[name].code for name in space.operators_for(self.variables[number]))
         columns = space.columns_for(self.variables[number], self.names)
-        sums = _sparse_sums(problem, weights, columns) if {ADD, MULTIPLY} <= operators else []
+        sums = _fit_sparse_sums(problem, weights, columns) if {ADD, MULTIPLY} <= operators else []
         restrictions = restrictions_of(self.config, self.variables[number], self.names)
         least_squares = LeastSquares(problem, weights, restrictions)
         criterion, nats = RegressionCriterion.of(problem.target), constant_nats_of(len(self.steps.lengths))
-        shortening = target_shortening(least_squares, criterion, operators, columns, self.deadline)
+        shortening = make_target_shortening(least_squares, criterion, operators, columns, self.deadline)
 
-        def length(measured: Measured) -> float:
+        def length(measured: MeasuredProgram) -> float:
             """Return the description length by the likelihood, apart from the misfit."""
             return system_length(measured.misfit, [measured.program], len(constant_places(measured.program)), nats)
 
-        found = [measured for measured, _ in shortening.candidates([*map(shortest, begun), *sums], looks_around)]
+        found = [
+            measured for measured, _ in shortening.find_candidates([*map(shortest, starts), *sums], tries_neighbours)
+        ]
         programs = [
             make_coefficients_explicit(shortest(measured.program)).program for measured in sorted(found, key=length)
         ]
@@ -105,7 +107,7 @@ class CandidateFinder:
         return bool(np.isfinite(values).all()) and not (is_variance and bool((values < 0.0).any()))
 
 
-def _problem(
+def _make_problem(
     number: int, model: ProcessModel, steps: Steps, rates: FloatArray, names: tuple[str, ...]
 ) -> tuple[Problem, FloatArray]:
     """Return the problem of one equation over bins, and the weights of these; `rates` are of the noise (S, N).
@@ -126,10 +128,10 @@ def _problem(
         points, lengths, sides, variances = lagged(steps).points, lengths[rows], sides[rows], variances[rows]
     weights = lengths / variances
     is_used = np.isfinite(sides) & np.isfinite(weights) & (weights > 0.0)
-    return _binned(points[:, is_used], sides[is_used] / lengths[is_used], weights[is_used], names)
+    return _bin_steps(points[:, is_used], sides[is_used] / lengths[is_used], weights[is_used], names)
 
 
-def mean_squares(steps: Steps) -> FloatArray:
+def estimate_noise_rates(steps: Steps) -> FloatArray:
     """Return about how fast noise adds to the variance of each state at each step (S, N): means of squares in bins.
 
     High differences have no drift in them. Weights come from these rather than from the model so far, since the first
@@ -146,7 +148,7 @@ def mean_squares(steps: Steps) -> FloatArray:
     return means
 
 
-def _binned(
+def _bin_steps(
     points: FloatArray, sides: FloatArray, weights: FloatArray, names: tuple[str, ...]
 ) -> tuple[Problem, FloatArray]:
     bins = split_into_bins(points, SETTINGS.rows.most // 4)
@@ -157,7 +159,7 @@ def _binned(
     return Problem(names, np.ascontiguousarray(means), target), total / total.mean()
 
 
-def _sparse_sums(problem: Problem, weights: FloatArray, columns: Sequence[int]) -> list[Program]:
+def _fit_sparse_sums(problem: Problem, weights: FloatArray, columns: Sequence[int]) -> list[Program]:
     """Return the best sums of products on the way from each library of them to nothing, by Schwarz's criterion."""
     rows, roots = Rows(problem.inputs, problem.target.values), np.sqrt(weights)
     sums: list[Sum] = []

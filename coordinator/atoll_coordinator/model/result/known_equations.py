@@ -6,7 +6,7 @@ import numpy as np
 
 from atoll_coordinator.data.prior_knowledge import known_programs
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.regression.errors import errors_on
+from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.expression.evaluation import values_of
@@ -20,12 +20,12 @@ def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:
     """
     entries = {}
     for name, program in known_programs(dataset, config).items():
-        error, mse = errors_on(dataset.problem(name), program, config.evolution.loss)
+        error, mse = measure_errors(dataset.problem(name), program, config.evolution.loss)
         entries[name] = FrontEntry(len(program), error, mse, 0, 0, 0, program.to_bytes())
     return entries
 
 
-def with_remarks(preparation: Preparation, config: JobConfig) -> Preparation:
+def warn_of_missing_values(preparation: Preparation, config: JobConfig) -> Preparation:
     """Return `preparation` with a warning for each known equation without a value on some rows; `config` is resolved.
 
     Its error is not finite, then, and not known to anybody who looks at the job.
