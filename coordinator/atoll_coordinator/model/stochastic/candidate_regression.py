@@ -81,7 +81,7 @@ class CandidateFinder:
             number: number of the equation in `model`.
             model: the other equations, by which the higher terms of moments are computed.
             starts: programs of the search, or of the previous round.
-            looks_around: whether neighbours of the best programs are tried as well.
+            tries_neighbours: whether neighbours of the best programs are tried as well.
         """
         problem, weights = _make_problem(number, model, self.steps, self._noise_rates, self.names)
         space = self.config.space

@@ -114,7 +114,7 @@ def show_process(chosen: ChosenProcess) -> ShownProcess:
     as_shown = likelihood.fit(chosen.fitted.model.with_programs(programs), chosen.free)
     rounded = _attach_estimates(chosen, as_shown).round_constants()
     known = describe_constants(given, explicit, rounded.programs, errors)
-    known = [one.with_simple(simple) for one, simple in zip(known, rounded.simple, strict=True)]
+    known = [one.with_simple_numbers(simple) for one, simple in zip(known, rounded.simple, strict=True)]
     return ShownProcess(rounded, known, explicit, fitted, errors)
 
 

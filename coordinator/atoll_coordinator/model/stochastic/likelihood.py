@@ -225,7 +225,7 @@ class ProcessLikelihood:
         return minimize(_LikelihoodFit(self, model, free, settled, limit))
 
     def estimate_errors(self, fitted: FittedProcess, free: Sequence[int]) -> ConstantErrors:
-        """Return the errors of the parameters of a fit, in which the equations `free` (indices) had fitted constants."""
+        """Return the errors of the parameters of a fit; the equations `free` (indices) have fitted constants."""
         values = fitted.model.parameters(free)
         freedom, ranges = len(self.steps.lengths) - len(values), self.ranges(fitted.model, free)
         return ConstantErrors.from_fit(values, fitted.information, freedom, bounds=ranges)

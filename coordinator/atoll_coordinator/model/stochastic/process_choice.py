@@ -87,12 +87,12 @@ class ProcessChoice:
     def choose(self) -> ChosenProcess:
         """Return the law of the process."""
         fitted = self._exchange_until_settled(self._brownian_motion(), tries_neighbours=True)
-        fitted, apart = (fitted, 0.0) if any(fitted.model.noise) else self._choose_discretisation(fitted)
+        fitted, difference = (fitted, 0.0) if any(fitted.model.noise) else self._choose_discretisation(fitted)
         alternatives = tuple(map(_best_of_each_form, self._alternatives))
         free = self._free_equations(fitted.model)
         return ChosenProcess(
             self._process, self._variables, self._sought, free, self._likelihood, fitted, alternatives,
-            self._restrictions, apart, self._deadline.has_cut_short,
+            self._restrictions, difference, self._deadline.has_cut_short,
         )  # fmt: skip
 
     def _choose_discretisation(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:
@@ -106,11 +106,11 @@ class ProcessChoice:
             return fitted, stepped.misfit - fitted.misfit
         alternatives = [*self._alternatives]
         stepped = self._exchange_until_settled(stepped.model, tries_neighbours=False)
-        apart = self._total_length(fitted) - self._total_length(stepped)
-        if apart > SETTINGS.inference.distinct_nats:
-            return stepped, apart
+        difference = self._total_length(fitted) - self._total_length(stepped)
+        if difference > SETTINGS.inference.distinct_nats:
+            return stepped, difference
         self._alternatives = alternatives
-        return fitted, max(-apart, 0.0)
+        return fitted, max(-difference, 0.0)
 
     def _total_length(self, fitted: FittedProcess) -> float:
         """Return the description length of the steps and of all equations that were sought."""
@@ -208,7 +208,7 @@ class ProcessChoice:
         return (without, length_without) if length_without < length else (model, length)
 
     def _measure(self, model: ProcessModel, number: int, program: Program, most: float) -> MeasuredProgram:
-        """Return `program` fitted as one equation of a model, all others fixed; the length counts this equation only."""
+        """Return `program` fitted as one equation of a model, others fixed; the length counts this equation only."""
         restrictions = self._restrictions[number]
         admitted = restrictions.admitted(program)
         if admitted is None:
