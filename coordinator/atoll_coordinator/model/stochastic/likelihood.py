@@ -5,8 +5,8 @@ likelihood, the fit (`fit`, damped Fisher scoring) and the checks use them.
 
 Without measurement errors, steps are independent given their initial states (`moments`). With measurement errors e of
 variance Q, a step is measured from y = x + e. To first order in the errors, its residual is r_k = w_k + e_k+1 - A_k
-e_k, with the noise w_k and the Jacobian A_k of the step. All residuals are jointly normal with a block tridiagonal
-covariance,
+e_k, with the noise w_k of covariance V_k and the Jacobian A_k of the step. All residuals are jointly normal with a
+block tridiagonal covariance,
 
     cov(r_k) = V_k + Q + A_k Q A_k',    cov(r_k, r_k+1) = - Q A_k+1'
 
