@@ -33,10 +33,10 @@ _UNTESTED: Final = Finding("not applicable", "no steps test this equation in thi
 class ProcessSteps:
     """The whitened `residuals` (S, N) of the steps of a `model`, for its tests.
 
-    `has_noise` tells whether a state has noise that counts: with less, the process counts as deterministic. The output
-    of a numerical method, or a table that repeats after a few rows, follows a law exactly, and there is no noise to
-    test it. States that are `noiseless_states` have no noise of their own; the steps of a state that is `exact_states`
-    follow its equation up to rounding.
+    `has_noise`: whether at least one state has noise that counts; otherwise the process is deterministic. The output of
+    a numerical method, or a table that repeats after a few rows, follows a law exactly, and no noise is left for tests.
+    `noiseless_states` are the states without noise of their own. The steps of the states `exact_states` follow their
+    equation up to rounding.
     """
 
     def __init__(self, chosen: ChosenProcess, model: ProcessModel) -> None:

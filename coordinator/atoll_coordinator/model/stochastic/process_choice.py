@@ -47,10 +47,10 @@ _LINEARISATIONS: Final = 2
 class ChosenProcess:
     """The law of a process: `fitted`, with all constants free except in known equations.
 
-    `variables` are the names of the equations in their order; `sought` are the numbers of the equations that were
-    sought, `free` the numbers of equations with constants to fit: a covariance of noises may be zero. Each equation has
-    its alternatives (`alternatives`) and keeps to its `restrictions`. With the other discretisation the description is
-    longer by `discretisation_nats`. The choice `is_stopped` if the time limit ended it.
+    `variables` are the names of the equations, in their order. `sought` are the indices of equations that are not
+    known. `free` are the indices of equations with constants to fit; a component of the diffusion that is zero has
+    none. Each equation has `alternatives` and obeys its `restrictions`. The description is longer by
+    `discretisation_nats` with the other discretisation. `is_stopped`: the time limit ended the choice.
     """
 
     process: ProcessRecording
