@@ -269,7 +269,7 @@ def test_roles_that_do_not_fit_hear_why(lab: Lab, role_bindings: RoleBindings) -
         with pytest.raises(RefusedError, match=said), bearing(lab, router, "lab1"):
             pass
         ghost = dialling(router, load(lab.files("ann")[0], certificate, key, use="connect"))
-        with pytest.raises(RefusedError, match=r"roster has no name for 'ghost-\w+'"), connected(ghost):
+        with pytest.raises(RefusedError, match=r"roster has no entry for 'ghost-\w+'"), connected(ghost):
             pass
         assert worker_error(lab, router, "ann") == (
             "the certificate of 'ann' has the role submitter, which may submit jobs and look at its own and shared "

@@ -227,6 +227,8 @@ def _use(tab: Any, direct: Page) -> None:
         change = b'{"shared": %s}' % shared.encode()
         status, _ = direct.ask("PUT", f"jobs/{job}/sharing", change, **{"Content-Type": "application/json"})
         assert status == 200
-        tab.get_by_text("everybody may see it" if shared == "true" else "it is private").first.wait_for()
+        tab.get_by_text(
+            "all users may see it" if shared == "true" else "only its submitter and admins may see it"
+        ).first.wait_for()
     tab.get_by_role("button", name="Share", exact=True).click()
     tab.get_by_role("button", name="Make private").wait_for()

@@ -23,6 +23,7 @@ from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.background import CheckpointWritten
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.placing import Scheduler
 from atoll_core.errors import AtollError, RefusedError
@@ -38,14 +39,12 @@ LEFT_OUT = {
     (Breakages, "tolerated"),  # it is what holds the others
     (Service, "start"),  # before the loop begins
     (Service, "step"),
-    (JobController, "_commit_checkpoint"),  # what it does is guarded, it is not
     (WorkerChannel, "take_pull"),  # one look into a dict; without it nobody knows whose answer came
 }
 LEFT_OUT_ALWAYS = {
     (JobController, "guarded"),  # what ends a job over which something breaks, and what does nothing but call that
     (JobController, "_change"),
     (JobController, "_advance_checkpoint"),
-    (Service, "_add_report"),
     (RequestDispatcher, "_answer"),
     (RequestDispatcher, "_tell_worker"),
     (JobController, "_end_broken"),
@@ -121,6 +120,8 @@ def concerns(what: Any, job: str) -> bool:
     """Tell whether something is a job, one of its parts, its id, or a message about it."""
     if isinstance(what, tuple) and what:
         return concerns(what[0], job)
+    if isinstance(what, CheckpointWritten):
+        return what.checkpoint.job == job
     if isinstance(what, Job | JobRecord):
         return what.id == job
     part_of = getattr(what, "job", None)
@@ -195,6 +196,14 @@ def test_what_always_breaks_for_one_job_stops_no_other(owner: type, name: str) -
     world = World(workers=2, slowness=10.0)
     with broken_for(owner, name, "first") as calls:
         assert_others_go_on(world, calls)
+
+
+@pytest.mark.parametrize("name", ["add_report", "_commit_checkpoint"])
+def test_a_report_or_checkpoint_that_always_breaks_fails_its_job(name: str) -> None:
+    world = World(workers=2, slowness=10.0)
+    with broken_for(JobController, name, "first") as calls:
+        assert_others_go_on(world, calls)
+    assert calls
 
 
 def test_a_damaged_term_stops_no_other_job() -> None:

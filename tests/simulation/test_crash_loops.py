@@ -76,8 +76,8 @@ def test_a_coordinator_that_is_started_again_at_each_death_finds_the_poison_all_
         assert ward.deaths() == deaths
     view = ward.world.finish()
     assert (view.state, view.fault) == ("failed", "poison")
-    assert f"in {FAIL_AFTER} placements in a row workers" in (view.reason or "")
-    assert "(the last was w" in (view.reason or "")
+    assert f"in {FAIL_AFTER} successive placements a worker" in (view.reason or "")
+    assert "(the last worker was w" in (view.reason or "")
     assert ward.world.store.deaths("job") == ()
 
 

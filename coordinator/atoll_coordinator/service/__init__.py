@@ -2,16 +2,16 @@
 
 ``service_loop`` is the only loop; it passes events of the bus to ``job_controller`` and ``requests``. Below them,
 ``tasks`` leases tasks to workers, ``workers`` places islands on workers, ``monitoring`` has views, events and metrics,
-``scheduling`` decides whose turn it is, ``jobs`` has the states of a job, ``search`` of an archipelago, and ``store``
-is the durable memory. Imports go down this list only.
+``scheduling`` decides which job is next, ``jobs`` has the states of a job, ``search`` the state of an archipelago, and
+``store`` is the durable memory. Imports go down this list only.
 
 A job: `requests.clients` -> `job_controller.submit` -> `scheduling.job_queue` -> `tasks.task_controller` (prepare) ->
-`job_controller.start_search` -> `workers.scheduling` -> `search.collector` (cut) -> `tasks.task_controller`
-(refine) -> `job_controller.finish_job` -> `store`.
-A task: `tasks.task_controller` -> `tasks.dispatch` -> a lease -> a worker's result -> `tasks.outcomes`.
+`job_controller` (search) -> `workers.placing` -> `search.collector` (cut) -> `tasks.task_controller` (refine) ->
+`job_controller` (end) -> `store`.
+A task: `tasks.task_controller` -> `tasks.task_table` (plan) -> a lease -> a worker's result -> `tasks.background`.
 A report: `service_loop` -> `job_controller.add_report` -> `jobs.job` -> `search.archipelago` -> `search.collector`.
-A worker's death: `workers.worker_controller` -> `workers.membership` (expire) -> `workers.lease_backoff`,
-`workers.crash_loops` -> `workers.quarantine`, `workers.scheduling` -> a placement under a new term.
-A commit: heartbeat with snapshots -> `search.pull_budget` (pulls) -> `search.checkpoint_gathering` ->
-`tasks.background` -> `job_controller.commit_checkpoint` -> `workers.channel`.
+A worker's death: `workers.worker_controller` -> `workers.membership` (expire) -> `workers.crash_loops` ->
+`workers.placing` -> a placement under a new term.
+A commit: heartbeat with snapshots -> `search.pull_budget` (pulls) -> `search.checkpoints` (gathering) ->
+`tasks.background` -> `job_controller` (commit) -> `workers.channel`.
 """

@@ -1,10 +1,12 @@
 """Job controller: turns events (requests, reports, outcomes, timers) into state changes, stores and sends them.
 
-It knows no bus and no thread. What is sent has been stored before. An error of this program ends the job that it
-concerns (`JobController.guarded`), and nothing else.
+It has no bus and no thread of its own: `WorkerChannel` sends messages, and `Background` works on large values. A change
+is stored before any message about it is sent. An internal error ends only the job that it concerns
+(`JobController.guarded`).
 
-**How the state machines go together.** Each is a table in the module of its class; a step that is not in the table is
-an error. Time comes in as an argument, and none of them does I/O: they return actions, which this module carries out.
+**How the state machines work together.** Each machine is a table in the module of its class; a step that is not in the
+table is an error. The machines read no clock and do no I/O: the time is an argument, and they return actions, which
+this module carries out.
 
     job (`jobs.job.JOB_TRANSITIONS`)
       queued --prepare--> preparing --prepared--> running --searched--> refining --refined--> done
@@ -13,22 +15,23 @@ an error. Time comes in as an argument, and none of them does I/O: they return a
     place (`scheduling.job_queue.Stage`)     waiting -> preparing -> searching <-> held, then no place is needed
     task (`tasks.task_table.TASK_TRANSITIONS`)      waiting -> leased -> running -> ended, back to waiting when lost
     worker (`workers.membership.MEMBER_TRANSITIONS`)  here <-> absent, here <-> hung, each -> lost -> here
-    archipelago (`workers.crash_loops`)      healthy -> suspicious -> quarantined -> failed, healthy by a commit
+    archipelago (`workers.crash_loops`)      healthy -> suspicious -> quarantined -> failed, a commit -> healthy
 
 A job is *queued* until `JobQueue.decide` gives it a place. In *preparing* it has a task "prepare", in *refining* a task
-"refine"; in *running* it has no task but archipelagos, whose placements the worker controller chooses. A place is taken
-from a running job by `Job.hold`: its archipelagos stop at a barrier, and its state stays *running*. A lost worker sends
-its tasks back to waiting and its archipelagos to another placement; neither changes the state of the job, unless the
-losses are too many: then the task or the archipelago fails the job. On the worker's side, `worker_session` has the jobs
-and islands, and `task_runner` the tasks, with tables of their own. Both sides are compared at each heartbeat, so that
-the worker's tables need not be reliable: messages correct any difference.
+"refine". In *running* it has archipelagos and no task; the worker controller chooses the placements. `Job.hold` takes
+the place of a running job: its archipelagos stop at a barrier, and its state stays *running*. When a worker is lost,
+its tasks wait again, and its archipelagos get another placement. The job keeps its state, except after too many losses:
+then the task or the archipelago fails the job.
 
-A job whose end is decided stays in `ending` until its result is composed, in which it is neither live nor ended.
+Workers have tables of their own: `worker_session` for jobs and islands, `task_runner` for tasks. At each heartbeat the
+coordinator compares these with its own tables, and corrects differences by messages. So a lost message does no harm.
 
-*Doubts.* `ending` is a state of a job that is not in its table: it is kept separately because the coordinator may die
-at any time before the end is stored; then the job continues. `is_paused` (by a user), `is_held` (no place) and
-`had_begun` (before a restart) are three flags that a fifth state of the queue could replace. All changes of a job go
-through `_change`, in one long module: a reader of one change also meets the end of jobs and its effects.
+A job whose end is decided is in `ending` until its result is composed. Meanwhile it is neither live nor ended.
+
+*Doubts.* `ending` is a state that the table of jobs does not have. It is kept separately because the job must continue
+if the coordinator dies before the end is stored. `is_paused` (by a user), `is_held` (no place) and `had_begun` (before
+a restart) are three flags that one more stage of the queue could replace. All changes of a job go through `_change`, in
+one long module: to understand one change, a reader must also read how jobs end.
 """
 
 import contextlib
@@ -87,14 +90,14 @@ from atoll_core.wire.messages.views import TaskView, WorkerService
 from atoll_core.wire.messages.workers import Close, CloseJob, WorkerStatus
 
 _SAVE_S: Final = 10.0
-"""Interval of storing task time: a commit takes milliseconds, and a killed coordinator loses no more."""
+"""Seconds between two commits of task time. A killed coordinator loses the task time since the last commit."""
 
 _HAD_BEGUN_S: Final = -1e9
-"""Time since which a job that had begun before a restart counts as waiting: it comes before all others."""
+"""Start of the waiting time of a job that had begun before a restart: it comes before all other jobs."""
 
 
 class JobController:
-    """All live jobs, and the workers that compute them; `shown` has the views of live and ended jobs."""
+    """All live jobs, and the workers that compute them. `shown` returns the views of live and ended jobs."""
 
     def __init__(
         self, store: Store, channel: WorkerChannel, background: background.Background, post: Callable[[object], None],
@@ -108,8 +111,8 @@ class JobController:
         self.begun: Final[dict[str, Job]] = {}
         """Jobs that are not queued: only these are visited at each tick."""
         self.ending: Final[dict[str, Ending]] = {}
-        """Jobs whose ends take effect when their results are composed. Until then they are stored as they were, and a
-        restarted coordinator goes on with them."""
+        """Jobs whose ends take effect when their results are composed. Until then the store has their previous states,
+        and a restarted coordinator continues them."""
         self.queue: Final = JobQueue()
         self.live_of: Final[Counter[str | None]] = Counter()
         """Number of jobs of each user that have not ended."""
@@ -144,7 +147,7 @@ class JobController:
     # ------------------------------------------------------------------------------------------- jobs
 
     def recover(self, now: float) -> None:
-        """Continue the stored jobs that have not ended, from their checkpoints; one that cannot be read fails alone."""
+        """Continue the stored jobs that have not ended, from their checkpoints. A job that cannot be read fails."""
         self.queue.is_paused = self._store.is_queue_paused()
         self.workers.membership.set_cordons(self._store.cordons())
         for record in self._store.open_jobs():
@@ -160,7 +163,7 @@ class JobController:
                     self._take_over(record, config, now)
 
     def _take_over(self, record: JobRecord, config: JobConfig, now: float) -> None:
-        """Continue a stored job; if its prepared data are stored, from the equations found so far, without a worker."""
+        """Continue a stored job; if its prepared data are stored, without a worker and with the equations found."""
         has_begun = record.state != "queued"
         if record.submitted_s is not None:
             record = replace(record, elapsed=max(record.elapsed, self._store.served_s - record.submitted_s))
@@ -168,9 +171,7 @@ class JobController:
         self.workers.crash_loops.recover(record.id)
         if record.prepared_digest is None or record.dataset_digest is None:
             return
-        if not self._store.is_sound(
-            record.dataset_digest
-        ):  # otherwise workers would ask for the damaged dataset for ever
+        if not self._store.is_sound(record.dataset_digest):  # workers would ask for the damaged dataset for ever
             return
         try:
             prepared = self.tasks.take_prepared(
@@ -181,7 +182,7 @@ class JobController:
         self._change(record.id, "continuing a job", now, lambda job: self._go_on(job, record, prepared, now))
 
     def _go_on(self, job: Job, record: JobRecord, prepared: Prepared, now: float) -> Sequence[JobAction]:
-        """Continue a job as it was when the coordinator ended, held until its next turn."""
+        """Continue a job in the state that it had when the coordinator ended, held until its next turn."""
         job.start_preparing()
         self.begun[job.id] = job
         self.queue.take_over(job.id)
@@ -192,7 +193,7 @@ class JobController:
         return actions
 
     def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
-        """Accept a job. The same id with the same contents again changes nothing, not even the submitter.
+        """Accept a job. A repeated submission (same id, same contents) changes nothing, not even the submitter.
 
         Raises:
             RefusedError: The id belongs to another job or to a deleted one.
@@ -220,9 +221,9 @@ class JobController:
         self._take_turns(now)
 
     def _add(self, job: Job, asked_at: float, *, has_begun: bool = False) -> None:
-        """Add a job to the queue, since `asked_at` (seconds of the bus).
+        """Add a job to the queue, in which it waits since `asked_at` (seconds of the bus).
 
-        A job that `has_begun` before a restart goes on even if the queue is paused.
+        A job that `has_begun` before a restart continues even if the queue is paused.
         """
         self.jobs[job.id] = job
         self.live_of[job.submitter] += 1
@@ -231,14 +232,14 @@ class JobController:
         )  # fmt: skip
 
     def pause(self, job_id: str, is_paused: bool, now: float) -> None:
-        """Pause or resume a job; it lasts over restarts.
+        """Pause or resume a job. A pause is stored, so it stays after a restart.
 
         Raises:
-            RefusedError: It has ended, or is being refined, which is not interrupted.
+            RefusedError: The job has ended, or is being refined; refining is not interrupted.
         """
         job = self._live(job_id, "paused or resumed")
         if job.state == "refining" and is_paused and not self.tasks.waits(job_id):
-            raise RefusedError(f"job {job_id} is being refined, which takes no place and is not interrupted; wait")
+            raise RefusedError(f"job {job_id} is being refined, which cannot be interrupted; wait for its end")
         self._store.update_job(job_id, paused=int(is_paused))
         with self.guarded(job_id, "pausing a job", now):
             job.is_paused = is_paused
@@ -246,7 +247,7 @@ class JobController:
                 self.queue.pause(job_id, is_paused)
             if self.queue.is_held(job_id):
                 job.hold(True)
-            text = "paused: its islands stop at a checkpoint" if is_paused else "it goes on when it is its turn"
+            text = "paused: its islands stop at a checkpoint" if is_paused else "resumed: it continues at its next turn"
             self.events.record("held" if is_paused else "resumed", text, job_id)
         self._rest(now)
         self._take_turns(now)
@@ -267,7 +268,9 @@ class JobController:
     def share(self, job_id: str, is_shared: bool) -> None:
         """Let all users see a job, or only its submitter and admins."""
         self._store.share_job(job_id, is_shared)
-        self.events.record("changed", "everybody may see it" if is_shared else "it is private", job_id)
+        self.events.record(
+            "changed", "all users may see it" if is_shared else "only its submitter and admins may see it", job_id
+        )
         ending = self.ending.get(job_id)
         job = ending.job if ending is not None else self.jobs.get(job_id)
         if job is not None:
@@ -277,11 +280,11 @@ class JobController:
         """Return the submission of a job under another id.
 
         Raises:
-            RefusedError: It neither failed nor was cancelled, or this version does not understand it.
+            RefusedError: The job did not fail and was not cancelled, or this version cannot read its settings.
         """
         record = self._store.job(job_id)
         if record is None or record.state not in ("failed", "cancelled"):
-            raise RefusedError(f"job {job_id} has not failed; only jobs that failed or were cancelled are tried again")
+            raise RefusedError(f"job {job_id} has not failed; only failed or cancelled jobs can be tried again")
         try:
             config = JobConfig.model_validate_json(record.spec)
         except ValidationError as error:
@@ -292,20 +295,23 @@ class JobController:
         )  # fmt: skip
 
     def pause_queue(self, is_paused: bool, now: float) -> None:
-        """Pause or resume the queue; it lasts over restarts."""
+        """Pause or resume the queue; the setting is stored."""
         self._store.pause_queue(is_paused)
         self.queue.is_paused = is_paused
-        self.events.record("changed", "no more jobs are started" if is_paused else "jobs are started again")
+        self.events.record(
+            "changed",
+            "the queue is paused: no more jobs are started" if is_paused else "the queue is resumed: jobs are started",
+        )
         self._take_turns(now)
 
     def set_worker(self, worker: str, service: WorkerService, now: float) -> None:
-        """Open, cordon or drain a worker; it lasts over restarts. Raises RefusedError for an unknown worker."""
+        """Open, cordon or drain a worker; the setting is stored. Raises RefusedError for an unknown worker."""
         cordons = self._store.cordons()
         if self.workers.membership.member(worker) is None and worker not in cordons:
             raise RefusedError(f"there is no worker {worker!r}; 'coordinator workers' lists all of them")
         self._store.cordon(worker, None if service == "open" else service == "draining")
         self.workers.membership.set_cordons(self._store.cordons())
-        self.events.record("changed", f"it is {service} now", worker=worker)
+        self.events.record("changed", f"it is now {service}", worker=worker)
         self._place(now)
 
     def _live(self, job_id: str, what: str) -> Job:
@@ -315,17 +321,17 @@ class JobController:
         return job
 
     def analyse(self, asked: AskAnalysis, user: str | None, now: float) -> Analysis:
-        """Return a question about the result of a job, with its answer if there is one; a new one becomes a task.
+        """Return a question about the result of a job, with its answer if there is one. A new question becomes a task.
 
         Raises:
-            RefusedError: The job has no result, or not yet; or the user has too many open questions.
+            RefusedError: The job has no result (yet), or the user has too many open questions.
             TableMissingError: The table was deleted.
         """
         known = self.tasks.analyses.ask(asked, now)
         if known is not None:
             return known
         if self.shown.is_open(asked.job):
-            raise RefusedError(f"job {asked.job} has not ended; ask about its result when it has")
+            raise RefusedError(f"job {asked.job} has not ended; ask about its result after its end")
         if self.queue.has_no_time(user):
             raise RefusedError(f"the question {NO_TIME}; ask tomorrow, or analyse the saved result yourself")
         text = self._store.result(asked.job)
@@ -337,23 +343,23 @@ class JobController:
         return self.tasks.analyse(asked, text.encode(), size, user, now)
 
     def queue_depth(self) -> QueueDepth:
-        """Return how much work waits."""
+        """Return the numbers of jobs by state, and of islands and tasks that could be computed now."""
         queue = self.queue
         return queue_depth(
             self.begun.values(), queue.queued, queue.ready, queue.limits.total.running, self.tasks.analyses.open_count
         )
 
     def cancel(self, job_id: str, now: float) -> None:
-        """End a job and keep its equations; without effect when it has ended or is `ending`.
+        """End a job and keep its equations; without effect if it has ended or is `ending`.
 
         Raises:
-            RefusedError: Its stored search could not be kept before its data are prepared again.
+            RefusedError: After a restart, its data must be prepared again before its equations can be kept.
         """
         job = self.jobs.get(job_id)
         if job is not None and job.prepared is None and self._store.has_search(job_id):
             raise RefusedError(
                 f"job {job_id} continues a stored search, whose equations cannot be kept before its data "
-                "are prepared again; start a worker, and cancel it when `status` shows equations"
+                "are prepared again; start a worker, and cancel the job when `status` shows equations"
             )
         self._change(job_id, "cancelling", now, Job.cancel)
 
@@ -371,9 +377,9 @@ class JobController:
         return actions
 
     def _set_up(self, job: Job, dataset: str | None, prepared: Prepared, now: float) -> Sequence[JobAction]:
-        """Set up the search of a prepared job, from its stored cuts and checkpoints; it may fail.
+        """Set up the search of a prepared job from its stored cuts and checkpoints. If they do not fit, the job fails.
 
-        `dataset` is the digest of the dataset that was prepared before, if any.
+        `dataset` is the digest of the dataset that was prepared before a restart, if any.
         """
         unknown = checks.epoch_limit_reason(job.config, prepared)
         if unknown is not None:
@@ -390,22 +396,24 @@ class JobController:
         return job.start(prepared, cuts, now, resumed)
 
     def _stored_checkpoints(self, job: Job, prepared: Prepared) -> dict[str, tuple[int, bytes]]:
-        """Return epoch and contents of the checkpoints from which a search goes on, by variable.
+        """Return epoch and contents of the checkpoints from which a search continues, by variable.
 
-        If states of the last checkpoint are damaged, the search goes on from the one before, or from the beginning: the
-        result is the same, since epochs are pure functions.
+        If states of the last checkpoint are damaged, the search continues from the previous one, or from the beginning.
+        The result is the same, because epochs are pure functions.
         """
         last = self._store.checkpoints(job.id)
         whole = self._store.whole_checkpoints(job.id, prepared.config.evolution.islands) if last else {}
         for variable in last:
             if whole.get(variable) != last[variable]:
                 epoch = whole[variable][0] if variable in whole else 0
-                text = f"states of its last checkpoint are damaged in the store; its search goes on from epoch {epoch}"
+                text = (
+                    f"states of its last checkpoint are damaged in the store; its search continues from epoch {epoch}"
+                )
                 self.events.record("unplaced", text, job.id, variable=variable, epoch=epoch)
         return whole
 
     def has_lost(self, pull: PullStates) -> bool:
-        """Return whether missing states are the ones from which a search goes on now."""
+        """Return whether the states of a pull, which are missing, are states from which a search continues now."""
         job = self.jobs.get(pull.job)
         archipelago = job.open_archipelago(pull.variable) if job is not None else None
         if archipelago is None or archipelago.durable == 0 or pull.epoch != archipelago.durable:
@@ -417,14 +425,14 @@ class JobController:
         self._change(job_id, "ending", now, lambda job: job.fail(fault, sentence))
 
     def job_of_dataset(self, digest: str) -> str | None:
-        """Return the id of a live job whose prepared dataset this is; None: there is none."""
+        """Return the id of a live job whose prepared dataset has this digest; None: there is no such job."""
         jobs = (job.id for job in self.begun.values() if job.prepared is not None and job.prepared.blob == digest)
         return next(jobs, None)
 
     # ---------------------------------------------------------------------------------------- outcomes
 
     def take_outcome(self, item: background.Outcome, now: float) -> None:
-        """Handle an outcome of background work or of a task. It never comes again, so that an error ends its job."""
+        """Handle an outcome of background work or of a task. It is posted only once, so an error must end its job."""
         match item:
             case background.TableChecked():
                 with self.guarded(item.job, "preparing a job", now):
@@ -441,7 +449,11 @@ class JobController:
             case background.RefiningFailed():
                 self._change(item.job, "ending", now, lambda job: job.finish_unrefined(item.refinement))
             case background.CheckpointWritten():
-                self._commit_checkpoint(item, now)
+                with self.guarded(item.checkpoint.job, "committing a checkpoint", now):
+                    self._commit_checkpoint(item, now)
+                self._place(now)  # archipelagos may have waited for this checkpoint
+                if self.checkpoints.is_short:
+                    self._advance_checkpoints(now)
 
     def _prepare_checked(self, checked: background.TableChecked, now: float) -> None:
         job = self.jobs.get(checked.job)
@@ -456,16 +468,11 @@ class JobController:
         self.changed(job.id)
 
     def _commit_checkpoint(self, written: background.CheckpointWritten, now: float) -> None:
-        """Publish the commit of a written checkpoint, and place archipelagos that waited for it."""
-        checkpoint = written.checkpoint
-        with self.guarded(checkpoint.job, "committing a checkpoint", now):
-            self.checkpoints.mark_written(checkpoint)
-            if written.error is not None:
-                raise written.error
-            self._mark_durable(checkpoint, now)
-        self._place(now)
-        if self.checkpoints.is_short:
-            self._advance_checkpoints(now)
+        """Publish the commit of a written checkpoint; raises the error of writing it."""
+        self.checkpoints.mark_written(written.checkpoint)
+        if written.error is not None:
+            raise written.error
+        self._mark_durable(written.checkpoint, now)
 
     # --------------------------------------------------------------------------- workers' reports, time
 
@@ -474,7 +481,7 @@ class JobController:
 
         Raises:
             RemoteProtocolError: The worker names a later incarnation that does not exist.
-            StoreError: that incarnation exists: another coordinator has taken over.
+            StoreError: The later incarnation exists: another coordinator has taken over.
         """
         is_known = self.workers.add_heartbeat(worker, status, now)
         if is_known:
@@ -490,13 +497,16 @@ class JobController:
         return self.tasks.table.on(worker) is not None
 
     def lose_tasks(self, worker: str, now: float, *, had_left: bool) -> tuple[str, ...]:
-        """Give the tasks of a lost worker to others; it `had_left` if it had announced its end. Return their jobs."""
+        """Let the tasks of a lost worker wait for other workers; return the jobs of these tasks.
+
+        The worker `had_left` if it had announced its end.
+        """
         with self.breakages.tolerated("taking tasks from a worker that is lost"):
             return self.tasks.lose(worker, now, had_left=had_left)
         return ()
 
     def stalls(self, job_id: str) -> tuple[str, ...]:
-        """Return in words why archipelagos of a job make no progress, by variable."""
+        """Return sentences on why archipelagos of a job make no progress, by variable."""
         return self.workers.stalls(job_id)
 
     def task_views(self, job_id: str) -> tuple[TaskView, ...]:
@@ -504,7 +514,7 @@ class JobController:
         return self.tasks.views(job_id)
 
     def waiting_reason(self, job: Job) -> str | None:
-        """Return in words why the islands or tasks of a job wait; None: they do not wait."""
+        """Return a sentence on why the islands or tasks of a job wait; None: they do not wait."""
         reason = self.workers.waiting_reason(job) or self.tasks.waiting_reason(job.id)
         if reason is None or self._may_run(job) or job.state != "refining":
             return reason
@@ -522,12 +532,12 @@ class JobController:
             self.tasks.take_result(read, now)
 
     def _may_follow(self, job_id: str) -> bool:
-        """Return whether a task of a job may be created soon: after a restart its data are prepared first."""
+        """Return whether a job may create a task soon, as after a restart, when its data are prepared first."""
         job = self.jobs.get(job_id)
         return job is not None and job.state in ("queued", "preparing")
 
     def _order(self, waiting: Collection[str], running: Collection[str]) -> list[str]:
-        """Return the jobs and questions whose waiting tasks may be leased, the next one first."""
+        """Return the ids of jobs and questions whose waiting tasks may be leased, the next one first."""
         ready = [one for one in map(self._of_turn, waiting) if one is not None and self._may_run(one)]
         served = [one for one in map(self._of_turn, running) if one is not None]
         return self._turns.order_tasks([*map(_turn, ready)], [*map(_turn, served)])
@@ -536,7 +546,7 @@ class JobController:
         return self.jobs.get(turn) or self.tasks.analyses.get(turn)
 
     def _may_run(self, turn: Job | Analysis) -> bool:
-        """Return whether tasks of a job, or of a question, may be leased; running ones go on."""
+        """Return whether waiting tasks of a job, or of a question, may be leased. Running tasks are not affected."""
         is_paused = isinstance(turn, Job) and turn.is_paused
         return not (is_paused or self.queue.has_no_time(turn.submitter))
 
@@ -591,9 +601,9 @@ class JobController:
             self.queue.task_time.begin_day(_day_of(self._store))
 
     def _rest(self, now: float) -> None:
-        """Leave out the time in which jobs to be refined wait for a worker, as for islands without workers.
+        """Do not count the time for which jobs wait for a worker that refines them.
 
-        Jobs to be prepared that may not run give their places back.
+        Jobs that wait to be prepared but may not run give their places back.
         """
         seconds = now - self._rested_at if self._rested_at is not None else 0.0
         self._rested_at = now
@@ -614,14 +624,14 @@ class JobController:
         self.changed(job.id)
 
     def _place(self, now: float) -> None:
-        """Have islands placed. This step concerns all jobs: an error ends none of them."""
+        """Place islands. This step concerns all jobs, so an error in it ends none of them."""
         with self.breakages.tolerated("placing islands"):
             self.workers.place(now)
 
     # ------------------------------------------------------------------------------------- checkpoints
 
     def add_states(self, worker: str, pull: PullStates, body: States | None, now: float) -> None:
-        """Handle the answer to a pull of states; None: there was none, and they are pulled again later.
+        """Handle the answer to a pull of states; None: there was no answer, and the states are pulled again later.
 
         Raises:
             RemoteProtocolError: A state was damaged on its way.
@@ -646,7 +656,7 @@ class JobController:
             self._channel.publish(commit)
 
     def _advance_checkpoints(self, now: float) -> None:
-        """Pull the states that are due, and have complete checkpoints written."""
+        """Pull the states that are due, and start writing complete checkpoints."""
         with self.breakages.tolerated("gathering checkpoints"):
             self.checkpoints.begin_round({archipelago.key: archipelago for archipelago in self._open_archipelagos()})
         for archipelago in self._open_archipelagos():
@@ -671,7 +681,7 @@ class JobController:
     def _change(
         self, job_id: str, task: str, now: float, act: Callable[[Job], Sequence[JobAction]], *, by_peer: bool = False
     ) -> None:
-        """Change a live job by `act`, and carry out the actions that follow: all changes go through here."""
+        """Change a live job by `act`, and carry out the actions that it returns; all changes of jobs do this."""
         job = self.jobs.get(job_id)
         if job is not None:
             with self.guarded(job_id, task, now, by_peer=by_peer):
@@ -680,10 +690,10 @@ class JobController:
 
     @contextlib.contextmanager
     def guarded(self, job_id: str, task: str, now: float, *, by_peer: bool = False) -> Iterator[None]:
-        """Let an error within the block end this job, which may be half changed, and nothing else.
+        """Let an error within the block end only this job, which the block may have changed in part.
 
-        `by_peer`: the block handles a message of a peer, whose RemoteProtocolError changes nothing, and is raised. A
-        StoreError does not concern one job, and is raised as well.
+        `by_peer`: the block handles a message of a peer. A RemoteProtocolError then means that the message was wrong
+        and has changed nothing; it is raised. A StoreError does not concern a single job, and is raised as well.
         """
         try:
             with about(job=job_id or None):
@@ -698,7 +708,7 @@ class JobController:
             self._end_broken(job_id, self.breakages.add(task, error, job.config if job is not None else None), now)
 
     def _end_broken(self, job_id: str, sentence: str, now: float) -> None:
-        """End a job whose state may be half changed, as completely as possible."""
+        """End a job that an error may have changed only in part, with as much of its result as possible."""
         job, ending = self.jobs.get(job_id), self.ending.get(job_id)
         if ending is not None and ending.sentence is not None:  # it is ending with an error already
             return
@@ -730,7 +740,7 @@ class JobController:
         self._background.compose_result(ending.draft)
 
     def compose(self, draft: Draft) -> None:
-        """Have the best result so far of a live job composed, unless that is under way."""
+        """Start composing the best result so far of a live job, unless this is in progress."""
         if draft.job not in self._composing:
             self._composing.add(draft.job)
             self._background.compose_result(draft)
@@ -743,7 +753,7 @@ class JobController:
         return timed(composed.text, now - composed.draft.submitted_at)
 
     def finish_ending(self, composed: background.ResultComposed, now: float) -> None:
-        """Let the end of a job take effect whose result is composed; without effect if another end came first."""
+        """Complete the end of a job, whose result is composed now; without effect if the job has ended otherwise."""
         job_id = composed.draft.job
         ending = self.ending.get(job_id)
         if ending is None or ending.draft is not composed.draft:
@@ -797,10 +807,10 @@ class JobController:
             self.events.record_cut(job.id, cut)
 
     def _end(self, job: Job, now: float) -> None:
-        """End a job: at once if its result is there or it has none, else when its result is composed.
+        """End a job: at once if it has a result or cannot have one, otherwise when its result is composed.
 
-        Before the result is there, nothing of its end is stored or sent, so that the job goes on if the coordinator
-        dies in between. So workers compute for it until then.
+        Before the result is composed, nothing about the end is stored or sent. So the job continues if the coordinator
+        dies before that, and workers still compute for it.
         """
         draft = draft_of(job) if job.result_text is None else None
         if draft is None:
@@ -828,9 +838,9 @@ class JobController:
         self._take_turns(now)
 
     def _fitting(self, job: Job, text: str | None) -> str | None:
-        """Return a result that its user may store, after deleting the user's oldest ended jobs if necessary.
+        """Return the result if its user may store it, after deleting the user's oldest ended jobs if necessary.
 
-        If nothing is left to delete, the job fails: the limit on stored bytes is exact.
+        If no ended job is left and the result is still too large, the job fails and None is returned.
         """
         most = self.queue.limits.of(job.submitter).stored
         if text is None or most is None:
@@ -846,12 +856,12 @@ class JobController:
                 )
                 job.result_text = None
                 return None
-            self.forget_ended(oldest.id, "a newer job of its user needs the space allowed by limits")
+            self.forget_ended(oldest.id, "a newer job of its user needs the space that limits allow")
         return text
 
     def forget_ended(self, job_id: str, reason: str) -> None:
         """Delete a job that has ended."""
-        self.events.flush()  # otherwise its last events would be written after its end
+        self.events.flush()  # otherwise its last events would be written after its deletion
         self.tasks.cancel(job_id)
         self._store.delete_job(job_id)
         self.events.record("deleted", f"job {job_id} is deleted: {reason}")
@@ -880,9 +890,9 @@ class JobController:
 
     def _prepare(self, job_id: str, now: float) -> None:
         waiting = self.jobs.get(job_id)
-        if waiting is None or waiting.state != "queued":  # the end of a job before it has started this one
+        if waiting is None or waiting.state != "queued":  # the end of an earlier job in the list has started it
             return
-        # If the store fails, as on a full disk, the job must stay in the queue, or it would never be prepared.
+        # Store first: if the store fails (full disk), the job must stay in the queue, or it would never be prepared.
         self._store.update_job(waiting.id, state="preparing")
         waiting.start_preparing()
         self.begun[job_id] = waiting
@@ -895,7 +905,7 @@ class JobController:
 
 
 def _broken(job: Job | None, sentence: str) -> Ending | None:
-    """Return the end of a job by an error, with its equations; None if that is not possible."""
+    """Return the end of a job by an error, with its equations; None if its result cannot be composed."""
     with contextlib.suppress(Exception):
         if job is not None and job.prepared is not None:
             was = job.former_state if job.has_ended else job.state

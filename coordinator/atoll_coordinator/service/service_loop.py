@@ -1,4 +1,4 @@
-"""The only loop of the coordinator: hands events of the bus to the controller and the request dispatcher.
+"""The only loop of the coordinator: passes events of the bus to the job controller and the request dispatcher.
 
 `Service.step` handles one event and never blocks for long; `Service.work` is the loop around `Bus.receive`.
 """
@@ -58,7 +58,7 @@ TICK_S: Final = 0.5
 _TICK: Final = "tick"
 
 LAG_WINDOW_S: Final = 60.0
-"""The view of the coordinator has the longest lag of the loop in this number of seconds."""
+"""The view of the coordinator shows the longest lag of the loop within this number of seconds."""
 
 _ABSENCE: Final = "absence"
 _CHANGES: Final = "changes"
@@ -67,12 +67,12 @@ _PROBE: Final = "probe"
 
 @dataclass(frozen=True, slots=True)
 class _TimeCheck:
-    """Posted by the timer, behind all earlier events: silence counts only after these."""
+    """Posted by the timer behind all earlier events: the silence of workers is checked after these."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Turn:
-    """Posted while questions of clients wait: one of them is answered."""
+    """Posted while questions of clients wait: the loop then answers one question."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class _Probe:
 
 
 class Service:
-    """One coordinator on one bus, over one store. Used by the bus's owner thread."""
+    """One coordinator on one bus, with one store. Only the thread that owns the bus may call it."""
 
     def __init__(  # noqa: PLR0913  # the outside world
         self,
@@ -97,13 +97,13 @@ class Service:
         """Set up a coordinator.
 
         Args:
-            bus: open, with a router that workers and clients reach.
-            store: open; decides cluster and incarnation.
+            bus: open, with a router that workers and clients can reach.
+            store: open; its file determines cluster and incarnation.
             expected_workers: number of workers that the first placement waits for, for a limited time.
             dismisses_workers: whether workers are shut down at the end; otherwise they wait for another coordinator.
             dependencies: clock, retention, background thread; None: the real ones.
             role_bindings: names and roles, with certificates; None: every client has all permissions.
-            metrics: for Prometheus; None: nothing is measured.
+            metrics: for Prometheus; None: no metrics are recorded.
         """
         self.rejects: Final = Rejects(_LOG)
         self._bus = MeteredBus(bus)
@@ -169,9 +169,9 @@ class Service:
         self.work(stop)
 
     def set_policy(self, limits: Limits, role_bindings: RoleBindings | None) -> None:
-        """Apply new limits and roles; workers that may no longer take part are given up.
+        """Apply new limits and roles; workers that may no longer take part are shut down and treated as lost.
 
-        A router keeps its rules until it is restarted, and admits no new names before.
+        A router keeps its access rules until it is restarted, so new names are admitted only after that.
         """
         self.controller.queue.limits = limits
         self._authorization.role_bindings = role_bindings
@@ -197,8 +197,8 @@ class Service:
     def step(self, event: Event) -> None:
         """Handle one event. Only a StoreError ends the loop.
 
-        An error of a peer is counted, logged once and changes nothing. An error of this program is counted, logged once
-        and ends the job that it concerns; a client gets an answer.
+        A wrong message of a peer is counted, logged once and changes nothing. An internal error is counted, logged once
+        and ends the job that it concerns; a client that asked gets an answer.
         """
         began = time.perf_counter()
         with self.controller.breakages.tolerated("counting an event"):
@@ -207,12 +207,12 @@ class Service:
             try:
                 self._on(event)
             except RemoteProtocolError as error:
-                if isinstance(event, Timer | Posted | Link):  # these are not from a peer
+                if isinstance(event, Timer | Posted | Link):  # these do not come from a peer
                     raise
                 self.rejects.count(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
         with self.controller.breakages.tolerated("notifying followers"):
             next_s = self._followers.notify(self._bus.now())
-            if next_s is not None:  # changes that are not due yet
+            if next_s is not None:  # some changes are due later
                 self._bus.call_later(next_s, _CHANGES)
         if self._metrics is not None:
             self._metrics.observe_step(time.perf_counter() - began)
@@ -234,7 +234,7 @@ class Service:
         self._bus.call_later(TICK_S, _TICK)
 
     def _probe_later(self) -> None:
-        """Measure the loop's lag: a probe goes through the queue like all other events."""
+        """Measure the loop's lag: a probe waits in the queue like all other events."""
         self._probe_due = self._bus.now() + LAG_S
         self._bus.call_later(LAG_S, _PROBE)
 
@@ -299,7 +299,7 @@ class Service:
 
     @singledispatchmethod
     def _on(self, event: Event) -> None:
-        raise RemoteProtocolError(f"events of kind {type(event).__name__} are not expected here")
+        raise RemoteProtocolError(f"events of kind {type(event).__name__} are not expected")
 
     @_on.register
     def _on_timer(self, event: Timer) -> None:
@@ -338,7 +338,7 @@ class Service:
                 self.controller.take_outcome(cast(Outcome, item), now)
 
     def _finish_ending(self, item: ResultComposed, now: float) -> None:
-        """Let the end of a job take effect, and answer the questions that waited for it."""
+        """Complete the end of a job, and answer the questions that waited for it."""
         job = item.draft.job
         try:
             self.controller.finish_ending(item, now)
@@ -350,7 +350,7 @@ class Service:
                 self._answer(question, party)
 
     def _send_result(self, item: ResultComposed, now: float) -> None:
-        """Answer the questions for the best result so far of a job."""
+        """Answer the questions that wait for the best result so far of a job."""
         body: ResultText | Failure
         try:
             body = ResultText(json_text=self.controller.finish_composing(item, now))
@@ -365,13 +365,13 @@ class Service:
             self._bus.reply(question, answer, party)
 
     def _check_time(self, now: float) -> None:
-        """Let time pass, after all earlier events have been handled."""
+        """Check all timeouts; all earlier events have been handled."""
         self._store.beat()
         if self._bus.dropped > self._dropped:
             self._dropped = self._bus.dropped
             _LOG.warning("messages were dropped because they came too fast", extra=fields(dropped=self._dropped))
             self.controller.workers.membership.renew_leases(now)
-        if self._is_linked:  # otherwise no message of a worker can arrive, and silence means nothing
+        if self._is_linked:  # otherwise no message of a worker can arrive, and silence does not mean a loss
             self.controller.tick(now)
         with self.controller.breakages.tolerated("updating followers"):
             self._followers.expire(now)
@@ -383,14 +383,14 @@ class Service:
                 body = one.meanwhile() if one.meanwhile is not None else None
                 answer = encode(Answer(body=body)) if body is not None else None
                 self._bus.reply(one.question[0], answer, one.question[1])
-        with self.controller.breakages.tolerated("deleting uploads that were given up"):
+        with self.controller.breakages.tolerated("deleting abandoned uploads"):
             self._uploads.expire()
         with self.controller.breakages.tolerated("deleting expired jobs"):
             self._deletion.delete_expired(now)
 
     @_on.register
     def _on_link(self, event: Link) -> None:
-        """Handle the loss or return of the router; a router in this process never goes away."""
+        """Handle the loss or return of the link to the router; a router in this process is never lost."""
         _LOG.warning("router link", extra=fields(up=event.up))
         self._is_linked = event.up
         if event.up:
@@ -415,12 +415,14 @@ class Service:
                 self._add_lines(key.worker, decode(event.payload, WorkerLog, MAX_MESSAGE))
             case topics.WorkerKey(part="report"):
                 report = decode(event.payload, EpochReport, MAX_MESSAGE)
-                self._add_report(key.worker, report)
+                # An error must end the job: without this report the job would wait for ever.
+                with self.controller.guarded(report.job, "adding a report", self._bus.now(), by_peer=True):
+                    self.controller.add_report(key.worker, report, self._bus.now())
             case topics.WorkerKey(part="result"):
                 result = decode(event.payload, TaskReport, MAX_MESSAGE)
                 self.controller.add_task_report(key.worker, result, self._bus.now())
             case _:
-                raise RemoteProtocolError(f"nothing is expected on key {event.key}")
+                raise RemoteProtocolError(f"no messages are expected on key {event.key}")
 
     @_on.register
     def _on_reply(self, event: Reply) -> None:
@@ -432,7 +434,8 @@ class Service:
             case (worker, PullReports()) if event.payload is not None:
                 body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
                 for report in body.reports if isinstance(body, Reports) else ():
-                    self._add_report(worker, report)
+                    with self.controller.guarded(report.job, "adding a report", self._bus.now(), by_peer=True):
+                        self.controller.add_report(worker, report, self._bus.now())
 
     def _add_lines(self, worker: str, message: WorkerLog) -> None:
         """Record a worker's log lines with the jobs that they are about."""
@@ -442,14 +445,8 @@ class Service:
         known = {job for job in jobs if job in self.controller.jobs or self._store.job(job) is not None}
         self._worker_logs.take(worker, message, known, self._bus.now())
 
-    def _add_report(self, worker: str, report: EpochReport) -> None:
-        """Pass on a report. It is sent once, or pulled again for ever, so that an error ends its job."""
-        now = self._bus.now()
-        with self.controller.guarded(report.job, "adding a report", now, by_peer=True):
-            self.controller.add_report(worker, report, now)
-
     def _add_states(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
-        """Pass on an answer; without one the states are pulled again."""
+        """Pass an answer to the controller; without an answer the states are pulled again."""
         try:
             body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
         except Exception:
@@ -461,7 +458,7 @@ class Service:
 
     @_on.register
     def _on_query(self, event: Query) -> None:
-        """Answer workers and greetings at once; questions of clients wait for their turn among all other events."""
+        """Answer workers and greetings at once. Questions of clients wait for their turn; other events come between."""
         try:
             key = topics.parse(event.key)
         except RemoteProtocolError:
@@ -477,11 +474,11 @@ class Service:
             self._bus.post(_Turn())
 
     def _party(self, client: str, event: Query) -> str:
-        """Return the party that takes turns with others: a user, or without certificates a session."""
+        """Return the party that takes turns with other parties: a user, or without certificates a session."""
         return self._authorization.submitter(client) or f"/{event.session}"
 
     def _take_turn(self) -> None:
-        """Answer one question; the next one comes after the events that have arrived since."""
+        """Answer one question. The next question comes after the events that have arrived meanwhile."""
         question = self._questions.take()
         if len(self._questions):
             self._bus.post(_Turn())

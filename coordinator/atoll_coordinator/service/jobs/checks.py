@@ -1,4 +1,4 @@
-"""Sentences on why a stored job, or a prepared one, cannot be searched. Pure."""
+"""Sentences on why a stored or prepared job cannot be searched. Pure."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -30,7 +30,7 @@ def stored_search_reason(error: RemoteProtocolError) -> str:
 
 
 def lost_states_reason(variable: str) -> str:
-    """Return why a search cannot go on whose durable states are missing in the store."""
+    """Return why a search cannot continue if durable states are missing in the store."""
     return (
         f"states of the last checkpoint of {variable} are missing or damaged in the coordinator's store; check that "
         "its disk is sound, and submit the job again under another id"
@@ -38,7 +38,7 @@ def lost_states_reason(variable: str) -> str:
 
 
 def epoch_limit_reason(config: JobConfig, prepared: Prepared) -> str | None:
-    """Return why `--max-epochs` does not fit the equations that are sought; None: it does."""
+    """Return why `--max-epochs` does not fit the variables whose equations are sought; None: it fits."""
     sought = [target.variable for target in prepared.sought]
     unknown = sorted(set(config.budget.max_epochs_of) - set(sought))
     if not unknown:
@@ -50,9 +50,9 @@ def epoch_limit_reason(config: JobConfig, prepared: Prepared) -> str | None:
 def resume_reason(
     prepared: Prepared, dataset_digest: str | None, has_cuts: bool, resumed: Mapping[str, StoredSearchState]
 ) -> str | None:
-    """Return why a stored search does not fit the prepared data; None: it does.
+    """Return why a stored search does not fit the prepared data; None: it fits.
 
-    `dataset_digest` is the digest of the data as they were prepared before, None if they were not.
+    `dataset_digest` is the digest of the dataset that was prepared earlier; None: there was no earlier one.
     """
     if (has_cuts or resumed) and dataset_digest not in (None, prepared.blob):
         return "its data, prepared again after a restart, came out differently; submit it again under another id"
@@ -60,6 +60,6 @@ def resume_reason(
     if engines:
         return (
             f"it was begun by engine revision {min(engines)}, and this is revision {ENGINE_REVISION}, which "
-            "computes otherwise; submit it again under another id"
+            "computes other numbers; submit it again under another id"
         )
     return None

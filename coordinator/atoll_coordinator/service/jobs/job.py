@@ -1,4 +1,7 @@
-"""One job: its states, archipelagos and time limit, and the actions that follow from events. Pure; time comes in."""
+"""One job: its states, archipelagos and time limit. Pure: the time is an argument.
+
+Methods that change a job return the actions (`JobAction`) that the job controller must carry out.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,15 +35,15 @@ _CANCELLED: Final = f"The job was cancelled {_NOT_REFINED}"
 _NOTHING_PREPARED: Final = "the time allowed by --max-time was used up while the data were being prepared; allow more"
 
 SEARCH_SHARE: Final = 0.5
-"""Share of the time after preparing that the search may take: refining takes about as long."""
+"""Largest share of the time after preparing that the search may take; refining takes about as long."""
 
 STAGNATION_GIVEN: Final = 60
-"""Targets given as columns have no trajectories from which refining could improve an approximate equation, and a target
-error that the user gives should be met."""
+"""Epochs without improvement after which the search for a given target ends. It is high because targets given as
+columns have no trajectories with which refining could improve an approximate equation."""
 
 STAGNATION_CLEAN: Final = 5
-"""The least; it grows with the epochs until the last improvement. Measured on random systems simulated at solver
-tolerances: all of 48 equations that are found in 24 to 30 epochs are found with 3, 5, 8 and 12 (ADR 0033)."""
+"""Least number for a clean target; it grows with the epochs until the last improvement. On random systems simulated at
+solver tolerances, 3, 5, 8 and 12 find the same 48 equations in 24 to 30 epochs (ADR 0033)."""
 
 STAGNATION_NOISY: Final = 3
 
@@ -56,7 +59,7 @@ JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
     "failed": {},
     "cancelled": {},
 }
-"""State of a job -> event -> next state. Nothing happens to a job that has ended."""
+"""State of a job -> event -> next state. A job that has ended does not change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +71,14 @@ class CommitCuts:
 
 @dataclass(frozen=True, slots=True)
 class PublishCommit:
-    """Publish the commit, up to which workers may forget messages."""
+    """Publish the commit; workers may forget messages of the epochs before it."""
 
     commit: Commit
 
 
 @dataclass(frozen=True, slots=True)
 class Refine:
-    """All searches have ended: have their equations refined in `seconds` (None: any time); `Job.finish` follows."""
+    """All searches have ended: refine their equations within `seconds` (None: no limit); `Job.finish` follows."""
 
     seconds: float | None = None
 
@@ -121,7 +124,7 @@ class Job:
 
     @property
     def has_ended(self) -> bool:
-        """Whether nothing can happen to it any more."""
+        """Whether it has ended, so that it does not change."""
         return self.state in FINAL_STATES
 
     def open_archipelago(self, variable: str) -> Archipelago | None:
@@ -131,7 +134,7 @@ class Job:
 
     @property
     def open_archipelagos(self) -> tuple[Archipelago, ...]:
-        """The archipelagos whose search goes on."""
+        """The archipelagos whose search continues."""
         if self.state != "running":
             return ()
         return tuple(archipelago for archipelago in self.archipelagos.values() if archipelago.cut is None)
@@ -152,11 +155,11 @@ class Job:
         )
 
     def start_preparing(self) -> None:
-        """Start preparing its data; a process for that is started and loaded first."""
+        """Enter the state "preparing"; `start_clock` follows when a loaded process begins the work."""
         self._step("prepare")
 
     def put_back(self) -> None:
-        """Wait in the queue again, since no worker has begun to prepare its data."""
+        """Return to the queue, because no worker has begun to prepare its data."""
         self._step("put-back")
         self.preparing_since = None
 
@@ -170,7 +173,7 @@ class Job:
         self, prepared: Prepared, cuts: Mapping[str, Cut], now: float,
         resumed: Mapping[str, StoredSearchState] | None = None,
     ) -> list[JobAction]:  # fmt: skip
-        """Set up the archipelagos; those in `cuts` have ended before, those in `resumed` go on from a checkpoint."""
+        """Set up the archipelagos. Variables in `cuts` have ended before; those in `resumed` have a checkpoint."""
         self._step("prepared")
         self.prepared = prepared
         self.preparation_seconds = self._preparing_seconds(now)
@@ -186,29 +189,29 @@ class Job:
         return self._refine_if_cut(now)
 
     def wait_to_be_refined(self, seconds: float) -> None:
-        """Do not count this number of seconds of waiting for refining to begin."""
+        """Do not count these seconds, in which the job waited for a worker that refines it."""
         if self.refining_since is not None:
             self.refining_since += seconds
 
     def start_search(self, now: float) -> None:
-        """Start the time of the search, once: islands have been placed."""
+        """Start the clock of the search when islands are placed for the first time."""
         if self.started_at is None:
             self.started_at = now
 
     def hold(self, is_held: bool) -> list[JobAction]:
-        """Have its islands stop at their next checkpoints, or go on from there; see `workers.placing.Scheduler`."""
+        """Let its islands stop at their next checkpoints, or continue; `workers.placing.Scheduler` does this."""
         self.is_held = is_held
         return []
 
     def search_seconds(self, now: float) -> float:
-        """Return the duration of the search, under earlier coordinators as well."""
+        """Return the duration of the search in seconds, including the time before a restart."""
         return self.searched_before + (now - self.started_at if self.started_at is not None else 0.0)
 
     def spent_seconds(self, now: float) -> float:
         """Return the time that counts towards `--max-time`: preparing, searching and refining.
 
-        Waiting does not count: for the job's turn, for a process to load or compile, for workers before islands are
-        placed, and for a worker that refines.
+        Waiting does not count: neither for the job's turn, nor for a process that loads or compiles, nor for workers
+        before islands are placed, nor for a worker that refines.
         """
         if self.state == "preparing":
             return self._preparing_seconds(now)
@@ -236,10 +239,11 @@ class Job:
         return [PublishCommit(commit)] if commit is not None else []
 
     def tick(self, now: float) -> list[JobAction]:
-        """Let time pass: `--max-time` ends preparing, the search and refining.
+        """Apply `--max-time`, which ends preparing, the search and refining.
 
-        The search ends at each variable's last completely reported epoch, early enough to leave refining its share.
-        When refining is stopped, equations stay as the search found them. No time passes while a job is held.
+        The search ends at each variable's last completely reported epoch, so early that refining has its share of the
+        time. When refining is stopped, equations stay as the search found them. While a job is held, its time does not
+        pass.
         """
         if self.is_held and all(archipelago.placement is None for archipelago in self.open_archipelagos):
             self.searched_before, self.started_at = self.search_seconds(now), None
@@ -279,7 +283,8 @@ class Job:
     def cancel(self) -> list[JobAction]:
         """End it and keep the equations found; without effect on a job that has ended.
 
-        Only the result is committed: if the cancellation is lost in a crash, stored cuts would end a job that goes on.
+        Only the result is committed, and not the cuts. After a crash before this commit the job continues, and stored
+        cuts would end its searches.
         """
         if self.has_ended:
             return []
@@ -338,7 +343,7 @@ class Job:
 
 
 def commit_order_of(config: JobConfig) -> CommitOrder:
-    """Return how the slices of this job's archipelagos follow each other."""
+    """Return the commit order of the slices of this job's archipelagos."""
     return CommitOrder(
         generations=config.migration.generations,
         stride=config.evolution.refit_interval,
@@ -347,11 +352,11 @@ def commit_order_of(config: JobConfig) -> CommitOrder:
 
 
 def measure_of(target: Target, rows: float) -> Measure:
-    """Return the measure of fronts of this target: their least description length.
+    """Return a function that gives the least description length, in nats, of a front for this target.
 
-    `rows` have independent errors, see `independent_rows`: a better fit of correlated errors is not an improvement. For
-    a noisy target there is no floor: many equations have errors below the noise, and the search goes on while they
-    improve.
+    `rows` is the number of rows with independent errors (`independent_rows`): a better fit to correlated errors is not
+    an improvement. For a noisy target the error has no floor: many equations have errors below the noise, and the
+    search continues while they improve.
     """
     floor = 0.0 if target.is_noisy else target.uncertainty
 
@@ -366,7 +371,7 @@ def measure_of(target: Target, rows: float) -> Measure:
 
 
 def stagnation_of(config: JobConfig, target: Target, recording: Recording | None) -> Stagnation:
-    """Return after how many epochs without a better equation the search for a target ends.
+    """Return the number of epochs without a better equation after which the search for a target ends.
 
     `recording` has the data from which the target was estimated; None: the user gave the target.
     """
@@ -380,10 +385,11 @@ def stagnation_of(config: JobConfig, target: Target, recording: Recording | None
 
 
 def independent_rows(target: Target, recording: Recording | None) -> float:
-    """Return how many rows of a target have independent errors.
+    """Return the number of rows of a target that have independent errors.
 
-    A polynomial of degree d over s rows has d + 1 parameters. Tables without noise come from simulators, whose errors
-    are correlated over at least as many rows as an interpolation uses.
+    Smoothing by a polynomial of degree d over s rows estimates d + 1 parameters, so (d + 1) / s of the rows are
+    independent. Tables without noise come from simulators, whose errors are correlated over at least the rows that an
+    interpolation uses (`STENCIL_ROWS`).
     """
     rows = float(len(target.values))
     if recording is None:

@@ -1,6 +1,6 @@
-"""Breakages: errors of this program while the coordinator handled an event, which end nothing else.
+"""Breakages: internal errors of the coordinator, which must not end its loop.
 
-They are counted; the first one at each place in the code is logged with its traceback and recorded as an event.
+Breakages are counted. The first one at each place in the code is logged with its traceback and recorded as an event.
 """
 
 import contextlib
@@ -18,18 +18,17 @@ from atoll_core.logs import fields
 _LOG = logging.getLogger(__name__)
 
 MAX_PLACES: Final = 1000
-"""Places that are distinguished, as in `atoll_core.wire.rejects`; errors at further places are only counted."""
+"""Largest number of places that are distinguished; errors at further places are only counted."""
 
 
-def what_to_send(config: JobConfig, *, is_certain: bool = True) -> str:
-    """Return the end of a sentence that lists the contents of a bug report, so that the error in a job can be
-    reproduced.
+def ask_for_report(config: JobConfig, *, is_certain: bool = True) -> str:
+    """Return the end of a sentence about an error in a job. It lists what a bug report needs to reproduce the error.
 
     Args:
-        config: of the job.
-        is_certain: whether this program is certainly the cause; otherwise it may be a machine that is short of memory.
+        config: the configuration of the job.
+        is_certain: whether Atoll is certainly the cause; otherwise the machine may have too little memory.
     """
-    blame = f"this is a mistake of Atoll {VERSION}, not of the data:" if is_certain else "if it does so again,"
+    blame = f"this is a bug in Atoll {VERSION}, not an error in the data:" if is_certain else "if this happens again,"
     version = "" if is_certain else f"Atoll {VERSION}, "
     return (
         f"; {blame} please report it with this sentence, {version}the command or call, seed {config.seed} and the data "
@@ -38,16 +37,16 @@ def what_to_send(config: JobConfig, *, is_certain: bool = True) -> str:
 
 
 JobGuard = Callable[[str], AbstractContextManager[None]]
-"""Context for the id of a job, in which an error ends that job and nothing else."""
+"""Returns a context for the id of a job; an error within this context ends only that job."""
 
 
 def unguarded(job_id: str) -> AbstractContextManager[None]:
-    """Let errors pass."""
+    """Return a context that raises errors."""
     return contextlib.nullcontext()
 
 
 class Breakages:
-    """A counter of errors. `note` gets a sentence about the first error at each place."""
+    """A counter of internal errors. `note` is called with a sentence about the first error at each place."""
 
     def __init__(self, note: Callable[[str], object] = lambda sentence: None) -> None:
         self.total = 0
@@ -55,30 +54,30 @@ class Breakages:
         self._places: set[tuple[str, ...]] = set()
 
     def add(self, task: str, error: Exception, config: JobConfig | None = None) -> str:
-        """Count an error that ended `task`, such as "adding a report"; return a sentence about it.
+        """Count an error during `task`, such as "adding a report"; return a sentence about the error.
 
-        With the `config` of a job that ends by it, the sentence lists the contents of a bug report.
+        With the `config` of a job that fails by this error, the sentence lists what a bug report needs.
         """
         self.total += 1
         frames = traceback.extract_tb(error.__traceback__)
         where = f"{frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno}" if frames else "nowhere"
         sentence = f"{task} broke ({type(error).__name__}: {error})"[:1000] + f" at {where}"
         if config is None:
-            sentence += ", which is a mistake of ours; please report it with the log of the coordinator"
+            sentence += ", which is a bug in Atoll; please report it with the log of the coordinator"
         else:
-            sentence += what_to_send(config)
+            sentence += ask_for_report(config)
         place = (task, type(error).__name__, where)
         if place not in self._places and len(self._places) < MAX_PLACES:
             self._places.add(place)
             _LOG.error("broke", extra=fields(task=task), exc_info=error)
-            with contextlib.suppress(Exception):  # an error in this report must not end anything
+            with contextlib.suppress(Exception):  # an error in recording this must not end the loop
                 self._note(sentence)
         return sentence
 
     @contextlib.contextmanager
     def tolerated(self, task: str) -> Iterator[None]:
-        """Let an error in `task` end nothing else, except a StoreError: without a store the coordinator cannot
-        continue."""
+        """Count errors in `task` instead of raising them, except a StoreError: without its store the coordinator
+        ends."""
         try:
             yield
         except StoreError:

@@ -1,7 +1,7 @@
 """Events of jobs and workers, and log lines of workers: in the program's log at once, in the store soon after.
 
-Events decide nothing, so they are written together, a few times a second; a coordinator that is killed loses the last
-half second of them and nothing else.
+No decision depends on events, so they are written together, a few times a second. A coordinator that is killed loses
+the events of the last half second and no other data.
 """
 
 import json
@@ -22,15 +22,15 @@ from atoll_core.wire.messages.workers import Placement, WorkerLog
 _LOG = logging.getLogger("coordinator")
 
 MAX_REFUSALS: Final = 1000
-"""Most different refusals of workers that are recorded, so that a flood of refusals does not fill the log."""
+"""Largest number of different refusals of workers that are recorded, so that refusals cannot fill the log."""
 
 RATE: Final = 40.0
-"""Log lines per second that are accepted from one worker in the long run: twice what a worker sends."""
+"""Log lines per second that are accepted from one worker in the long run: twice the rate of a worker."""
 
 BURST: Final = 400
 
 MAX_WORKERS: Final = 10_000
-"""Workers whose lines are counted at a time: as many as sessions of the router."""
+"""Workers whose lines are counted at a time: the largest number of sessions of the router."""
 
 _COLUMNS: Final = ("variable", "island", "epoch", "term", "worker")
 _MAX_NAMES: Final = 8
@@ -59,7 +59,7 @@ class EventLog:
         self.told(kind, job)
 
     def add_line(self, job: str | None, contents: Mapping[str, Any], time: str | None = None) -> None:
-        """Record a line of a worker's log, which the worker has logged; `time` is ISO, None: now."""
+        """Record a line of a worker's log for a job (None: no particular job); `time` is ISO, None: now."""
         self._pending.append(EventRecord(job, time or self._clock(), "log", json.dumps(dict(contents))))
         self.told("log", job)
 
@@ -74,7 +74,7 @@ class EventLog:
     ) -> tuple[EventView, ...]:  # fmt: skip
         """Return the events of a job, or all, after an event number; see `Store.events`.
 
-        Events of kinds that only another version knows are left out.
+        Events whose kind this version does not know are left out.
         """
         self.flush()
         records = self._store.events(job, after, limit, viewer, of_workers=of_workers)
@@ -142,7 +142,7 @@ def view_of(record: EventRecord) -> EventView | None:
 
 
 class WorkerLogs:
-    """Records log lines of workers as events of the kind `log`, of bounded number."""
+    """Records log lines of workers as events of the kind `log`, up to a rate."""
 
     def __init__(self, events: EventLog) -> None:
         self.dropped = 0
@@ -151,7 +151,7 @@ class WorkerLogs:
         self._allowances: dict[str, tuple[float, float]] = {}
 
     def take(self, worker: str, message: WorkerLog, known_jobs: set[str], now: float) -> None:
-        """Record a worker's lines about known jobs, and about no particular job."""
+        """Record a worker's lines about known jobs, and lines that concern no particular job."""
         allowance, at = self._allowances.get(worker, (float(BURST), now))
         allowance = min(float(BURST), allowance + RATE * (now - at))
         wanted = [line for line in message.lines if line.job is None or line.job in known_jobs]

@@ -1,8 +1,8 @@
-"""Followers: clients that are notified of changes, each of which is encoded once for all of them.
+"""Followers: clients that are notified of changes. Each change is encoded once for all followers.
 
-A topic is a job, or all events (None) that a viewer sees. A change of its state is sent at once, other changes at most
-every `INTERVAL_S`, together. A change names the previous one, so that a follower notices a missed change; missed events
-are in the store.
+A topic is a job, or all events (None) that a viewer sees. A change of the state of a job is sent at once; other changes
+are collected and sent every `INTERVAL_S`. Each change has its own sequence number and the number of the change before
+it, so that a follower notices a missed change. It then asks again, and gets the missed events from the store.
 """
 
 import itertools
@@ -19,19 +19,19 @@ from atoll_core.wire.messages.clients import Follow, Following, JobChange
 from atoll_core.wire.messages.views import JobView, Workforce
 
 INTERVAL_S: Final = 0.5
-"""Seconds between two updates of a table of numbers that a person reads."""
+"""Seconds between two updates: fast enough for a person who reads a table of numbers."""
 
 LEASE_S: Final = 30.0
-"""How long a silent follower is notified; it renews its lease after a third of that."""
+"""Seconds for which a silent follower is notified; a follower renews its lease after a third of this time."""
 
 MAX_FOLLOWERS: Final = 10_000
 """The number of sessions of the router."""
 
 PAGE: Final = 200
-"""Events in one change at most."""
+"""Largest number of events in one change."""
 
 _LIVES: Final = 2**32
-"""Sequence numbers of one incarnation, so that none is used twice with one store."""
+"""Number of sequence numbers of one incarnation, so that no number is used twice with one store."""
 
 
 _Key = tuple[str | None, Viewer | None]
@@ -40,7 +40,7 @@ _Key = tuple[str | None, Viewer | None]
 
 @dataclass
 class _Topic:
-    """A followed topic. `leases` are the ends of clients' leases, `last` is the number of the last event sent."""
+    """A followed topic. `leases` has the end of each client's lease; `last` is the number of the last event sent."""
 
     sequence: int
     last: int
@@ -52,7 +52,7 @@ class _Topic:
 
 
 class Followers:
-    """All followers of one coordinator. Its owner calls `notify` after each event, and `expire` now and then."""
+    """All followers of one coordinator. The loop calls `notify` after each event, and `expire` at each tick."""
 
     def __init__(  # the parts of a change, and its receivers
         self, incarnation: int, shown: JobViews, events: EventLog,
@@ -79,8 +79,8 @@ class Followers:
     ) -> Following | None:  # fmt: skip
         """Begin or renew a client's lease; return the changes that it does not have yet. None: there is no such job.
 
-        A follower of all events gets those that its `viewer` (None: sees all) sees. Whether it may see a job is checked
-        before.
+        A follower of all events gets the events that its `viewer` sees (None: all events). The caller must have checked
+        that the client may see the job.
 
         Raises:
             RefusedError: There are too many followers.
@@ -109,7 +109,7 @@ class Followers:
         self._changed.update(self._of_all)
 
     def look(self, now: float) -> None:
-        """Mark values that change without an event: the numbers of workers, and positions in the queue."""
+        """Mark topics whose values change without an event: numbers of workers, and positions in the queue."""
         if not self._topics:
             return
         workforce = self._workforce(now)
@@ -118,7 +118,7 @@ class Followers:
                 self._changed.add(key)
 
     def notify(self, now: float) -> float | None:
-        """Send the changes that are due; return in how many seconds the next ones are, None: there are none."""
+        """Send the changes that are due; return the seconds until the next change is due, None: no change waits."""
         for key in [key for key in self._changed if self._is_due(key, now)]:
             self._changed.discard(key)
             self._notify(key, self._topics[key], now)
@@ -144,7 +144,7 @@ class Followers:
         return topic
 
     def _missed(self, question: Follow, key: _Key, topic: _Topic, now: float) -> JobChange | None:
-        """Return the status and the events that a client does not have; None when it has all."""
+        """Return the status and the events that a client does not have; None: it has all."""
         events = () if question.after is None else self._events.read(question.job, question.after, PAGE, key[1])
         if question.sequence == topic.sequence and not events:
             return None

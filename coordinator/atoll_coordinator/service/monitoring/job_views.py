@@ -1,6 +1,6 @@
 """Jobs as clients see them: views of live and ended jobs, their counters, and the drafts of results.
 
-Views are made when a client asks for them. Results of live jobs are composed in the background, from a `Draft`.
+Views are made when a client asks for them. Results of live jobs are composed from a `Draft` in the background.
 """
 
 import contextlib
@@ -36,7 +36,7 @@ from atoll_core.wire.messages.workers import AssignmentStatus
 
 
 class CounterRegistry:
-    """Costs of live jobs, in addition to their point evaluations."""
+    """Counters of live jobs, such as reports, commits and waiting times; point evaluations are in the collector."""
 
     def __init__(self) -> None:
         self._counters: dict[str, JobCounters] = {}
@@ -50,7 +50,7 @@ class CounterRegistry:
         )
 
     def set_waited(self, worker: str, assignment_status: AssignmentStatus) -> None:
-        """Set how long the islands of a placement have waited on a worker."""
+        """Set the seconds for which the islands of a placement have waited on a worker."""
         self._waited_s[assignment_status.job, assignment_status.variable, assignment_status.term, worker] = (
             assignment_status.waited_s
         )
@@ -71,14 +71,14 @@ class CounterRegistry:
 def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int, analyses: int = 0) -> QueueDepth:
     """Return the numbers of jobs by state, and of islands and tasks that could be computed at once.
 
-    The equations of a job are unknown before its data are prepared: it counts with the islands of one equation, and so
-    does a job that is refined, whose batches occupy about as many workers. Jobs that wait for their turn count only as
-    far as there are `places` left; the others need no worker yet, and neither do held ones.
+    Before its data are prepared, the number of equations of a job is unknown: the job counts with the islands of one
+    equation. A job that is refined counts the same, because its batches occupy about as many workers. Waiting jobs
+    count only if a place is free for them; the other waiting jobs, and held jobs, need no worker yet.
 
     Args:
         begun: the jobs that have begun.
         queued: number of jobs that wait for their turn.
-        ready: number of these that wait for nothing else: neither they nor the queue are paused.
+        ready: number of these that wait only for their turn: neither they nor the queue are paused.
         places: number of jobs that may be prepared and searched at once.
         analyses: number of open questions about results.
     """
@@ -104,10 +104,7 @@ def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int, anal
 
 
 def outcomes_of(job: Job) -> list[VariableOutcome]:
-    """Return the outcomes of the searches of a job so far, and the known equations.
-
-    They are in the order of the dataset.
-    """
+    """Return the outcomes of the searches of a job so far and its known equations, in the order of the dataset."""
     if job.prepared is None:
         return []
     outcomes = {name: outcome_of(archipelago) for name, archipelago in job.archipelagos.items()}
@@ -117,7 +114,7 @@ def outcomes_of(job: Job) -> list[VariableOutcome]:
 
 
 def outcome_of(archipelago: Archipelago) -> VariableOutcome:
-    """Return the outcome of the search of one equation, or its state after the complete epochs."""
+    """Return the outcome of the search for one equation; before its end, the state after the complete epochs."""
     cut = archipelago.cut
     if cut is not None:
         return VariableOutcome(
@@ -139,8 +136,7 @@ def _steps(improvements: Sequence[Improvement]) -> tuple[tuple[int, float], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Draft:
-    """The parts from which the result of a prepared job is composed. They never change, so that another thread may do
-    it.
+    """The parts from which the result of a prepared job is composed. They never change, so another thread may use them.
 
     `submitted_at` is in seconds of the bus.
     """
@@ -154,13 +150,13 @@ class Draft:
 
     @property
     def is_final(self) -> bool:
-        """Whether its job ends; otherwise the job continues."""
+        """Whether the result is final; otherwise its job continues."""
         return self.account.state in FINAL_STATES
 
     def compose(self) -> str:
         """Return the result as JSON, without the seconds that the job took (`result.result.timed`).
 
-        Equations are judged on all rows, which loads kernels and takes seconds for a million rows.
+        This judges equations on all rows: it loads kernels, and takes seconds for a million rows.
         """
         config, preparation = self.prepared.config, self.prepared.preparation
         result = build_result(self.job, config, preparation, self.outcomes, self.account, self.refinement)
@@ -169,9 +165,9 @@ class Draft:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ending:
-    """A job whose end takes effect when its result is composed; until then clients see the state in which it `was`.
+    """A job whose end takes effect when its result is composed. Until then clients see its previous state, `was`.
 
-    `sentence` is about the error that ended the job; None: there was none.
+    `sentence` describes the error that ended the job; None: no error ended it.
     """
 
     job: Job
@@ -197,22 +193,22 @@ def job_view(
     job: Job, queue: JobQueue, now: float, waiting_reason: str | None, counters: JobCounters,
     stalls: tuple[str, ...],
 ) -> JobView:  # fmt: skip
-    """Return the view of a live job, or of one that ends now.
+    """Return the view of a live job, or of a job that ends now.
 
-    Equations are not judged: that reads every row of the data, and is done when the result is composed.
+    Equations are not judged here, because this reads all rows of the data; they are judged in the result.
 
     Args:
         job: the job.
         queue: in which it may wait.
         now: seconds of the bus.
-        waiting_reason: why its archipelagos or tasks without workers wait, in words.
-        counters: of this job.
-        stalls: why its archipelagos make no progress, in words.
+        waiting_reason: a sentence on why its archipelagos or tasks without workers wait; None: they do not wait.
+        counters: the counters of this job.
+        stalls: sentences on why its archipelagos make no progress.
     """
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
-    prepared = job.prepared if job.result_text is None else None  # otherwise the result has them
+    prepared = job.prepared if job.result_text is None else None  # otherwise the result has the equations
     variables = tuple(_variable_view(prepared, outcome) for outcome in outcomes) if prepared else ()
     return JobView(
         job=job.id,
@@ -245,7 +241,7 @@ def job_view(
 def ended_view(record: JobRecord, result: str | None) -> JobView:
     """Return the view of a job that ended before this coordinator started, from its record and result.
 
-    If this version cannot read the result, the view has no equations, and a warning instead.
+    If this version cannot read the result, the view has a warning and no equations.
     """
     try:
         config = JobConfig.model_validate_json(record.spec)
@@ -288,9 +284,10 @@ def with_equations(view: JobView, result: str) -> JobView:
 
 
 def view_of_record(record: JobRecord, warning: str) -> JobView:
-    """Return the view of a job from its record alone, after an error; it never raises.
+    """Return the view of a job from its record only, after an error. It never raises.
 
-    For a damaged record only certain fields are shown; if it says that the job goes on, the job has failed.
+    For a damaged record the view has only id, name, state and time of submission. A damaged job that has not ended is
+    shown as failed.
     """
     try:
         return ended_view(record, None).model_copy(update={"warnings": (warning,)})
@@ -363,10 +360,10 @@ class JobViews:
         self, jobs: Mapping[str, Job], ending: Mapping[str, Ending], queue: JobQueue, workers: JobWorkers, store: Store,
         breakages: Breakages,
     ) -> None:  # fmt: skip
-        """`jobs` are the live ones by id, `ending` those whose ends have not taken effect; both change."""
+        """`jobs` are the live jobs by id, `ending` the jobs whose ends have not taken effect. Both change later."""
         self._queue = queue
         self.bytes_read = 0
-        """Bytes of results read so far to make views of old jobs, which takes long and is done once for each."""
+        """Bytes of results that have been read to make views of old jobs. This is slow and done once for each job."""
         self._jobs = jobs
         self._ending = ending
         self._workers = workers
@@ -380,7 +377,7 @@ class JobViews:
     def views(self, job_ids: Iterable[str], now: float) -> Iterator[JobView]:
         """Yield the views of jobs, leaving out unknown ones.
 
-        After an error, a job is shown as far as its record goes; the others are not affected.
+        After an error, the view of a job has only fields of its record; other jobs are not affected.
         """
         ids = [*job_ids]
         kept = self._store.views([job_id for job_id in ids if not self.is_open(job_id)])
@@ -398,7 +395,7 @@ class JobViews:
                     yield view
         finally:
             if made:
-                with contextlib.suppress(StoreError):  # if the disk is full, they are made again later
+                with contextlib.suppress(StoreError):  # if the disk is full, the views are made again later
                     self._store.keep_views(made)
 
     def is_open(self, job_id: str) -> bool:
@@ -406,14 +403,14 @@ class JobViews:
         return job_id in self._jobs or job_id in self._ending
 
     def state(self, job_id: str) -> JobState | None:
-        """Return the state of a job in its view; None: it has ended, or is unknown."""
+        """Return the state that the view of a job shows; None: the job has ended, or is unknown."""
         ending, job = self._ending.get(job_id), self._jobs.get(job_id)
         if ending is not None:
             return ending.was
         return job.state if job is not None else None
 
     def result(self, job_id: str) -> str | Draft | None:
-        """Return a job's result as JSON, or for a live job the draft of the best so far; None: there is none yet."""
+        """Return a job's result as JSON, or for a live job the draft of its best result so far; None: no result yet."""
         job = self._jobs.get(job_id)
         return draft_of(job) if job is not None else self._store.result(job_id)
 
@@ -432,7 +429,9 @@ class JobViews:
         if job_id in self._jobs:
             return self._live_view(self._jobs[job_id], now)
         ending = self._ending.get(job_id)
-        if ending is not None and ending.sentence is None:  # otherwise it may be half changed, and the record is shown
+        if (
+            ending is not None and ending.sentence is None
+        ):  # after an error, the job may be changed in part: show its record
             as_it_was = {"state": ending.was, "reason": None, "fault": None}
             return self._live_view(ending.job, now).model_copy(update=as_it_was)
         if kept is not None:

@@ -1,7 +1,7 @@
-"""Metrics of a coordinator for Prometheus, in a registry of their own.
+"""Metrics of a coordinator for Prometheus, in a separate registry.
 
-The loop sets numbers, which takes microseconds; a thread that answers scrapes reads them. Without a `Metrics` nothing
-is measured.
+The loop sets numbers, which takes microseconds; a thread that answers scrapes reads them. Without a `Metrics` object no
+metrics are recorded.
 """
 
 import contextlib
@@ -14,19 +14,20 @@ from atoll_core.errors import NotNowError, UsageError, may_pass
 from atoll_core.wire.messages.views import CoordinatorView, JobState, WorkerState
 
 LAG_S: Final = 0.1
-"""How often the loop's lag is measured, in seconds."""
+"""Seconds between two measurements of the loop's lag."""
 
 UPDATE_S: Final = 5.0
-"""How often gauges are set, in seconds; Prometheus asks every 15 s by default."""
+"""Seconds between two updates of gauges; Prometheus scrapes every 15 s by default."""
 
 MAX_USERS: Final = 200
-"""Users with series of their own; all others are `OTHERS`, so that made-up names cannot fill a database."""
+"""Largest number of users with own time series. All other users are `OTHERS`, so that invented names cannot fill a
+database."""
 
 OTHERS: Final = "others"
-NOBODY: Final = "unproven"
+NO_USER: Final = "unproven"
 """The user of jobs that were submitted without a certificate."""
 
-if TYPE_CHECKING:  # it is imported only when something is measured
+if TYPE_CHECKING:  # it is imported only when metrics are recorded
     import prometheus_client as prometheus
 
 _LAGS: Final = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0)
@@ -34,7 +35,7 @@ _WAITS: Final = (0.1, 0.5, 1.0, 5.0, 15.0, 60.0, 300.0, 900.0, 3600.0, 14400.0, 
 _TASKS: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0, 1800.0, 7200.0)
 
 _TIMED: Final = ("preparing", "refining")
-"""States of a job that are one task."""
+"""States in which a job is one task."""
 
 
 class Metrics:
@@ -50,14 +51,14 @@ class Metrics:
         self._wait = self._histogram("queue_wait_seconds", "From a job's submission to its preparation", _WAITS)
         self._task = self._histogram("task_seconds", "Durations of tasks, by kind", _TASKS, "kind")
         self._leases = self._counter("leases_lost", "Workers that were lost to their islands")
-        self._ended = self._counter("jobs_ended", "Jobs that have ended since the start, by how", "state")
+        self._ended = self._counter("jobs_ended", "Jobs that have ended since the start, by final state", "state")
         self._bytes = self._counter("bus_bytes", "Bytes of payloads, by kind of key", "direction", "kind")
         self._messages = self._counter("bus_messages", "Messages, by kind of key", "direction", "kind")
         self._dropped = self._counter("messages_dropped", "Messages lost because they came too fast")
-        self._refused = self._counter("messages_refused", "Messages that were malformed or foreign")
+        self._refused = self._counter("messages_refused", "Messages that were malformed or of another cluster")
         self._broken = self._counter("broken", "Events that caused an internal error")
         self._questions = self._counter(
-            "questions_refused", "Requests of clients that were refused because of their number"
+            "questions_refused", "Requests of clients that were refused because too many waited"
         )
         self._transactions = self._counter("store_transactions", "Transactions of the store")
         self._store_s = self._counter("store_seconds", "Seconds that transactions of the store took")
@@ -71,7 +72,9 @@ class Metrics:
         self._tasks = self._gauge("tasks", "Tasks that have not ended, by function and state", "function", "state")
         self._helpers = self._gauge("helpers", "Workers that help with the tasks of others")
         self._workers = self._gauge("workers", "Workers, by state", "state")
-        self._lines = self._counter("worker_log_lines_dropped", "Log lines of workers that were too many")
+        self._lines = self._counter(
+            "worker_log_lines_dropped", "Log lines of workers that were dropped because of their number"
+        )
         self._states: dict[str, tuple[JobState, float]] = {}
         self._totals: dict[tuple[object, ...], float] = {}
 
@@ -134,7 +137,7 @@ class Metrics:
 
     def set_jobs(self, counts: Mapping[tuple[str | None, JobState], int]) -> None:
         """Set the numbers of jobs, in all and by user (None: without a certificate)."""
-        by_user = Tally({(user or NOBODY, state): number for (user, state), number in counts.items()})
+        by_user = Tally({(user or NO_USER, state): number for (user, state), number in counts.items()})
         known = {user for user, _ in sorted(by_user, key=lambda pair: -by_user[pair])[:MAX_USERS]}
         by_state: Tally[str] = Tally()
         shown: Tally[tuple[str, ...]] = Tally()
@@ -170,7 +173,7 @@ class Metrics:
         return self._library.Gauge(f"atoll_{name}", text, labels, registry=self.registry)
 
     def _raise(self, counter: "prometheus.Counter", total: float, *labels: str) -> None:
-        """Raise a counter to a total from elsewhere."""
+        """Raise a counter to a total that was counted elsewhere."""
         key = (id(counter), *labels)
         more = total - self._totals.get(key, 0.0)
         self._totals[key] = total
@@ -179,7 +182,7 @@ class Metrics:
 
 
 def _set(gauge: "prometheus.Gauge", numbers: Mapping[tuple[str, ...], int]) -> None:
-    """Set a gauge for all of its labels; other labels are removed."""
+    """Set a gauge for these labels, and remove all its other labels."""
     gauge.clear()
     for labels, number in numbers.items():
         gauge.labels(*labels).set(number)
@@ -187,10 +190,10 @@ def _set(gauge: "prometheus.Gauge", numbers: Mapping[tuple[str, ...], int]) -> N
 
 @contextlib.contextmanager
 def served(address: tuple[str, int] | None) -> Iterator[Metrics | None]:
-    """Answer scrapes at host and port during the block; None: nothing is measured.
+    """Answer scrapes at host and port during the block; None: no metrics are recorded.
 
     Raises:
-        UsageError: The address cannot be used; NotNowError where that may pass.
+        UsageError: The address cannot be used; NotNowError if it may be usable later.
     """
     if address is None:
         yield None

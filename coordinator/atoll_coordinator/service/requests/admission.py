@@ -1,4 +1,4 @@
-"""Admission: refuses uploads and submissions beyond the limits, with a sentence about use, limit and what to do."""
+"""Admission: refuses uploads and submissions beyond the limits, with a sentence about use, limit and remedy."""
 
 from typing import Final
 
@@ -13,11 +13,11 @@ from atoll_core.errors import RefusedError
 from atoll_core.wire.messages.clients import Submit, Upload
 
 RESULT_RESERVE: Final = 512 * 1024
-"""Bytes reserved for the result of each job that has not ended: results of tests and examples have 1 to 275 kB."""
+"""Bytes reserved for the result of each job that has not ended; results of tests and examples have 1 to 275 kB."""
 
 
 class Admission:
-    """Decides by the current limits. A known job is admitted again: its answer was lost."""
+    """Decides by the current limits. A known job is admitted again, because the answer to its client was lost."""
 
     def __init__(
         self, controller: JobController, store: Store, uploads: Uploads, retention: Retention = KEEP_ALL
@@ -33,14 +33,14 @@ class Admission:
         return self._controller.queue.limits
 
     def admit_upload(self, upload: Upload, user: str | None, session: str) -> None:
-        """Raise RefusedError for a table beyond the limits of its user, or of all together."""
+        """Raise RefusedError for a table beyond the limits of its user, or of all users together."""
         if not self._store.uses_table_of(upload.blob, user):
             pending = self._uploads.pending_bytes(user, upload.blob, session)
             self._admit_live(user, upload.size + pending[0])
             self._admit_bytes(user, upload.size, pending)
 
     def admit(self, body: Submit, user: str | None, session: str) -> Submit:
-        """Return a submission with its time limit; raises RefusedError for one beyond a limit."""
+        """Return a submission with its time limit; raises RefusedError if it exceeds a limit."""
         known = self._store.job(body.job)
         if known is not None:
             return body.model_copy(update={"config": _as_known(body.config, known.spec, self._limits)})
@@ -54,19 +54,19 @@ class Admission:
         queue, most = self._controller.queue, self._limits.of(user).queued
         if most is not None and queue.queued_of(user) >= most:
             raise RefusedError(
-                f"of the jobs of {_name(user)} {queue.queued_of(user)} wait, and limits allow {most}; cancel some, or "
-                "submit again when some have been taken up"
+                f"{queue.queued_of(user)} jobs of {_name(user)} wait, and limits allow {most}; cancel some, or submit "
+                "again when some have started"
             )
         if queue.queued >= self._limits.total.queued:
             raise RefusedError(
                 f"{queue.queued} jobs wait, and limits allow {self._limits.total.queued}; submit again when some have "
-                "been taken up"
+                "started"
             )
 
     def _admit_live(self, user: str | None, size: int) -> None:
-        """Refuse a new table of `size` bytes when jobs that have not ended hold as many bytes as they may.
+        """Refuse a new table of `size` bytes if the tables of jobs that have not ended would exceed their limit.
 
-        No deletion makes space for it. A user with less than an equal share is admitted all the same.
+        Deleting ended jobs cannot help here. A user who stores less than an equal share is admitted nevertheless.
         """
         most = self._retention.most_live
         if most is None or not size:
@@ -81,9 +81,9 @@ class Admission:
             )
 
     def _admit_bytes(self, user: str | None, size: int, pending: tuple[int, int]) -> None:
-        """Raise RefusedError when a table of `size` bytes and one more job exceed a limit.
+        """Raise RefusedError if a table of `size` bytes and one more job exceed a limit.
 
-        `pending` are the bytes of other uploads of the user, and of all together.
+        `pending` are the bytes of other uploads of the user, and of all users together.
         """
         live = self._controller.live_of
         own, total = self._limits.of(user).stored, self._limits.total.stored
@@ -91,23 +91,24 @@ class Admission:
             used, kept = self._store.held(user).stored + pending[0], RESULT_RESERVE * (live[user] + 1)
             if used + size + kept > own:
                 raise RefusedError(
-                    f"{_name(user)} stores {used} bytes of tables and results, and {size} more with {kept} kept for "
-                    f"results of jobs under way are over the {own} that limits allow; delete jobs that have ended "
+                    f"{_name(user)} stores {used} bytes of tables and results; {size} more, and {kept} reserved for "
+                    f"results of jobs that have not ended, exceed the {own} that limits allow; delete ended jobs "
                     "(coordinator delete ID)"
                 )
         if total is not None:
             used, kept = self._store.held(ALL).stored + pending[1], RESULT_RESERVE * (live.total() + 1)
             if used + size + kept > total:
                 raise RefusedError(
-                    f"all users store {used} bytes of tables and results, and {size} more with {kept} kept for results "
-                    f"of jobs under way are over the {total} that limits allow; try again when jobs have been deleted"
+                    f"all users store {used} bytes of tables and results; {size} more, and {kept} reserved for results "
+                    f"of jobs that have not ended, exceed the {total} that limits allow; try again when "
+                    "jobs are deleted"
                 )
 
 
 def _as_known(config: JobConfig, spec: str, limits: Limits) -> JobConfig:
-    """Return a configuration with the time limit that the stored job got, regardless of the present limits.
+    """Return a configuration with the time limit of the stored job, regardless of the present limits.
 
-    A configuration with a time limit keeps it: with another one it is another job.
+    If the configuration has a time limit, it is returned unchanged: another time limit means another job.
     """
     if config.budget.max_time is not None:
         return config
@@ -119,4 +120,4 @@ def _as_known(config: JobConfig, spec: str, limits: Limits) -> JobConfig:
 
 
 def _name(user: str | None) -> str:
-    return user if user is not None else "those without a certificate"
+    return user if user is not None else "users without certificates"

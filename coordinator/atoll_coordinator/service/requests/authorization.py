@@ -1,9 +1,9 @@
 """Authorization by certificates: which program may have which role, and which user may see and change which jobs.
 
-The router's access rules drop forbidden messages without an answer; here a program whose role does not fit gets a
-sentence, as the answer to its greeting. Rules on keys cannot say to whom a job belongs; that is decided only here: a
-job is visible to its submitter and to admins, and to other users only if it is shared; otherwise it does not exist for
-them.
+The router's access rules drop forbidden messages without an answer. Here a program whose role does not fit gets a
+sentence, as the answer to its greeting. The router's rules are about keys, and cannot tell to whom a job belongs. Only
+this module decides that: a job is visible to its submitter and to admins, and if it is shared, to all users. For other
+users the job does not exist.
 """
 
 from typing import Final, Protocol
@@ -29,7 +29,7 @@ _OF_SERVICE: Final = (messages.SetWorker, messages.SetQueue)
 
 
 class Jobs(Protocol):
-    """The part of the store that knows submitters."""
+    """The part of the store that has the submitters of jobs."""
 
     def submitter(self, job: str) -> str | None: ...
 
@@ -51,8 +51,8 @@ class Authorization:
         role = self.role_bindings.role(hello.name)
         if role is None:
             return (
-                f"the coordinator's roster has no name for {hello.name!r}; have the name of your certificate written "
-                "there, and the coordinator read it again (SIGHUP)"
+                f"the coordinator's roster has no entry for {hello.name!r}; ask an admin to add the name of your "
+                "certificate, and to let the coordinator read the roster again (SIGHUP)"
             )
         if role == "revoked":
             return self._revoked(hello.name)
@@ -71,10 +71,10 @@ class Authorization:
             return None
         if self.role_bindings.role(name) == "revoked":
             return self._revoked(name)
-        return f"the coordinator's roster does not name {name!r} as a worker any more"
+        return f"the coordinator's roster no longer lists {name!r} as a worker"
 
     def refuse_request(self, client: str, request: messages.ClientRequest) -> str | None:
-        """Return why `client` may not ask this; None: it may. Check `hides` first, which keeps hidden jobs secret."""
+        """Return why `client` may not send a request; None: it may. Check `hides` first, so that jobs stay secret."""
         if self.role_bindings is None:
             return None
         role, body = self.role_bindings.role(client), request.body
@@ -92,8 +92,10 @@ class Authorization:
         ):
             return None
         owner = self._jobs.submitter(body.job)
-        if owner is None:  # it has no submitter, and does not belong to all users therefore
-            return f"job {body.job} came before there was a roster; only an admin may {_CHANGES[type(body)]} it"
+        if owner is None:  # a job without a submitter belongs to no user
+            return (
+                f"job {body.job} was submitted before there was a roster; only an admin may {_CHANGES[type(body)]} it"
+            )
         if owner == self.role_bindings.principal(client):
             return None
         may = f"only {owner} or an admin may {_CHANGES[type(body)]} it"
@@ -125,4 +127,4 @@ class Authorization:
 
     def _revoked(self, name: str) -> str:
         principal = self.role_bindings.principal(name) if self.role_bindings is not None else None
-        return f"the certificate of {principal!r} is revoked; have one made under another name"
+        return f"the certificate of {principal!r} is revoked; ask for a certificate with another name"

@@ -24,7 +24,7 @@ MAX_PAGE_BYTES: Final = CHUNK_SIZE
 that a list stays below `atoll_core.wire.codec.MAX_ITEMS`."""
 
 MAX_RESULT_BYTES: Final = 1024 * 1024
-"""Bytes of results of an earlier version that one list may read to make views, which takes 10 ms."""
+"""Bytes of results that one list may read to make missing views, which takes 10 ms."""
 
 _SHOWN: Final = 5
 
@@ -53,7 +53,7 @@ class ClientRequests:
 
         Raises:
             StoreError: The cancellation of a job could not be stored.
-            NotYetError: It can be answered when the result of a job has been composed.
+            NotYetError: The request can be answered when the result of a job has been composed.
         """
         hidden = self._authorization.hides(client, request)
         if hidden is not None:
@@ -69,12 +69,12 @@ class ClientRequests:
         except (RefusedError, RemoteProtocolError) as error:
             return messages.Failure(failure="refused", sentence=str(error)[:4000])
         except StoreError as error:
-            # The job has already left its search; only a restarted coordinator continues it.
+            # The job has already stopped here; only a restarted coordinator continues it.
             if isinstance(request.body, messages.Cancel):
                 raise
             return messages.Failure(failure="internal", sentence=str(error)[:4000])
 
-    def _answer(  # noqa: C901  # a table: one case for each request
+    def _answer(  # noqa: C901  # one case for each kind of request
         self, client: str, body: messages.RequestBody, submitter: str | None, viewer: Viewer | None
     ) -> AnswerBody:
         now = self._now()
@@ -153,7 +153,7 @@ class ClientRequests:
         return self._status(body.job)
 
     def _analyse(self, client: str, body: messages.AskAnalysis, user: str | None, viewer: Viewer | None) -> AnswerBody:
-        """Answer a question about the result of a job, or say why there is no answer yet."""
+        """Answer a question about the result of a job; without an answer yet, return why its task waits."""
         if self._store.job(body.job) is None:
             return _unknown(body.job)
         if body.table is not None and not self.uploads.has(body.table, user, viewer, client):
@@ -200,7 +200,7 @@ class ClientRequests:
         return messages.IslandList(islands=tuple(views[:MAX_SHOWN_ISLANDS]))
 
     def _workers(self, question: messages.ListWorkers, viewer: Viewer | None) -> messages.WorkerList:
-        """Return a page of workers, by name, without the jobs of other users that they compute."""
+        """Return a page of workers, sorted by name, in which the jobs of other users are hidden."""
         views = self._controller.workers.membership.views(self._now())
         wanted = [view for view in views if view.worker > question.after and view.worker.startswith(question.prefix)]
         page = tuple(wanted[: question.limit])
@@ -241,7 +241,7 @@ class ClientRequests:
         return messages.JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
 
     def _find(self, prefix: str, viewer: Viewer | None) -> messages.JobStatus | messages.Failure:
-        """Return the one job whose id is `prefix` or begins with it, among the jobs that the viewer sees."""
+        """Return the job whose id is `prefix`, or the only one that begins with it, among those the viewer sees."""
         if self._store.job(prefix) is not None and (viewer is None or self._store.is_seen(prefix, viewer)):
             return self._status(prefix)
         count = self._store.count_jobs(prefix, viewer)
@@ -255,7 +255,7 @@ class ClientRequests:
             number = f"{count}" if is_whole else f"{count} and more"
             sentence = f"{number} jobs begin with {prefix!r} ({shown}); give more characters of the id"
             return messages.Failure(failure="refused", sentence=sentence)
-        there = f"the last that came are {shown}" if ids else "there are no jobs yet"
+        there = f"the latest jobs are {shown}" if ids else "there are no jobs yet"
         return messages.Failure(failure="unknown-job", sentence=f"the coordinator has no job {prefix!r}; {there}")
 
     def _status(self, job: str) -> messages.JobStatus | messages.Failure:

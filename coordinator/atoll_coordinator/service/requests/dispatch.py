@@ -1,4 +1,4 @@
-"""Queries of workers and clients: answers greetings and workers, and hands requests of clients to `clients`."""
+"""Dispatches queries: answers greetings and workers, and passes requests of clients to `clients`."""
 
 import logging
 from collections.abc import Callable
@@ -43,14 +43,14 @@ class RequestDispatcher:
         self._now = now
         self._clock = clock
         self.store_error: StoreError | None = None
-        """Why the store failed in the middle of a question: the coordinator cannot continue after that."""
+        """The error of the store during a request, after which the coordinator must end; None: no error."""
 
     def answer(self, event: Query) -> bytes | None:
-        """Return the answer to a query; None when there is none. After an error, clients and greetings get a sentence.
+        """Return the answer to a query; None: there is none. After an error, clients and greetings get a sentence.
 
         Raises:
-            RemoteProtocolError: The query is impossible.
-            NotYetError: It can be answered when the result of a job has been composed.
+            RemoteProtocolError: The query is malformed.
+            NotYetError: The query can be answered when the result of a job has been composed.
         """
         key = topics.parse(event.key)
         try:
@@ -77,7 +77,7 @@ class RequestDispatcher:
                 raise RemoteProtocolError(f"nothing is served on key {event.key}")
 
     def _tell_worker(self, key: topics.StatesKey | topics.BlobKey, payload: bytes) -> bytes | None:
-        """Answer a worker, which asks until it has an answer: an error ends the job, or it would ask for ever."""
+        """Answer a worker. A worker repeats its query until it has an answer, so an error must end the job."""
         job = self._controller.job_of_dataset(key.digest) if isinstance(key, topics.BlobKey) else key.job
         with self._controller.guarded(job or "", "answering a worker", self._now(), by_peer=True):
             match key:
@@ -91,10 +91,10 @@ class RequestDispatcher:
         return None
 
     def _states(self, key: topics.StatesKey, payload: bytes) -> bytes | None:
-        """Return states of a committed checkpoint, as many as fit into one message; None when they are missing."""
+        """Return states of a committed checkpoint, as many as fit into one message; None: states are missing."""
         pull = decode(payload, Pull, MAX_MESSAGE).body
         if not isinstance(pull, PullStates) or pull.job != key.job:
-            raise RemoteProtocolError(f"states of job {key.job} were expected to be requested, but {pull.kind!r} came")
+            raise RemoteProtocolError(f"a pull of states of job {key.job} was expected, but {pull.kind!r} came")
 
         def load(island: int) -> IslandState:
             state = self._store.state(pull.job, pull.variable, pull.epoch, island)
@@ -105,7 +105,7 @@ class RequestDispatcher:
         try:
             pieces = split_states(pull.islands, pull.offset, load)
         except KeyError:
-            if self._controller.has_lost(pull):  # otherwise the worker would ask for ever
+            if self._controller.has_lost(pull):  # the worker would ask for these states for ever
                 self._controller.fail_job(pull.job, "internal", checks.lost_states_reason(pull.variable), self._now())
             return None
         return encode(PullAnswer(body=States(pieces=pieces)))
@@ -123,7 +123,7 @@ class RequestDispatcher:
             return Failure(failure="internal", sentence=str(error)[:4000])
 
     def _greet(self, payload: bytes, name: str | None) -> Welcome | Refusal:
-        """Answer a greeting on the key of `name`, or (None) only say how it would be answered there."""
+        """Answer a greeting on the key of `name`; None: a test, whose answer is the same and which changes nothing."""
         try:
             hello = decode(payload, Greeting, MAX_MESSAGE).body
         except RemoteProtocolError as error:

@@ -1,7 +1,7 @@
-"""Uploads of tables that no job uses yet: each has a lease, which every message about it renews.
+"""Uploads of tables that no job uses yet. Each upload has a lease, which every message about it renews.
 
-They do not count in the retention of jobs, and are deleted during the upload only when the disk is nearly full: a store
-that cannot be written ends the coordinator, and with it all searches.
+Uploads do not count in the retention of jobs. When the disk is nearly full, all uploads are deleted, unfinished ones
+too: otherwise the store could not be written, which would end the coordinator and all searches.
 """
 
 import hashlib
@@ -19,31 +19,33 @@ from atoll_core.wire.messages.clients import Upload, Uploaded
 from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, chunk_count
 
 MAX_STORED_BYTES: Final = 16 * 1024**3
-"""Uploads are refused when all tables and datasets together would exceed this."""
+"""Largest number of bytes of all tables and datasets; uploads beyond it are refused."""
 
 MOST_OF_USER: Final = 1_000
 MOST_OF_ALL: Final = 20_000
-"""Most tables uploaded and not submitted, of a user (or a session) and of all together: each takes 3 kB of memory,
-however small it is."""
+"""Largest number of tables that are uploaded and not submitted, of one user (or session) and of all users. Each takes
+3 kB of memory, even if it is small."""
 
 LEAST_RESERVE: Final = 256 * 1024**2
 MOST_RESERVE: Final = 2 * 1024**3
 RESERVED_SHARE: Final = 0.05
 MOST_RESERVED_SHARE: Final = 0.25
-"""Bytes and shares of the disk that are reserved for checkpoints and results; on small disks the last one decides."""
+"""Space of the disk that is reserved for checkpoints and results: `RESERVED_SHARE` of it, within the two bounds in
+bytes, but at most `MOST_RESERVED_SHARE`."""
 
 LEASE_S: Final = 5 * CHUNK_LIMIT_S
 """An active client sends a message within `CHUNK_LIMIT_S`; the factor allows for retries."""
 
 CHECK_INTERVAL_S: Final = 60.0
-"""Interval of looking for uploads whose leases are over."""
+"""Seconds between two searches for uploads whose leases have ended."""
 
 
 @dataclass(eq=False, slots=True)
 class _Upload:
-    """The part of a table that a client has sent: its first `count` chunks, `sent` bytes with the SHA-256 `hash`.
+    """The part of a table that a client has sent: the first `count` chunks, `sent` bytes with the SHA-256 `hash`.
 
-    The store has its chunks under the name `key`, until all `size` bytes have come and have the digest.
+    The store has these chunks under the name `key` until all `size` bytes have arrived and have the digest. The last
+    message about the upload was `heard` at this time, in seconds of the bus.
     """
 
     user: str | None
@@ -63,8 +65,8 @@ class _Upload:
 class Uploads:
     """Tables that users are uploading, or have uploaded, and that no job uses yet.
 
-    Each user must send all bytes of a table, in order, even if the store has it from another user. Only bytes that were
-    sent count, never announced ones.
+    Each user must send all bytes of a table, in order, even if the store has the table from another user. Only bytes
+    that were sent count, and not the announced size.
     """
 
     def __init__(self, store: Store, now: Callable[[], float]) -> None:
@@ -79,19 +81,18 @@ class Uploads:
         self._keys: set[str] = set()
 
     def take(self, upload: Upload, user: str | None, viewer: Viewer | None, session: str) -> Uploaded:
-        """Store a chunk if it is the next one, and return which are missing.
+        """Store a chunk if it is the next one, and return the missing chunks.
 
-        For a `viewer` that sees no job with this table, all bytes count as missing that its `user` has not sent: a
-        digest
-        alone must not reveal that the data are there. Without a user, each `session` sends its own.
+        For a `viewer` who sees no job with this table, all chunks that its `user` has not sent count as missing: a
+        digest must not reveal that the store has the data. Without a user, this holds for each `session`.
 
         Raises:
-            RefusedError: the chunk is damaged, or there is no space for the upload.
-            RemoteProtocolError: the chunk does not fit the upload, or all bytes do not have the digest.
+            RefusedError: The chunk is damaged, or there is no space for the upload.
+            RemoteProtocolError: The chunk does not fit the upload, or the complete upload has another digest.
         """
         if upload.data is not None:
             if hashlib.sha256(upload.data).hexdigest() != upload.sha256:
-                raise RefusedError(f"part {upload.index + 1} of an upload was damaged on its way; send it again")
+                raise RefusedError(f"part {upload.index + 1} of an upload was damaged in transit; send it again")
             require_fitting(upload.size, upload.index, upload.data)
         who = self._who(upload.blob, user, session)
         if self.has(upload.blob, user, viewer, session) and self._store.has_blob(upload.blob):
@@ -112,7 +113,7 @@ class Uploads:
     def _take_chunk(
         self, who: tuple[str, str | None, str], own: _Upload | None, upload: Upload, data: bytes
     ) -> _Upload | None:
-        """Store a chunk if it is the next one, and return the upload; chunk 0 with another size begins it again."""
+        """Store a chunk if it is the next one; return the upload. Chunk 0 with another size begins a new upload."""
         if upload.index == 0 and (own is None or own.size != upload.size):
             self._forget(who)
             own = self._begin(who, upload)
@@ -123,9 +124,7 @@ class Uploads:
         is_last = own.sent + len(data) == own.size
         if is_last and digest.hexdigest() != own.digest:
             self._forget(who)
-            raise RemoteProtocolError(
-                f"an upload of {own.size} bytes does not have the digest {own.digest} it was announced with"
-            )
+            raise RemoteProtocolError(f"an upload of {own.size} bytes does not have the announced digest {own.digest}")
         if not self._store.put_chunk(own.key, upload.index, data, own.digest if is_last else None):
             self._forget(who)  # it was deleted in the meantime
             return None
@@ -137,14 +136,14 @@ class Uploads:
         return own
 
     def _begin(self, who: tuple[str, str | None, str], upload: Upload) -> _Upload:
-        """Begin an upload, under a name of its own if the same table is stored or another user is uploading it."""
+        """Begin an upload; it has its own name if the same table is stored or another user is uploading it."""
         digest, user, session = who
         own, total = self._begun[user, session], len(self._uploads)
         if own >= MOST_OF_USER or total >= MOST_OF_ALL:
             raise RefusedError(
-                f"{own} tables are uploaded and not submitted, of all users {total}, but at most {MOST_OF_USER} and "
-                f"{MOST_OF_ALL} may be; submit jobs with them, or try again in {LEASE_S / 60:.0f} minutes, when those "
-                "that were given up are deleted"
+                f"you have uploaded {own} tables without submitting them (all users: {total}), and the limits are "
+                f"{MOST_OF_USER} and {MOST_OF_ALL}; submit jobs with them, or try again in {LEASE_S / 60:.0f} minutes, "
+                "when abandoned uploads are deleted"
             )
         self._begun[user, session] += 1
         key = f"{digest} {user or session}" if digest in self._keys or self._store.is_begun(digest) else digest
@@ -177,22 +176,23 @@ class Uploads:
         self._heard[digest] = self._now()
 
     def has(self, digest: str, user: str | None, viewer: Viewer | None, session: str) -> bool:
-        """Return whether a user has sent all of a table, or sees a job with it; without a viewer it is true."""
+        """Return whether a user has sent a whole table, or sees a job with it; always true without a viewer."""
         own = self._uploads.get(self._who(digest, user, session))
         return viewer is None or (own is not None and own.is_whole) or self._store.uses_table(digest, viewer)
 
     def end(self, digest: str, user: str | None, session: str) -> None:
-        """Record that a job of a user uses a table: it is not an upload any more."""
+        """Record that a job of a user uses a table, which is then no longer an upload."""
         self._forget(self._who(digest, user, session))
 
     def pending_bytes(self, user: str | None, but: str, session: str) -> tuple[int, int]:
-        """Return the bytes uploaded and not submitted by a user and by all together, without the user's table `but`."""
+        """Return the bytes that a user, and all users, have uploaded and not submitted, without the user's table
+        `but`."""
         own = self._uploads.get(self._who(but, user, session))
         left_out = own.sent if own is not None else 0
         return self._sent[user] - left_out, self._sent.total() - left_out
 
     def expire(self) -> None:
-        """Delete uploads whose leases are over, at intervals; on a disk that is nearly full, delete all uploads."""
+        """Delete uploads whose leases have ended, at intervals; if the disk is nearly full, delete all uploads."""
         room = self._store.room()
         if room is not None and room.free < reserve_of(room) / 2:
             self.delete_all()
@@ -215,7 +215,7 @@ class Uploads:
     def delete_all(self) -> None:
         """Delete all uploads that no job uses; their clients learn that all chunks are missing, and upload again.
 
-        Also called when a coordinator starts, since it is not stored which user has sent which bytes.
+        Also called when a coordinator starts, because the store does not record which user has sent which bytes.
         """
         unused, self._heard = self._store.unused_blobs(), {}
         self._uploads, self._sent, self._begun, self._keys = {}, Counter(), Counter(), set()
@@ -223,7 +223,7 @@ class Uploads:
             self._store.delete_unused_blobs(unused)
 
     def _check_room(self, upload: Upload, own: _Upload | None) -> None:
-        """Raise RefusedError if there is no space for an upload even without expired ones."""
+        """Raise RefusedError if there is no space for an upload, even after expired uploads are deleted."""
         sent = own.sent if own is not None and own.size == upload.size else 0
         if self._refusal(upload.size - sent) is None:
             return
@@ -231,9 +231,9 @@ class Uploads:
         refusal = self._refusal(upload.size - sent)
         if refusal is not None:
             raise RefusedError(
-                f"{refusal}; an upload of {upload.size} bytes does not fit: delete jobs that "
-                "have ended (coordinator delete ID), have the coordinator started with a smaller --keep, or try again "
-                f"in {LEASE_S / 60:.0f} minutes, when uploads that were given up are deleted"
+                f"{refusal}; an upload of {upload.size} bytes does not fit: delete ended jobs (coordinator delete ID), "
+                "ask for the coordinator to be restarted with a smaller --keep, or try again in "
+                f"{LEASE_S / 60:.0f} minutes, when abandoned uploads are deleted"
             )
 
     def _refusal(self, missing: int) -> str | None:
@@ -241,15 +241,15 @@ class Uploads:
         stored = self._store.blob_bytes()
         if stored + missing > MAX_STORED_BYTES:
             return (
-                f"the coordinator's store holds {stored} bytes of tables and datasets and takes at most "
-                f"{MAX_STORED_BYTES}"
+                f"the coordinator's store has {stored} bytes of tables and datasets, and at most {MAX_STORED_BYTES} "
+                "are allowed"
             )
         room = self._store.room()
         if room is None or room.free - missing >= reserve_of(room):
             return None
         return (
-            f"the coordinator's disk has room for {room.free} bytes more, of which {reserve_of(room)} are kept for the "
-            "jobs that are there"
+            f"the coordinator's disk has {room.free} free bytes, of which {reserve_of(room)} are reserved for existing "
+            "jobs"
         )
 
 

@@ -1,7 +1,8 @@
 """Questions of clients that wait for their turn, or for the result of a job that is being composed. Pure.
 
-The loop answers one question at a time and handles other events in between; users take turns (`atoll_core.wire.bus`),
-so that no burst of questions delays a heartbeat, a report or another user for longer than one answer takes.
+The loop answers one question at a time and handles other events before the next one; users take turns
+(`atoll_core.wire.bus`). So many questions of one user delay a heartbeat, a report or another user by one answer at
+most.
 """
 
 from collections.abc import Callable
@@ -12,27 +13,27 @@ from atoll_core.wire.bus.queues import Bounds
 from atoll_core.wire.messages.clients import Failure, JobStatus
 
 QUESTIONS: Final = Bounds(
-    of_client=32,  # our programs ask one question after the other; a client whose question is refused asks again
+    of_client=32,  # our programs ask one question after another; a client asks again after a refusal
     of_party=512,  # an eighth of all
-    of_all=4096,  # at 5 ms each, twice as long as a client waits (10 s)
+    of_all=4096,  # answering them takes 20 s (5 ms each), twice the time that a client waits
     bytes_of_party=64 * 1024**2,  # sixteen chunks of tables
     bytes_of_all=256 * 1024**2,
 )
-"""Questions that may wait for their turn, of one client, of one user and of all."""
+"""Questions that may wait for their turn: of one client, of one user, and of all users."""
 
 MAX_DEFERRED: Final = 512
-"""Questions that may wait for results at a time, of all clients; further ones are refused, and asked again."""
+"""Questions of all clients that may wait for results at a time. Further questions are refused; clients repeat them."""
 
 PATIENCE_S: Final = 2.5
-"""How long a cancellation waits before it is answered by the status of the job: a client asks again after 3.3 s."""
+"""Seconds after which a cancellation is answered by the status of the job; a client asks again after 3.3 s."""
 
 T = TypeVar("T")
 
 
 class NotYetError(Exception):
-    """A question can be answered when the result of a `job` has been composed: the final one, or the best so far.
+    """Raised when a question must wait until a result of `job` is composed: the final one, or the best so far.
 
-    `meanwhile` returns the answer for a question whose wait is over; None: it still waits.
+    `meanwhile` returns the answer when the question has waited for `PATIENCE_S`; None: it waits without this limit.
     """
 
     def __init__(
@@ -45,7 +46,7 @@ class NotYetError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deferred(Generic[T]):
-    """A question that waits, until `end` (seconds of the bus) if it has an answer `meanwhile`."""
+    """A waiting question. If it has an answer `meanwhile`, it waits until `end` (seconds of the bus)."""
 
     question: T
     end: float
@@ -53,7 +54,7 @@ class Deferred(Generic[T]):
 
 
 class DeferredQuestions(Generic[T]):
-    """All waiting questions, by job and whether they wait for its final result, in the order in which they came."""
+    """Waiting questions in the order of arrival, by job and whether they wait for its final result."""
 
     def __init__(self) -> None:
         self._waiting: dict[tuple[str, bool], list[Deferred[T]]] = {}
@@ -62,7 +63,7 @@ class DeferredQuestions(Generic[T]):
         return sum(map(len, self._waiting.values()))
 
     def add(self, question: T, reason: NotYetError, now: float) -> bool:
-        """Let a question wait; return False when too many do."""
+        """Let a question wait; return False if too many questions wait."""
         if len(self) >= MAX_DEFERRED:
             return False
         self._waiting.setdefault(reason.key, []).append(Deferred(question, now + PATIENCE_S, reason.meanwhile))
@@ -73,7 +74,7 @@ class DeferredQuestions(Generic[T]):
         return [one.question for one in self._waiting.pop((job, is_final), [])]
 
     def take_overdue(self, now: float) -> list[Deferred[T]]:
-        """Remove and return the questions that have waited long enough and have an answer meanwhile."""
+        """Remove and return the questions whose wait has ended and which have an answer `meanwhile`."""
         overdue = [
             one for waiting in self._waiting.values() for one in waiting
             if one.meanwhile is not None and now >= one.end

@@ -1,28 +1,29 @@
 """Fair share between users: deficit round robin over users, then priority and age among the jobs of one. Pure.
 
 Deficit round robin (M. Shreedhar, G. Varghese, *Efficient fair queuing using deficit round robin*, IEEE/ACM
-Transactions on Networking 4(3), 1996, 375-385) gives each user in turn a quantum of service. The cost of a job is known
-only afterwards here. So jobs that run when the quantum is used up may exceed it; the excess is deducted from the next
-quanta, as in the same authors' surplus round robin.
+Transactions on Networking 4(3), 1996, 375-385) gives each user in turn a quantum of service. Here the cost of a job is
+known only afterwards. So a running job may exceed the quantum; the excess is deducted from the user's next quanta, as
+in the same authors' surplus round robin.
 
-A user's *round* is the number of quanta used up. Users in the lowest round are served first, in the order in which they
-came. A user who was idle enters the lowest round, behind the others in it: idle time gives no credit, and an excess
-stays owed. The lowest round is counted over users who want more than they have: a user who has all the service that it
-can use gets no credit either, and owes nothing for service that no other user wanted. While such a user is served in an
-earlier round, the lowest round is one less, so that no user loses the rest of a quantum.
+A user's *round* is the number of quanta that the user has used up. Users in the lowest round are served first, in the
+order of their arrival. A user who was idle enters the lowest round, behind the users who are in it: idle time gives no
+credit, and an excess stays owed. Only users who want more service than they have determine the lowest round. A user who
+already has all the service that it can use gets no credit, and owes nothing for service that no other user wanted.
+While such a user is served in an earlier round, the lowest round is one less, so that no user loses the rest of a
+quantum.
 
-**The longest wait.** Let N users have jobs, S jobs be served at once, Q be the quantum, and let each user be charged
-after at most t seconds. A user who comes with one job enters the lowest round, v. Before this user are only users still
-in round v, each with one job (the second job of a user counts one round later), and each leaves the round after at most
-Q + t seconds of service. Later users come behind, and returning users keep what they owe. While the new user waits, all
-S places are taken by those users. So it begins within
+**The longest wait.** Let N users have jobs, let S jobs be served at once, let Q be the quantum in seconds, and let each
+user be charged after at most t seconds. A new user with one job enters the lowest round, v. The users before it are the
+other users in round v, each with one job (the second job of a user counts one round later). Each of them leaves the
+round after at most Q + t seconds of service. Users who arrive later are behind the new user, and returning users keep
+their debts. While the new user waits, all S places are used by the users before it. So its job begins within
 
     (N - 1) (Q + t) / S
 
-seconds, however many jobs the others have, and is not overtaken before it has been served for Q. A job that takes c
-seconds of service needs k = ceil(c / Q) rounds, in which each other user has at most k quanta and is charged late for
-at most S places: it ends within (N - 1) (k Q + S t) / S + c. Service that cannot be interrupted (preparing a table, the
-way to the next checkpoint) comes on top, once a round.
+seconds, for any number of jobs of the others, and no user overtakes it before it has been served for Q. A job that
+takes c seconds of service needs k = ceil(c / Q) rounds. In these rounds each other user has at most k quanta, and is
+charged late for at most S places. So the job ends within (N - 1) (k Q + S t) / S + c seconds. Service that cannot be
+interrupted (preparing a table, computing up to the next checkpoint) is added once per round.
 """
 
 from collections.abc import Collection, Iterable
@@ -30,21 +31,21 @@ from dataclasses import dataclass, field
 from typing import Final
 
 QUANTUM_S: Final = 60.0
-"""Seconds of service of a user in one turn. A change costs about two seconds (waiting at a checkpoint, sending states
-to other workers), which should be no more than the 3 % that checkpoints may cost (`checkpoints.SHARE`)."""
+"""Seconds of service of a user in one turn. A change of turns costs about two seconds (waiting at a checkpoint, sending
+states to other workers), which should be at most the 3 % that checkpoints may cost (`checkpoints.SHARE`)."""
 
 AGE_S: Final = 3600.0
-"""Among the jobs of one user, each step of priority is worth this number of seconds of waiting: nearly all jobs take
-less, so that priority decides among jobs of one session, and after 20 hours the lowest priority overtakes the
-highest."""
+"""Among the jobs of one user, each step of priority is worth this number of seconds of waiting. Nearly all jobs take
+less, so that priority decides among jobs submitted together. After 20 hours a job of the lowest priority comes before a
+new job of the highest priority."""
 
 _RUNNING_S: Final = 1e10
-"""More seconds than any age and priority: running tasks come before waiting ones."""
+"""More seconds than any age or priority is worth: running tasks come before waiting ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """A job of a user (None: without a certificate) that wants service `since` a time; only differences count."""
+    """A job of a user (None: without a certificate) that has waited `since` a time in seconds, of any origin."""
 
     id: str
     user: str | None
@@ -54,7 +55,7 @@ class Turn:
 
 @dataclass(slots=True)
 class _Share:
-    """The seconds charged to a user, the position in the round, and the jobs that want service."""
+    """The account of a user: `spent` seconds of service, the `number` in the round, and the jobs that want service."""
 
     number: int
     spent: float
@@ -62,10 +63,10 @@ class _Share:
 
 
 class FairShare:
-    """The accounts of all users of one shared thing: places, or the time of workers.
+    """The accounts of all users of one shared resource: places, or the time of workers.
 
-    Each call of `order` has all jobs that could be served now, and no others (jobs whose user is at a limit, paused
-    jobs): their users get no credit for waiting.
+    Each call of `order` must have all jobs that could be served now, and only these. Paused jobs, and jobs of users at
+    a limit, are left out, so that their users get no credit for waiting.
     """
 
     def __init__(self, quantum_s: float = QUANTUM_S) -> None:
@@ -77,11 +78,11 @@ class FairShare:
         self._users: dict[str, str | None] = {}
 
     def order(self, jobs: Iterable[Turn], content: Collection[str | None] = ()) -> list[str]:
-        """Return the ids of jobs in the order in which they are served; it takes n log n for n jobs.
+        """Return the ids of jobs in the order in which they are served, in O(n log n) for n jobs.
 
-        `content` are users who have all that they could use now. The second job of a user counts one round later than
-        the first, as if each took a quantum. The jobs of one user are ordered by age, where each step of priority is
-        worth `AGE_S`.
+        `content` are the users who have all the service that they can use now. The second job of a user counts one
+        round later than the first, as if each took a quantum. The jobs of one user are ordered by age, where each step
+        of priority is worth `AGE_S`.
         """
         by_user: dict[str | None, list[Turn]] = {}
         for job in jobs:
@@ -114,7 +115,7 @@ class FairShare:
             del self._shares[user]
 
     def turn(self, user: str | None) -> tuple[int, int]:
-        """Return the round of a user, and the position in it: users are served in the order of both."""
+        """Return the round of a user, and the position in the round; users are served in this order."""
         share = self._shares.get(user)
         return (self._round_of(share), share.number) if share is not None else (self._round, self._next_number)
 
@@ -123,7 +124,7 @@ class FairShare:
         wanting = [self.turn(user)[0] for user in users if user not in content]
         lowest = min(wanting) if wanting else max((self.turn(user)[0] for user in users), default=self._round)
         if wanting and any(self.turn(user)[0] < lowest for user in content):
-            lowest -= 1  # a user who is served now keeps the rest of the quantum, before those in the next round
+            lowest -= 1  # a user who is served now keeps the rest of the quantum, before the users in the next round
         if lowest > self._round:
             self._round = lowest
             idle = [name for name, share in self._shares.items() if not share.jobs and self._round_of(share) <= lowest]
@@ -150,7 +151,7 @@ class TaskTurns(FairShare):
     def order_tasks(self, waiting: Collection[Turn], running: Collection[Turn]) -> list[str]:
         """Return the ids of jobs with waiting tasks, the next one first.
 
-        Running tasks count as the first turns of their users, who let other users go first.
+        Running tasks count as the first turns of their users, so that other users come first.
         """
         turns = [Turn(job.id, job.user, job.priority, job.since - _RUNNING_S) for job in running]
         content = {job.user for job in running} - {job.user for job in waiting}

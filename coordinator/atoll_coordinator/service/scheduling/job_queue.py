@@ -1,12 +1,13 @@
 """Waiting jobs and jobs that have places: which job is started, held or released next. Pure; seconds come in.
 
-A job that is prepared or searched has a *place*; refining needs none. `FairShare` decides which jobs have the places,
-and charges users for the time for which their jobs have them. A job that loses its place to another user's is *held*:
-its islands stop at a checkpoint, and it goes on from there in its user's next turn. Among the jobs of a user, jobs that
-have begun come first, then priority, then age. A paused job keeps its position in the queue and lets others pass.
+A job that is prepared or searched has a *place*; refining needs no place. `FairShare` decides which jobs have places,
+and charges users for the time for which their jobs have places. A job that loses its place to the job of another user
+is *held*: its islands stop at a checkpoint, and it continues there at its user's next turn. The jobs of one user are
+ordered: jobs that have begun come first, then priority and age decide. A paused job keeps its position in the queue,
+but other jobs are started before it.
 
-The time of a decision grows with users times places, and of a change with log n for n jobs of the same user (moving as
-many pointers), but not with the number of waiting jobs.
+A decision takes a time that grows with users times places, and not with the number of waiting jobs. A change of the
+queue takes O(log n) comparisons for n waiting jobs of one user.
 """
 
 from bisect import bisect_left, insort
@@ -23,7 +24,7 @@ Stage = Literal["waiting", "preparing", "searching", "held"]
 NO_TIME: Final = "waits: the task time that limits allow for a day is used up"
 
 _BEFORE_S: Final = 1e10
-"""More seconds than any age and priority: jobs with a place come before held ones, and these before waiting ones."""
+"""More seconds than any age or priority is worth: jobs with a place come first, then held jobs, then waiting jobs."""
 
 
 @dataclass(slots=True)
@@ -38,7 +39,7 @@ class _Entry:
     stage: Stage = "waiting"
     is_paused: bool = False
     had_begun: bool = False
-    """Before a restart: a paused queue stops only jobs that had not begun."""
+    """Whether it had begun before a restart: a paused queue stops only jobs that had not begun."""
 
     @property
     def has_begun(self) -> bool:
@@ -57,7 +58,7 @@ class _Entry:
 
 @dataclass(slots=True)
 class _User:
-    """The jobs of a user: keys of waiting ones, in order; jobs that have begun; number of paused waiting ones."""
+    """The jobs of a user: sorted keys of waiting jobs, jobs that have begun, and the number of paused waiting jobs."""
 
     waiting: list[tuple[float, int, str]] = field(default_factory=list)
     begun: dict[str, _Entry] = field(default_factory=dict)
@@ -66,7 +67,7 @@ class _User:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Changes: jobs to prepare, jobs that lose their places, held jobs that get one again."""
+    """Changes: jobs to prepare, jobs that lose their places, held jobs that get places again."""
 
     take_up: tuple[str, ...] = ()
     hold: tuple[str, ...] = ()
@@ -111,24 +112,24 @@ class JobQueue:
         self._users[entry.user].begun[job] = entry
 
     def take_over(self, job: str) -> None:
-        """Hold a job whose search had begun before a restart until its turn."""
+        """Add a job whose search had begun before a restart to the held jobs, until its turn."""
         self.begin(job)
         self._entries[job].stage = "held"
 
     def put_back(self, job: str) -> None:
-        """Let a job wait again that no worker has begun to prepare; it keeps its position."""
+        """Let a job wait again because no worker has begun to prepare it; it keeps its position."""
         entry = self._entries[job]
         del self._users[entry.user].begun[job]
         entry.stage = "waiting"
         self._enqueue(entry)
 
     def search(self, job: str) -> None:
-        """Record that a job is being searched; a paused one is held."""
+        """Record that a job is being searched; a paused job is held."""
         entry = self._entries[job]
         entry.stage = "held" if entry.is_paused else "searching"
 
     def remove(self, job: str) -> None:
-        """Remove a job that has ended or is refined; without effect for an unknown one."""
+        """Remove a job that has ended or is being refined; without effect for an unknown job."""
         entry = self._entries.pop(job, None)
         if entry is None:
             return
@@ -153,7 +154,7 @@ class JobQueue:
         self._enqueue(entry)
 
     def set_priority(self, job: str, priority: int) -> None:
-        """Change the priority of a job; without effect for an unknown one."""
+        """Change the priority of a job; without effect for an unknown job."""
         entry = self._entries.get(job)
         if entry is not None:
             self._dequeue(entry)
@@ -171,7 +172,7 @@ class JobQueue:
     # ------------------------------------------------------------------------------------------ decisions
 
     def decide(self) -> Decision:
-        """Return the changes to make now. Held and released jobs count as such at once, others after `begin`."""
+        """Return the changes to make now. Jobs count as held or released at once, but as started only after `begin`."""
         preparing = [entry for entry in self._holders() if entry.stage == "preparing"]
         chosen = {entry.id: entry for entry in preparing}
         busy = Counter(entry.user for entry in preparing)
@@ -198,8 +199,8 @@ class JobQueue:
         )
 
     def _candidates(self) -> Iterator[_Entry]:
-        """Yield the jobs that could get a place: for each user the begun jobs, and at most as many waiting ones as
-        there are places."""
+        """Yield the jobs that could get a place: for each user the jobs that have begun, and at most as many waiting
+        jobs as there are places."""
         for name, user in self._users.items():
             if self.has_no_time(name):
                 yield from (entry for entry in user.begun.values() if entry.stage == "preparing")
@@ -235,22 +236,22 @@ class JobQueue:
 
     @property
     def queued(self) -> int:
-        """Number of waiting jobs, paused ones included."""
+        """Number of waiting jobs, including paused jobs."""
         return len(self._entries) - sum(len(user.begun) for user in self._users.values())
 
     def queued_by_user(self) -> dict[str | None, int]:
-        """Return the number of waiting jobs of each user, paused ones included."""
+        """Return the number of waiting jobs of each user, including paused jobs."""
         return {name: self.queued_of(name) for name in self._users}
 
     @property
     def ready(self) -> int:
-        """Number of jobs that wait only for a place: no new jobs if the queue is paused, no jobs of users without task
-        time."""
+        """Number of jobs that wait only for a place. New jobs in a paused queue, and jobs of users without task time,
+        do not count."""
         users = (user for name, user in self._users.items() if not self.has_no_time(name))
         return sum(len(self._next_of(user) if self.is_paused else user.waiting) for user in users)
 
     def queued_of(self, name: str | None) -> int:
-        """Return the number of waiting jobs of a user, paused ones included."""
+        """Return the number of waiting jobs of a user, including paused jobs."""
         user = self._users.get(name)
         return len(user.waiting) + user.paused if user is not None else 0
 
@@ -260,7 +261,7 @@ class JobQueue:
         return entry is not None and entry.stage == "held"
 
     def ahead_of(self, job: str) -> int | None:
-        """Return the number of waiting jobs before this one, if each took a turn; None: it does not wait."""
+        """Return how many waiting jobs will start before this one in the present order; None: it does not wait."""
         entry = self._entries.get(job)
         if entry is None or entry.has_begun or entry.is_paused:
             return None
@@ -277,7 +278,7 @@ class JobQueue:
         return ahead
 
     def waiting_reason(self, job: str) -> str | None:
-        """Return in words what a job without a place waits for; None: it has one, or is unknown."""
+        """Return a sentence on why a job without a place waits; None: it has a place, or is unknown."""
         entry = self._entries.get(job)
         if entry is None or entry.stage in ("preparing", "searching"):
             return None
@@ -287,7 +288,7 @@ class JobQueue:
         if self.has_no_time(user):
             return NO_TIME
         if entry.stage == "held":
-            return "waits for its user's next turn; others have theirs"
+            return "waits for its user's next turn: jobs of other users run now"
         if self.is_paused and not entry.had_begun:
             return "waits: the queue is paused by an admin"
         busy = sum(begun.stage in ("preparing", "searching") for begun in self._users[user].begun.values())
@@ -301,7 +302,7 @@ class JobQueue:
     def validate(self) -> None:
         """Check the invariants; raises AssertionError."""
         searching = Counter(entry.user for entry in self._holders())
-        assert searching.total() <= self.limits.total.running, "more jobs hold places than there are"
+        assert searching.total() <= self.limits.total.running, "more jobs have places than there are places"
         for user, places in searching.items():
             assert not self._is_full(user, places - 1), f"{user} has more places than allowed"
         assert self.queued == sum(self.queued_of(name) for name in self._users), "jobs are lost in the queue"
@@ -313,7 +314,7 @@ class JobQueue:
             yield from (entry for entry in user.begun.values() if entry.stage in ("preparing", "searching"))
 
     def _enqueue(self, entry: _Entry) -> None:
-        """Put a job that has not begun among the waiting ones of its user."""
+        """Add a job that has not begun to the waiting jobs of its user."""
         user = self._users.setdefault(entry.user, _User())
         if entry.has_begun:
             return
@@ -333,5 +334,5 @@ class JobQueue:
 
 
 def pause_reason(job: str) -> str:
-    """Return in words how a paused job is resumed."""
+    """Return a sentence on how a paused job is resumed."""
     return f"is paused; continue with: coordinator resume {job}"

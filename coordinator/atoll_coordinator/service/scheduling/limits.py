@@ -1,22 +1,22 @@
-"""Limits of users, each and all together, read from a TOML file, and the task time that users have used.
+"""Limits of each user and of all users together, read from a TOML file, and the task time that users have used.
 
 [total]
-running = 4                  # jobs under way at a time; further ones wait
-queued = 100000              # jobs that wait; more are refused
-stored = "100G"              # bytes of tables and results; more are refused
+running = 4                  # jobs that are prepared or searched at a time; further jobs wait
+queued = 100000              # jobs that wait; further jobs are refused
+stored = "100G"              # bytes of tables and results; further tables and jobs are refused
 
-[user]                       # each of them
+[user]                       # every single user
 running = 2
 queued = 1000
 stored = "2G"
-task_time = "24h"            # of the workers' processors a day; beyond, jobs wait
+task_time = "24h"            # processor time of workers per day; when it is used up, jobs wait
 
 [users.ann]                  # one user: these values override [user]
 queued = 5000
 
 [time]
-default = "1h"               # --max-time of jobs that have none
-most = "12h"                 # the longest; a job that asks for more is refused
+default = "1h"               # --max-time of jobs without it
+most = "12h"                 # the longest --max-time; a job that asks for more is refused
 """
 
 import argparse
@@ -35,13 +35,13 @@ from atoll_core.errors import RefusedError, UsageError
 from atoll_core.quoting import did_you_mean
 
 MAX_RUNNING: Final = 4
-"""Default number of jobs under way: each holds its table and fronts in memory."""
+"""Default number of jobs that are prepared or searched: each has its table and fronts in memory."""
 
 MAX_QUEUED: Final = 100_000
-"""Default number of waiting jobs: each takes 11 kB of memory, and the loop is as fast as without them."""
+"""Default number of waiting jobs: each takes 11 kB of memory, and none slows down the loop."""
 
 DAY_S: Final = 86_400.0
-"""A day of service: task time is counted from zero again after the store has been served for this number of seconds."""
+"""A day of service: the task time is reset whenever the store has been served for this number of seconds."""
 
 _SIZES: Final = {"k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 
@@ -76,9 +76,9 @@ _Time = Annotated[float, BeforeValidator(_seconds), Field(gt=0.0, lt=1e9)]
 
 
 class Allowance(Frozen):
-    """Limits of one user, or of all together; None: no limit.
+    """Limits of one user, or of all users together; None: no limit.
 
-    `running` limits jobs that are prepared or searched, `queued` waiting ones, `stored` the bytes of tables and
+    `running` limits jobs that are prepared or searched, `queued` waiting jobs, `stored` the bytes of tables and
     results, `task_time` the seconds of processors in a day (`DAY_S`).
     """
 
@@ -104,7 +104,7 @@ class Times(Frozen):
     @model_validator(mode="after")
     def _check(self) -> "Times":
         if self.default is not None and self.most is not None and self.default > self.most:
-            raise ValueError(f"a default of {self.default:g} s at most as long as most, which is {self.most:g} s")
+            raise ValueError(f"a default of at most {self.most:g} s (the value of most) instead of {self.default:g} s")
         return self
 
 
@@ -117,7 +117,7 @@ class Limits(Frozen):
     time: Times = Times()
 
     def of(self, user: str | None) -> Allowance:
-        """Return the limits of a user: the limits under its name, and the general limits of users."""
+        """Return the limits of a user: its own limits, and the general limits of users where it has none."""
         own = self.users.get(user) if user is not None else None
         if own is None:
             return self.user
@@ -128,7 +128,7 @@ class Limits(Frozen):
         asked, most = config.budget.max_time, self.time.most
         if asked is not None and most is not None and asked > most:
             raise RefusedError(
-                f"--max-time asks for {asked:g} s, but this coordinator gives a job {most:g} s at most; ask for less"
+                f"--max-time asks for {asked:g} s, but this coordinator allows a job at most {most:g} s; ask for less"
             )
         limit = asked if asked is not None else self.time.default if self.time.default is not None else most
         if limit == asked:
@@ -174,13 +174,13 @@ Amounts = Mapping[str | None, float]
 
 
 class TaskTime:
-    """The task time of users today, and the part of it that is not stored yet: seconds of processors of workers.
+    """The task time of users today, in seconds of workers' processors, and the part of it that is not stored yet.
 
-    A day is a day of service (`DAY_S`), not of the calendar: setting the clock forward gains nothing.
+    A day is a day of service (`DAY_S`), not of the calendar, so a wrong clock changes nothing.
     """
 
     def __init__(self, day: int = 0, used: Amounts | None = None) -> None:
-        """`used` is the stored task time of that day."""
+        """`used` is the stored task time of the day with number `day`."""
         self._day = day
         self._used: dict[str | None, float] = defaultdict(float, used or {})
         self._unsaved: dict[str | None, float] = defaultdict(float)
@@ -194,7 +194,7 @@ class TaskTime:
     def add_heartbeat(self, worker: str, instance: str, computed: Iterable[tuple[str | None, float]]) -> None:
         """Charge users for the computing time of a worker process since its last heartbeat.
 
-        Its first heartbeat charges nothing: an earlier coordinator has counted the time before.
+        The first heartbeat charges nothing: an earlier coordinator has counted the time before it.
         """
         totals = dict(computed)
         before = self._totals.get((worker, instance))
@@ -212,7 +212,7 @@ class TaskTime:
             self._day, self._used = day, defaultdict(float)
 
     def take_unsaved(self) -> dict[str | None, float]:
-        """Return what has been added since the last call."""
+        """Return the task time that has been added since the last call."""
         unsaved, self._unsaved = self._unsaved, defaultdict(float)
         return dict(unsaved)
 

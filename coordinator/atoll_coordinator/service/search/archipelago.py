@@ -1,7 +1,12 @@
 """One archipelago as the coordinator sees it: collector, placement, checkpoints, progress of its workers. Pure.
 
-A checkpoint has three stages: its states are gathered from the workers; when all have come and the reports of all
-earlier epochs are merged, it is written; when it is durable, `mark_durable` returns the commit that is published.
+A checkpoint has three stages. Its states are gathered from the workers. When all states have arrived and the reports of
+all earlier epochs are merged, it is written. When it is durable, `mark_durable` returns the commit that is published.
+
+A *term* is the number of a placement. A worker of an earlier term may still send reports: they are ignored, because the
+workers of the new term compute the same epochs again from the last durable checkpoint, with the same bits. *Doubts.*
+The archipelago has many flags (`is_writing`, `is_planned`, `is_at_barrier`) and no table of states, unlike jobs and
+workers; `validate` checks which combinations are possible.
 """
 
 from collections.abc import Callable, Iterable
@@ -26,12 +31,12 @@ from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement
 from atoll_core.wire.state_pieces import IslandState
 
 FORGET_EPOCHS: Final = 16
-"""Epochs between commits without a new checkpoint, which only let workers forget messages."""
+"""Epochs after which a commit is sent without a new checkpoint, so that workers may forget messages."""
 
 MOST_PULLED_EPOCHS: Final = 64
 
 PLAN_COMMITS: Final = 10
-"""Commits between two planned changes of a placement, unless a worker leaves."""
+"""Least number of commits between two planned changes of a placement; a leaving worker does not wait for it."""
 
 ArchipelagoKey = tuple[str, str]
 """Job and variable of an archipelago."""
@@ -122,12 +127,12 @@ class Archipelago:
 
     @property
     def has_no_commit(self) -> bool:
-        """Whether nothing has become durable since it was placed."""
+        """Whether no checkpoint has become durable since it was placed."""
         return self.placement is not None and self.durable == self.placement.epoch
 
     @property
     def gathered_bytes(self) -> int | None:
-        """Bytes of the checkpoint that is being gathered; None: there is none."""
+        """Bytes of the checkpoint that is being gathered; None: no checkpoint is being gathered."""
         return self._gathering.size if self._gathering is not None else None
 
     @property
@@ -161,11 +166,11 @@ class Archipelago:
         self._latest = [placement.epoch - 1] * len(placement.workers)
 
     def unplace(self) -> None:
-        """End the placement: no worker computes it any more."""
+        """End the placement: no worker computes the archipelago after this."""
         self.placement, self._gathering = None, None
 
     def request_barrier(self) -> None:
-        """Have all islands wait at a checkpoint soon; without effect when that has been asked for."""
+        """Let all islands wait at the next possible checkpoint; without effect if this was requested before."""
         if not self.is_planned:
             self._wants_barrier = True
             self._since_plan = 0
@@ -176,13 +181,13 @@ class Archipelago:
         """Add a report; return True when at least one more epoch is complete.
 
         Raises:
-            RemoteProtocolError: It is of an unknown term or another worker's islands, or has impossible contents.
-            DivergedError: It contradicts an earlier one.
+            RemoteProtocolError: Its term is unknown, its islands are another worker's, or its contents are impossible.
+            DivergedError: It contradicts an earlier report.
         """
         if self.cut is not None or self.placement is None or report.term < self.placement.term:
             return False
         if report.term > self.placement.term:
-            raise RemoteProtocolError(f"worker {worker} reports under term {report.term}, which was never issued")
+            raise RemoteProtocolError(f"worker {worker} reports under term {report.term}, which does not exist")
         if report.epoch < self.placement.epoch:
             raise RemoteProtocolError(f"worker {worker} reports epoch {report.epoch}, before its term began")
         if report.epoch < self.durable:
@@ -198,9 +203,10 @@ class Archipelago:
         return advanced
 
     def update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> Commit | None:
-        """Record how far a worker's islands have come, of which checkpoints it has snapshots, and a hit there.
+        """Record the epochs that a worker's islands have reported, its snapshots, and its first hit.
 
-        Returns the commit that is due: workers stop at a hit, and may forget messages.
+        Return the commit that is due, if any: it tells workers of a hit, at which they stop, or which messages they may
+        forget.
         """
         if self.placement is None:
             return None
@@ -212,17 +218,17 @@ class Archipelago:
         return self.due_commit()
 
     def _is_earlier(self, hit: Position | None, other: Position | None) -> bool:
-        """Return whether a hit counts before another one; None: there is none."""
+        """Return whether a hit counts before another hit; None: no hit."""
         rank = self.collector.limits.commit_order.rank
         return hit is not None and (other is None or rank(hit) < rank(other))
 
     def missed_commit(self, assignment_status: AssignmentStatus) -> Commit | None:
-        """Return the commit that a worker does not know of; None: it knows all."""
+        """Return the current commit if a worker does not know it; None: the worker knows it."""
         is_known = assignment_status.commit >= self.durable and not self._is_earlier(self._hit, assignment_status.hit)
         return None if is_known else self.commit()
 
     def missing_reports(self, worker: str, assignment_status: AssignmentStatus) -> PullReports | None:
-        """Return the pull of reports that a worker sent and that did not arrive; None when there are none."""
+        """Return a pull of the reports that a worker sent and that did not arrive; None: no report is missing."""
         placement = self.placement
         if placement is None or self.cut is not None or assignment_status.term != placement.term:
             return None
@@ -243,7 +249,7 @@ class Archipelago:
     # ------------------------------------------------------------------------------------- checkpoints
 
     def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
-        """Return pulls of states up to a number, each with its worker; begin a checkpoint when one is due."""
+        """Return at most `most` pulls of states, each with its worker; begin a checkpoint if one is due."""
         placement = self.placement
         if placement is None or self.cut is not None or self.is_writing:
             return []
@@ -256,10 +262,10 @@ class Archipelago:
         return self._gathering.next_pulls(most)
 
     def add_states(self, worker: str, asked: PullStates, body: States | None) -> None:
-        """Add a worker's answer to a pull; None: there was none.
+        """Add a worker's answer to a pull; None: there was no answer.
 
         Raises:
-            RemoteProtocolError: A state was damaged on its way, and is asked again.
+            RemoteProtocolError: A state was damaged in transit; it is pulled again.
         """
         placement, gathering = self.placement, self._gathering
         if placement is None or gathering is None:
@@ -268,7 +274,7 @@ class Archipelago:
             gathering.add(worker, body)
 
     def take_complete_checkpoint(self) -> Checkpoint | None:
-        """Return the checkpoint that can be written now, once; `mark_durable` or another term follows."""
+        """Return the checkpoint that can be written now, each only once; `mark_durable` or another term follows."""
         placement, gathering = self.placement, self._gathering
         if placement is None or gathering is None or self.cut is not None or not gathering.is_complete:
             return None
@@ -311,7 +317,9 @@ class Archipelago:
         """Check the invariants; raises AssertionError."""
         self.collector.validate()
         assert self.durable <= self.collector.state.epochs, "a checkpoint is ahead of the reports"
-        assert self.placement is None or self.placement.epoch <= self.durable, "a term begins where nothing is durable"
+        assert self.placement is None or self.placement.epoch <= self.durable, (
+            "a term begins at an epoch that is not durable"
+        )
         assert not self.is_writing or self._gathering is None, "two checkpoints are made at once"
 
     def _update_latest(self, islands: Iterable[int], epoch: int) -> None:

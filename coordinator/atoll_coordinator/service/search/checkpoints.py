@@ -16,7 +16,7 @@ from atoll_core.wire.messages.workers import Placement, Schedule
 from atoll_core.wire.state_pieces import Assembly, IslandState
 
 FIRST_INTERVAL: Final = 8
-"""Epochs before the first checkpoint, when nothing has been measured; a short search ends earlier."""
+"""Epochs before the first checkpoint, when no time has been measured yet; a short search ends earlier."""
 
 LEAST_INTERVAL: Final = 4
 MOST_INTERVAL: Final = 1 << 16
@@ -24,14 +24,14 @@ MOST_GROWTH: Final = 8
 """An interval is at most this multiple of the previous one: measurements of a few epochs are uncertain."""
 
 PAUSE_S: Final = 1.0
-"""Intended seconds between two checkpoints; about as much is computed again when a worker is lost."""
+"""Intended seconds between two checkpoints; about this time is computed again when a worker is lost."""
 
 SHARE: Final = 0.03
 """Share of all work that checkpoints may cost."""
 
 COST_S: Final = 0.01
 COST_S_PER_BYTE: Final = 5e-8
-"""Work of one checkpoint in all processes: to take, copy, hash twice, send and write the states."""
+"""Seconds of work for one checkpoint, in all processes: to take, copy, hash twice, send and write the states."""
 
 
 def interval_of(epoch_s: float, size: int, former: int) -> int:
@@ -50,8 +50,8 @@ def interval_of(epoch_s: float, size: int, former: int) -> int:
 def schedule_after(schedule: Schedule, epoch: int, interval: int, wants_barrier: bool) -> Schedule:
     """Return the schedule that follows when the checkpoint of `epoch` is durable.
 
-    The checkpoint that workers already know stays. The new one is `interval` epochs later or, for a barrier, one epoch
-    later: no island can have passed an epoch that no worker knows.
+    The checkpoint that workers already know does not change. The new one is `interval` epochs after it or, for a
+    barrier, one epoch after it: no island can have passed a checkpoint that no worker knows.
     """
     if schedule.holds:
         return Schedule(next=schedule.last, last=schedule.last, holds=True)
@@ -63,14 +63,14 @@ def schedule_after(schedule: Schedule, epoch: int, interval: int, wants_barrier:
 
 
 def common_epoch(snapshots: Iterable[Iterable[int]], beyond: int) -> int | None:
-    """Return the latest epoch after `beyond` of which every worker has snapshots; None: there is none."""
+    """Return the latest epoch after `beyond` for which every worker has snapshots; None: no such epoch."""
     sets = [set(epochs) for epochs in snapshots]
     shared = set.intersection(*sets) if sets else set()
     return max((epoch for epoch in shared if epoch > beyond), default=None)
 
 
 class Counted(Frozen):
-    """Cumulative point evaluations of one island by part."""
+    """Cumulative point evaluations of one island, by part of the search."""
 
     island: int
     evaluations: dict[str, int]
@@ -79,8 +79,8 @@ class Counted(Frozen):
 class StoredSearchState(Frozen):
     """A `SearchState` as it is stored together with the states of the islands.
 
-    `search_seconds` is how long the job had been searched. `engine` is the engine revision: states of other revisions
-    have another meaning.
+    `search_seconds` is the duration of the job's search so far. `engine` is the engine revision; states of another
+    revision cannot be continued.
     """
 
     engine: int
@@ -128,7 +128,7 @@ class StoredSearchState(Frozen):
 
 
 class Gathering:
-    """The states of one checkpoint on their way from the workers, one question to each worker at a time."""
+    """Gathers the states of one checkpoint from the workers, with one pull per worker at a time."""
 
     def __init__(self, placement: Placement, epoch: int) -> None:
         self.epoch: Final = epoch
@@ -138,7 +138,7 @@ class Gathering:
 
     @property
     def is_complete(self) -> bool:
-        """Whether the states of all islands have come."""
+        """Whether the states of all islands have arrived."""
         return all(assembly.is_complete for assembly in self._assemblies.values())
 
     @property
@@ -152,7 +152,7 @@ class Gathering:
         return {island: state for assembly in self._assemblies.values() for island, state in assembly.states.items()}
 
     def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
-        """Return pulls up to a number, each with its worker; they count as sent."""
+        """Return at most `most` pulls, each with its worker; they count as sent."""
         waiting = [
             name for name, assembly in self._assemblies.items() if name not in self._asked and not assembly.is_complete
         ][: max(0, most)]
@@ -170,10 +170,10 @@ class Gathering:
         ]  # fmt: skip
 
     def add(self, worker: str, body: States | None) -> None:
-        """Add a worker's answer (None: there was none); missing states are requested again.
+        """Add a worker's answer (None: there was no answer); missing states are pulled again.
 
         Raises:
-            RemoteProtocolError: A state was damaged on its way, and is asked again.
+            RemoteProtocolError: A state was damaged in transit; it is pulled again.
         """
         self._asked.discard(worker)
         if body is not None and worker in self._assemblies:

@@ -1,8 +1,13 @@
 """Collects the reports of one archipelago, merges front and runners-up and finds its end. Pure: no clock, no I/O.
 
-Decisions depend on epoch numbers, never on arrival times: epochs are merged in order, each once, when every island has
-reported all slices of it that count. Hence the result depends on the reports alone, and not on how far an island got
-beyond the cut.
+Epochs are merged in order, each once, when every island has reported all slices of the epoch that count. Decisions
+depend on epoch numbers and never on arrival times. So the result depends only on the contents of the reports, and not
+on their order, or on slices after the cut.
+
+Which slices of an epoch count depends on its first hit, in the commit order (`atoll_core.search.commit_order`). A later
+report may contain an earlier hit, so the first hit is found again among the reports of an epoch whenever it is needed.
+*Doubts.* The collector checks that reports are complete and do not contradict each other. It trusts their errors and
+programs, which only a worker has computed.
 """
 
 import math
@@ -25,12 +30,12 @@ Measure = Callable[[tuple[FrontEntry, ...]], float]
 
 
 class DivergedError(AtollError):
-    """Two workers report different states of the same island and generation, although epochs are pure functions."""
+    """Raised when workers report different states of the same island and generation: epochs are pure functions."""
 
 
 @dataclass(slots=True)
 class _Filed:
-    """One report: its first sender, its last generation, and, until its epoch is complete, all of it."""
+    """One report: its first sender, its last generation, and, until its epoch is merged, the whole report."""
 
     worker: str
     generations: int
@@ -42,16 +47,17 @@ class _Filed:
         """Return whether this report and another one of the same island and epoch cannot both be true."""
         if self.generations == report.generations:
             return (self.is_hit, self.digest) != (report.hit is not None, report.digest)
-        # an island that meets the target stops there, so the shorter report cannot have met it
+        # An island stops when it meets the target, so the report with fewer generations cannot contain a hit.
         return self.is_hit if self.generations < report.generations else report.hit is not None
 
 
 @dataclass(slots=True)
 class SearchState:
-    """The archipelago after its `epochs` completely reported epochs.
+    """The state of an archipelago after its first `epochs` epochs, which all islands have reported.
 
-    `counted` are the point evaluations of each island, `evaluations` their sums, both by part; `convergence` are the
-    improvements of each island.
+    `counted` are the cumulative point evaluations of each island, `evaluations` their sums over islands, both by part.
+    `convergence` are the improvements of each island. `best_length` is in nats; the front last improved in epoch
+    `improved_at`; `seconds` have passed since the search began.
     """
 
     epochs: int = 0
@@ -88,7 +94,7 @@ class Collector:
 
         Raises:
             DivergedError: A report differs from an earlier one.
-            RemoteProtocolError: There is no such epoch or island. Nothing has changed.
+            RemoteProtocolError: There is no such epoch or island; the state has not changed.
         """
         if self.cut is not None:
             return False
@@ -113,7 +119,7 @@ class Collector:
         return self.state.epochs > before
 
     def cut_now(self, why: Why) -> None:
-        """End at the last completely reported epoch; unless cancelled, not before the first one is complete."""
+        """End at the last completely reported epoch; unless cancelled, not before the first epoch is complete."""
         if self.cut is not None:
             return
         if self.state.epochs == 0 and why != "cancelled":
@@ -122,11 +128,11 @@ class Collector:
         self._end(why)
 
     def at(self, epochs: int) -> SearchState | None:
-        """Return the state after this number of epochs; None: not reached, or forgotten."""
+        """Return the state after this number of epochs; None: the epoch is not reached, or its state is forgotten."""
         return self._past.get(epochs)
 
     def forget(self, before: int) -> None:
-        """Forget states and reports of earlier epochs, which are not needed again."""
+        """Forget states and reports of earlier epochs."""
         self._past = {epochs: past for epochs, past in self._past.items() if epochs >= before}
         if before <= self.state.epochs:
             self._filed = {key: filed for key, filed in self._filed.items() if key[0] >= before}
@@ -134,11 +140,11 @@ class Collector:
             self._with_hit = {epoch for epoch in self._with_hit if epoch >= before}
 
     def resume(self, state: SearchState) -> None:
-        """Go on from an earlier state; only before the first report."""
+        """Continue from an earlier state; call it only before the first report."""
         self.state = state
 
     def first_missing(self, islands: Iterable[int], before: int) -> int | None:
-        """Return the first epoch below `before` with a missing report of one of these islands; None: there is none."""
+        """Return the first epoch before `before` with a missing report of these islands; None: none is missing."""
         wanted = tuple(islands)
         for epoch in range(self.state.epochs, min(before, self.limits.epochs)):
             if any((epoch, island) not in self._filed for island in wanted):
@@ -155,10 +161,12 @@ class Collector:
     def validate(self) -> None:
         """Check the invariants; raises AssertionError."""
         for (epoch, _), filed in self._filed.items():
-            assert (filed.report is None) == (epoch < self.state.epochs), f"epoch {epoch} is half taken in"
+            assert (filed.report is None) == (epoch < self.state.epochs), f"epoch {epoch} is merged in part"
         lengths = [(entry.complexity, -entry.error) for entry in self.state.front]
         assert lengths == sorted(lengths), "the front is not in order"
-        assert all(entry.epoch < self.state.epochs for entry in self.state.front), "the front is ahead"
+        assert all(entry.epoch < self.state.epochs for entry in self.state.front), (
+            "the front has entries of later epochs"
+        )
 
     def _check(self, worker: str, epoch: int, report: IslandReport) -> None:
         if epoch >= self.limits.epochs or report.island >= self.limits.islands:
@@ -175,9 +183,9 @@ class Collector:
             )
 
     def _is_whole(self, report: IslandReport) -> bool:
-        """Return whether a report has the counters of exactly the slices that it must have finished."""
+        """Return whether a report has counters for exactly the slices up to its last generation."""
         reached, order = report.generations, self.limits.commit_order
-        # A report may claim generation 2**62: slices are listed only if it has as many counters.
+        # A report may claim generation 2**62. Its slices are listed only if it has a counter for each.
         if reached > order.generations or reached // order.stride > len(report.counters):
             return False
         ends = order.ends(reached)
@@ -185,7 +193,7 @@ class Collector:
         return at_end and tuple(counters.generation for counters in report.counters) == ends
 
     def _is_complete(self, epoch: int) -> bool:
-        """Return whether every island has reported as much of an epoch as counts, by the known hits."""
+        """Return whether every island has reported the slices of an epoch that count, given the known hits."""
         if epoch not in self._with_hit:
             return self._whole[epoch] == self.limits.islands
         hit = self._hit(epoch)
@@ -196,7 +204,7 @@ class Collector:
         return True
 
     def _hit(self, epoch: int) -> Position | None:
-        """Return where the target was first met in an epoch that is not merged yet, by its reports so far."""
+        """Return the first hit, in the commit order, in the reports so far of an epoch that is not merged."""
         reports = (self._filed[key].report for key in self._keys(epoch))
         hits = (Position(epoch, report.hit.generation, report.island) for report in reports if report and report.hit)
         return min(hits, key=self.limits.commit_order.rank, default=None)
@@ -206,7 +214,7 @@ class Collector:
         return self.limits.commit_order.generations if hit is None else self.limits.commit_order.needed(hit, island)
 
     def _keys(self, epoch: int) -> list[tuple[int, int]]:
-        """Return the keys of the reports of an epoch so far, by island."""
+        """Return the keys of the reports of an epoch that have arrived, by island."""
         return [(epoch, island) for island in range(self.limits.islands) if (epoch, island) in self._filed]
 
     def _merge_epoch(self, epoch: int, seconds: float) -> None:
@@ -274,7 +282,7 @@ class Collector:
 
 
 def entries_of(epoch: int, report: IslandReport, additions: Iterable[Addition], end: int) -> list[FrontEntry]:
-    """Return additions of an island up to generation `end` of an epoch, tagged with epoch and island."""
+    """Return the additions of an island up to generation `end` of an epoch, as entries with epoch and island."""
     return [
         FrontEntry(one.complexity, one.error, one.mse, epoch, one.generation, report.island, one.program)
         for one in additions

@@ -1,7 +1,7 @@
 """The end of the search for one equation: its conditions, and the cut, which is the state of the search at its end.
 
-A search ends by its target, by a law found without it, by epochs without improvement, by their number, by time or by
-cancellation. Its cut is durable once it is committed.
+A search ends when it meets its target error, when regression has found a law, after too many epochs without
+improvement, after its last allowed epoch, by `--max-time` or by cancellation. The cut is committed to the store.
 """
 
 from collections.abc import Mapping
@@ -30,15 +30,15 @@ class Stagnation:
     grows: bool = False
 
     def is_due(self, epoch: int, improved_at: int) -> bool:
-        """Return whether a search ends with `epoch` that last improved in epoch `improved_at`, both from 0."""
+        """Return whether a search ends after `epoch` if it last improved in epoch `improved_at`; both count from 0."""
         return epoch - improved_at >= (max(self.epochs, improved_at + 1) if self.grows else self.epochs)
 
 
 @dataclass(frozen=True, slots=True)
 class SearchLimits:
-    """Conditions that end an archipelago by itself; `runners_up` is the number kept for each complexity.
+    """Limits of the search of one archipelago; `runners_up` is the number of runners-up kept for each complexity.
 
-    `has_law`: a law was found by regression, so that one epoch, for comparison, is enough.
+    `has_law`: regression has found a law, so one epoch, for comparison, is enough.
     """
 
     islands: int
@@ -50,10 +50,10 @@ class SearchLimits:
 
 
 def end_of(limits: SearchLimits, epoch: int, improved_at: int, hit: Position | None, ordered: Why | None) -> Why | None:
-    """Return why a search ends with `epoch`, which all islands have reported; None if it goes on.
+    """Return why a search ends with `epoch`, which all islands have reported; None: the search continues.
 
-    The front last improved in epoch `improved_at`, and the target was met at `hit` (None: not yet). `ordered` is an end
-    by time that waited for a first epoch.
+    The front last improved in epoch `improved_at`. `hit` is where the target was met (None: not yet). `ordered` is an
+    end by `--max-time` that had to wait for the first complete epoch.
     """
     if hit is not None:
         return "target"
@@ -74,7 +74,7 @@ class Improvement(Frozen):
 
 
 class Convergence(Frozen):
-    """The improvements of one island, by rising generation and falling error."""
+    """The improvements of one island, ordered by rising generation; their errors fall."""
 
     island: int
     improvements: tuple[Improvement, ...]
@@ -88,10 +88,11 @@ class Convergence(Frozen):
 class Cut(Frozen):
     """The end of one archipelago, as it is stored.
 
-    `epochs` is a number, so the last epoch is `epochs` - 1; `generation`, counted from the start of the search, met the
-    target (None: no generation did, and the last epoch counts to its end); `evaluations` are the point evaluations of
-    all islands by part; `seconds` run from the first epoch's start to the end of the last slice that counts;
-    `runners_up` are the next best entries, outside the front (`atoll_core.search.pareto.runners_up`).
+    `epochs` is a number, so the last epoch is `epochs` - 1. `generation`, counted from the start of the search, is the
+    generation that met the target (None: the target was not met, and the whole last epoch counts). `evaluations` are
+    the point evaluations of all islands, by part. `seconds` is the time from the start of the first epoch to the end of
+    the last slice that counts. `runners_up` are the next best entries, which are not in the front
+    (`atoll_core.search.pareto.runners_up`).
     """
 
     variable: str

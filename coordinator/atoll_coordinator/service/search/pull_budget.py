@@ -1,7 +1,7 @@
 """Decides which states of checkpoints are pulled from workers during the search, within a limit on memory. Pure.
 
-The checkpoint that was begun first always continues once no other is being written, so that no checkpoint waits for
-ever, and one that is larger than the limit goes through alone.
+While no checkpoint is being written, the checkpoint that was begun first always continues. So no checkpoint waits for
+ever, and a checkpoint that is larger than the limit is gathered alone.
 """
 
 from collections.abc import Mapping
@@ -12,10 +12,10 @@ from atoll_core.wire.messages.epochs import PullStates, States
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 
 MAX_PULLS: Final = 4
-"""Pulls of states at the same time; each answer has up to 4 MB."""
+"""Pulls of states at the same time; each answer has at most 4 MB."""
 
 MAX_BYTES: Final = 256 * 1024**2
-"""Bytes of states that are gathered, asked for or being written at the same time, not counting one checkpoint."""
+"""Bytes of states that are pulled, gathered or written at the same time; the oldest checkpoint may exceed it."""
 
 
 class PullBudget:
@@ -34,7 +34,7 @@ class PullBudget:
         return sum(self._gathered.values()) + sum(self._written.values())
 
     def begin_round(self, archipelagos: Mapping[ArchipelagoKey, Archipelago]) -> None:
-        """Forget checkpoints whose archipelago is no longer open, or lost a worker."""
+        """Forget checkpoints whose archipelago is no longer open, or has lost its placement."""
         for key in list(self._gathered):
             if key not in archipelagos or archipelagos[key].gathered_bytes is None:
                 del self._gathered[key]
@@ -54,7 +54,7 @@ class PullBudget:
         return pulls
 
     def take_complete_checkpoint(self, archipelago: Archipelago) -> Checkpoint | None:
-        """Return the checkpoint of an archipelago that can be written now, once; it counts as being written."""
+        """Return the checkpoint that can be written now, each only once; it counts as being written."""
         checkpoint = archipelago.take_complete_checkpoint()
         if checkpoint is not None:
             self._gathered.pop(archipelago.key, None)
@@ -62,10 +62,10 @@ class PullBudget:
         return checkpoint
 
     def add_states(self, archipelago: Archipelago | None, worker: str, pull: PullStates, body: States | None) -> None:
-        """Add the answer to a pull; None: there was none.
+        """Add the answer to a pull; None: there was no answer.
 
         Raises:
-            RemoteProtocolError: A state was damaged on its way, and is pulled again.
+            RemoteProtocolError: A state was damaged in transit; it is pulled again.
         """
         self._pulls -= 1
         if archipelago is None:

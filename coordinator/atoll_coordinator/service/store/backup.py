@@ -1,7 +1,8 @@
-"""Copies a store while it is served, and restores a store from a copy, by SQLite's backup API without a coordinator.
+"""Copies a store while it is served, and restores a store from a copy. No coordinator is needed for either.
 
-A copy is one file and shows one instant: it is read in a transaction of its own, which in WAL mode neither blocks
-writers nor sees their changes. It is read in steps, with pauses that leave the disk to the coordinator.
+A copy is one file with the contents of one instant. SQLite's backup API reads the store in one transaction, which in
+WAL mode neither blocks writers nor sees their changes. It reads in steps; in the pauses the coordinator can use the
+disk.
 """
 
 import contextlib
@@ -17,13 +18,13 @@ from atoll_coordinator.service.store.schema import BUSY_LIMIT_S, FILE_NAME, chec
 from atoll_core.errors import StoreError, WrongStoreError
 
 STEP_PAGES: Final = 1024
-"""Pages of 4 KB read in one step: 4 MB, some milliseconds of a disk; a commit waits for one step at most."""
+"""Pages of 4 KB that are read in one step: 4 MB, some milliseconds of a disk. A commit waits for at most one step."""
 
 PAUSE_S: Final = 0.005
-"""Pause between two steps: at most half of the disk's time is used where a step takes as long."""
+"""Pause between two steps, about as long as a step takes, so that a backup uses at most half of the disk's time."""
 
 _COMPANIONS: Final = ("-wal", "-shm", "-journal")
-"""Endings of the files that SQLite keeps next to a store, and applies to any store of that name when it is opened."""
+"""Suffixes of the files that SQLite keeps next to a store. SQLite applies them to any store of that name on opening."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +39,9 @@ class Copy:
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """A restored store: its copy, its new cluster name, the store that was there before, and all files put aside.
+    """A restored store: its copy, its new cluster name, the former store, and all renamed files.
 
-    `aside` also holds SQLite's files for a store whose main file had been moved away (then `former` is None).
+    `aside` also has SQLite's files of a store whose main file had been moved away (then `former` is None).
     """
 
     copy: Copy
@@ -55,7 +56,7 @@ def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = la
     `show` is called with the number of copied pages and of all pages. After an error there is no `target`.
 
     Raises:
-        StoreError: there is no store, or it is damaged or foreign; `target` exists already or cannot be written.
+        StoreError: There is no store, or it is damaged or foreign; `target` exists already or cannot be written.
     """
     source = directory / FILE_NAME
     if not source.is_file():
@@ -64,9 +65,9 @@ def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = la
         with _translated(f"the store {source} cannot be copied", "choose an undamaged one"):
             check_kind(store, source)
             store.execute("BEGIN")
-            store.execute("SELECT count(*) FROM realm").fetchone()  # the copy shows this instant
+            store.execute("SELECT count(*) FROM realm").fetchone()  # the copy has the contents of this instant
         with (
-            _translated(f"the copy {target} cannot be written", "see that there is room"),
+            _translated(f"the copy {target} cannot be written", "check that there is room"),
             contextlib.closing(sqlite3.connect(draft, isolation_level=None)) as copy,
         ):
 
@@ -80,10 +81,10 @@ def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = la
 
 
 def check_copy(file: Path, what: str, mode: str = "ro") -> Copy:
-    """Check all of a file, opened in SQLite's `mode`, and return a summary; messages call the file `what`.
+    """Check a whole file, opened in SQLite's `mode`, and return a summary; error messages call the file `what`.
 
     Raises:
-        StoreError: it is damaged, no store, of a newer version, or cannot be read.
+        StoreError: The file is damaged, no store, of a newer version, or cannot be read.
     """
     advice = "use another copy"
     with _translated(f"{what} cannot be read", advice), contextlib.closing(_connected(file, mode)) as copy:
@@ -102,11 +103,11 @@ def restore(source: Path, directory: Path, *, replaces: bool = False) -> Restore
     """Create the store in `directory` from the copy `source`, with a new cluster name, open it once and check it.
 
     The name is new because the copied store may still be served elsewhere: both stores would issue the same terms. With
-    `replaces` an existing store is put aside. SQLite's files for a store that was moved away are always put aside, as
-    SQLite would apply them to the new one.
+    `replaces` an existing store is renamed. SQLite's files of a store that was moved away are always renamed, because
+    SQLite would apply them to the new store.
 
     Raises:
-        StoreError: the copy is missing, damaged or no store; the directory has a store or a coordinator, or no room.
+        StoreError: The copy is missing, damaged or no store; the directory has a store or a coordinator, or no room.
     """
     if not source.is_file():
         raise WrongStoreError(f"there is no copy {source}; name a file that `coordinator backup` has written")
@@ -115,12 +116,12 @@ def restore(source: Path, directory: Path, *, replaces: bool = False) -> Restore
         place = directory / FILE_NAME
         if place.exists() and not replaces:
             raise WrongStoreError(
-                f"{directory} has a store already; choose another directory with --state, or put that one aside with "
+                f"{directory} has a store already; choose another directory with --state, or rename that store with "
                 "--replace"
             )
         found = check_copy(source, f"the copy {source}")
         with _draft_of(place, exists=True) as draft:
-            with _translated(f"the store {place} cannot be written", "see that there is room"):
+            with _translated(f"the store {place} cannot be written", "check that there is room"):
                 name = _renamed_copy(source, draft)
             aside = _put_aside(place)
         there = check_copy(place, f"the restored store {place}", "rw")  # opened as `serve` opens it
@@ -152,7 +153,7 @@ def _put_aside(place: Path) -> tuple[Path, ...]:
 
     An undamaged store is one file afterwards. If the store was moved away, only SQLite's other files exist.
     """
-    with _translated(f"the store {place} cannot be put aside", "move it away by hand"):
+    with _translated(f"the store {place} cannot be renamed", "move it away by hand"):
         if place.exists():
             try:
                 with contextlib.closing(sqlite3.connect(place, isolation_level=None, timeout=BUSY_LIMIT_S)) as former:
@@ -178,10 +179,10 @@ def _companions(path: Path) -> list[Path]:
 
 @contextlib.contextmanager
 def _draft_of(target: Path, *, exists: bool = False) -> Iterator[Path]:
-    """Yield a file that is renamed to `target`, durably, at the end of the block; after an error it is deleted.
+    """Yield a file that is durably renamed to `target` at the end of the block; after an error it is deleted.
 
     Raises:
-        StoreError: the folder cannot be written; or, unless `exists`, `target` or another file of that store exists
+        StoreError: The folder cannot be written; or, unless `exists`, `target` or another file of that store exists
             already.
     """
     there = [] if exists else _companions(target)
@@ -189,10 +190,10 @@ def _draft_of(target: Path, *, exists: bool = False) -> Iterator[Path]:
         raise WrongStoreError(f"{there[0]} exists already; name another file for the copy, or remove it")
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        with _translated(f"the file {target} cannot be written", "name another"):
+        with _translated(f"the file {target} cannot be written", "name another file"):
             draft.touch(mode=0o600)  # measurements are private
         yield draft
-        with _translated(f"the file {target} cannot be written", "see that there is room"):
+        with _translated(f"the file {target} cannot be written", "check that there is room"):
             _sync(draft)
             draft.replace(target)
             _sync(target.parent)
@@ -217,7 +218,7 @@ def _connected(file: Path, mode: str = "rw") -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def _translated(what: str, advice: str) -> Iterator[None]:
-    """Turn errors of SQLite and the system into a StoreError: `what` failed, why, and advice."""
+    """Turn errors of SQLite and the system into a StoreError with `what` failed, the reason, and advice."""
     try:
         yield
     except sqlite3.Error as error:

@@ -1,7 +1,7 @@
 """The store's blobs (tables, datasets, prepared data): bytes in chunks of `CHUNK_SIZE` under their SHA-256.
 
-A blob is complete when all of its chunks are stored. Each blob is listed in `uploads` until a job uses it, so that only
-few rows have to be checked for use. Functions that take `sql` are part of the caller's transaction.
+A blob is complete when all of its chunks are stored. The table `uploads` lists each blob until a job uses it, so that a
+search for unused blobs reads few rows. Functions that take `sql` are part of the caller's transaction.
 """
 
 import hashlib
@@ -38,7 +38,8 @@ class BlobStore(OpenFile):
     def is_sound(self, digest: str) -> bool:
         """Return whether a blob is stored completely and undamaged; a damaged one is deleted.
 
-        It reads all bytes, one chunk a transaction: call it in a thread of its own, others wait for one chunk at most.
+        It reads all bytes, one chunk per transaction. Call it in a separate thread: other threads wait for one chunk at
+        most.
         """
         actual = hashlib.sha256()
         try:
@@ -52,7 +53,7 @@ class BlobStore(OpenFile):
             stored = hashlib.sha256()
             for (data,) in sql.execute("SELECT data FROM chunks WHERE digest = ? ORDER BY number", (digest,)):
                 stored.update(data)
-            if stored.hexdigest() != digest:  # otherwise it was written again in the meantime
+            if stored.hexdigest() != digest:  # otherwise another thread has written it again
                 _delete(sql, digest)
         return False
 
@@ -73,8 +74,8 @@ class BlobStore(OpenFile):
     def put_chunk(self, upload: str, index: int, data: bytes, digest: str | None = None) -> bool:
         """Store the next chunk of an upload; return False, changing nothing, when earlier chunks are missing.
 
-        Chunk 0 begins the upload again. A `digest`, which all bytes must have, marks the last chunk: the upload becomes
-        the blob of that digest. A blob of this name or digest that is already stored stays.
+        Chunk 0 begins the upload again. The last chunk has the `digest` of all bytes, which the caller has checked: the
+        upload becomes the blob of this digest. A complete blob of this name or digest is not changed.
         """
         with self._transaction() as sql:
             if _is_complete(sql, upload):
@@ -99,14 +100,14 @@ class BlobStore(OpenFile):
         return tuple(digest for (digest,) in self._rows(f"SELECT digest FROM uploads WHERE {_UNUSED}"))
 
     def delete_unused_blobs(self, digests: Iterable[str]) -> None:
-        """Delete the unused ones among these blobs, complete or not."""
+        """Delete those of these blobs that no job uses, complete or not."""
         with self._transaction() as sql:
             delete_unused(sql, digests)
 
     def _write_blob(self, digest: str, data: bytes) -> None:
         """Write a missing blob, one chunk a transaction. `finish` completes it in the caller's transaction.
 
-        Until then it is no upload: clients cannot add to it, and it is not deleted as unused.
+        Until then it does not count as an upload: clients cannot add to it, and it is not deleted as unused.
         """
         if self.has_blob(digest) and self.is_sound(digest):
             return
@@ -143,7 +144,7 @@ def take(sql: sqlite3.Connection, digest: str) -> None:
 
 
 def delete_unused(sql: sqlite3.Connection, digests: Iterable[str]) -> None:
-    """Delete the unused ones among these blobs."""
+    """Delete those of these blobs that no job uses."""
     for digest in digests:
         _delete(sql, digest, _UNUSED)
 
@@ -173,7 +174,7 @@ def _add_chunk(sql: sqlite3.Connection, digest: str, index: int, data: bytes) ->
 
 
 def _rename_upload(sql: sqlite3.Connection, upload: str, digest: str) -> None:
-    """Turn a complete upload into the blob of that digest, unless that is already stored."""
+    """Turn a complete upload into the blob of this digest, unless this blob is already stored."""
     if upload == digest:
         sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
         return

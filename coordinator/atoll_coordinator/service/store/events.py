@@ -9,10 +9,10 @@ from atoll_coordinator.service.store.jobs import Viewer
 from atoll_coordinator.service.store.open_file import OpenFile, first_value
 
 MAX_EVENTS: Final = 2000
-"""Events kept for each job, and as many without a job; older ones are deleted."""
+"""Number of events that are kept for each job, and of events without a job; older events are deleted."""
 
 LEAST_COMMITS: Final = 500
-"""Commits and log lines up to this number are kept; only those beyond it are deleted before rarer events."""
+"""Number of commits and log lines that are kept; beyond this number they are deleted before rarer events."""
 
 _COMMON: Final = "kind IN ('commit', 'log')"
 
@@ -21,7 +21,7 @@ _COMMON: Final = "kind IN ('commit', 'log')"
 class EventRecord:
     """One stored event. `time` is an ISO time, `contents` JSON; the store assigns rising `number`s.
 
-    `job` is None when it concerns no particular job.
+    `job` is None if the event concerns no particular job.
     """
 
     job: str | None
@@ -42,10 +42,11 @@ class EventStore(OpenFile):
     def events(
         self, job: str | None, after: int, limit: int, viewer: Viewer | None = None, *, of_workers: bool = False
     ) -> tuple[EventRecord, ...]:  # fmt: skip
-        """Return events of `job`, or of all (None), in order: the next `limit` after number `after`, or the last (0).
+        """Return at most `limit` events of `job` (None: all events), in order.
 
-        A `viewer` gets the events of jobs that it sees, and of workers, but no breakages, deletions or log lines
-        without a known job: these may concern other users. `of_workers`: only log lines of workers.
+        These are the first events after number `after`, or if that is 0, the latest events. A `viewer` gets the events
+        of visible jobs and of workers. Breakages, deletions and log lines without a known job are left out, because
+        they may concern other users. `of_workers`: only log lines of workers.
         """
         order = "ASC" if after else "DESC"
         sources = ("TRUE",) if viewer is None else ("owner = :name AND owner IS NOT NULL", "shared")
@@ -79,7 +80,7 @@ def _seen_by(sql: sqlite3.Connection, event: EventRecord) -> tuple[str | None, i
 
 
 def _delete_excess(sql: sqlite3.Connection, job: str | None) -> None:
-    """Delete the oldest events beyond `MAX_EVENTS`: commits and log lines first, while there are `LEAST_COMMITS`."""
+    """Delete the oldest events beyond `MAX_EVENTS`, first commits and log lines beyond `LEAST_COMMITS`."""
     excess = first_value(sql, "SELECT count(*) - ? FROM events WHERE job IS ?", MAX_EVENTS, job)
     if excess <= 0:
         return

@@ -1,9 +1,9 @@
-"""The store's tables of held bytes: the bytes of each user's jobs, updated with every change, never summed up.
+"""The store's tables of held bytes: the bytes of each user's jobs. They are updated with every change of jobs.
 
-A blob counts once for a user, however many jobs use it, and once for all users together (`ALL`). It is *live* for a
-user while a job of the user that has not ended uses it. It is *freeable* for all users whose ended jobs use it while no
-job that has not ended does, of any user: only then deleting ended jobs frees it. Functions that take `sql` are part of
-the caller's transaction.
+A blob counts once for a user, for any number of jobs, and once for all users together (`ALL`). It is *live* for a user
+while an unfinished job of this user uses it. It is *freeable* for a user whose ended jobs use it, if no unfinished job
+of any user uses it: only then does deleting ended jobs free its bytes. Functions that take `sql` are part of the
+caller's transaction.
 """
 
 import sqlite3
@@ -13,7 +13,7 @@ from typing import Final, Literal
 from atoll_coordinator.service.store.open_file import OpenFile, first_value
 
 ALL: Final = "*"
-"""Owner of the sums over all users; no certificate has this name."""
+"""Owner of the sums over all users; no certificate can have this name."""
 
 Kind = Literal["table", "made"]
 """An uploaded table, which counts towards a user's limit, or data prepared from one."""
@@ -23,8 +23,8 @@ Kind = Literal["table", "made"]
 class Held:
     """Bytes that are held for a user, or for all users together.
 
-    `stored`: tables and results, which limits count; `live`: blobs of jobs that have not ended; `freeable`: blobs that
-    only ended jobs use, and results.
+    `stored`: tables and results, to which limits apply; `live`: blobs of jobs that have not ended; `freeable`: results,
+    and blobs that only ended jobs use.
     """
 
     stored: int = 0
@@ -58,8 +58,7 @@ def most_freeable(sql: sqlite3.Connection) -> str | None:
 
 
 def use(sql: sqlite3.Connection, owner: str | None, digest: str, kind: Kind, *, live: int = 0, ended: int = 0) -> None:
-    """Change how many jobs of a user use a blob: the number of jobs that have not ended (`live`) and that have
-    ended."""
+    """Change the numbers of jobs of a user that use a blob: `live` jobs, which have not ended, and `ended` jobs."""
     owners = (owner or "", ALL)
     _count_freeable(sql, digest, kind, -1)
     for whose in owners:
@@ -83,7 +82,7 @@ def use(sql: sqlite3.Connection, owner: str | None, digest: str, kind: Kind, *, 
 
 
 def add_result(sql: sqlite3.Connection, owner: str | None, size: int) -> None:
-    """Add bytes (negative: fewer) to the results of a user."""
+    """Add bytes to the results of a user; a negative `size` subtracts."""
     owners = (owner or "", ALL)
     for whose in owners:
         _add(sql, whose, results=size)
@@ -91,7 +90,7 @@ def add_result(sql: sqlite3.Connection, owner: str | None, size: int) -> None:
 
 
 def _count_freeable(sql: sqlite3.Connection, digest: str, kind: Kind, sign: int) -> None:
-    """Add a blob to (-1: subtract it from) the freeable bytes of all users whose ended jobs use it, if none is live.
+    """Add a blob to the freeable bytes of all users whose ended jobs use it, if no live job uses it. -1: subtract it.
 
     The cost grows with the number of users of the same blob.
     """

@@ -43,8 +43,7 @@ class JobRecord:
 
     @property
     def is_sound(self) -> bool:
-        """Whether the fields have the types they were written with: SQLite returns values of any type from a damaged
-        file."""
+        """Whether the fields have the right types: from a damaged file, SQLite returns values of any type."""
         texts = (self.id, self.name, self.spec, self.table_digest, self.submitted, self.state)
         return (
             all(isinstance(text, str) for text in texts)
@@ -55,7 +54,7 @@ class JobRecord:
 
 @dataclass(frozen=True, slots=True)
 class Viewer:
-    """A user who sees own jobs (of `name`) and shared ones, but no jobs without a submitter."""
+    """A user who sees the jobs submitted under `name` and shared jobs, but no private jobs without a submitter."""
 
     name: str | None
 
@@ -74,7 +73,7 @@ _INDICES: Final = {
     ("shared", "any"): "INDEXED BY shared_jobs", ("shared", "open"): "INDEXED BY shared_open_jobs",
     ("shared", "state"): "INDEXED BY shared_jobs_by_state",
 }  # fmt: skip
-"""(Owner, selection) of a list of jobs -> index in the order of the list, so that only rows of the answer are read."""
+"""(Owner, selection) of a list of jobs -> index in the order of the list, so that only the listed rows are read."""
 
 _WHOSE: Final = {"all": "TRUE", "own": "submitter = :name", "shared": "shared"}
 _WHICH: Final = {"any": "TRUE", "open": OPEN, "state": "state = :state"}
@@ -109,7 +108,8 @@ class JobStore(OpenFile):
     ) -> tuple[tuple[int, str], ...]:  # fmt: skip
         """Return numbers and ids of the last submitted jobs, newest first; see `wire.messages.clients.ListJobs`.
 
-        `is_open` leaves out ended jobs, `state` those in other states, `viewer` (None: sees all) those it does not see.
+        `is_open` leaves out ended jobs, `state` jobs in other states, `viewer` (None: all jobs) jobs that are not
+        visible.
         """
         if is_open and state in FINAL_STATES:
             return ()
@@ -153,7 +153,7 @@ class JobStore(OpenFile):
         return self._value(query, digest, viewer.name) is not None
 
     def uses_table_of(self, digest: str, submitter: str | None) -> bool:
-        """Return whether a job of this user uses a table: it counts once for all jobs of the user."""
+        """Return whether a job of this user uses a table; a table counts once for all jobs of a user."""
         query = "SELECT 1 FROM jobs WHERE table_digest = ? AND submitter IS ? LIMIT 1"
         return self._value(query, digest, submitter) is not None
 
@@ -189,7 +189,7 @@ class JobStore(OpenFile):
         return {job: view for job, view in found.items() if view is not None}
 
     def oldest_ended_job(self, of: Viewer | None = None) -> JobRecord | None:
-        """Return the job that ended first, of all jobs or one user's; None when none has ended."""
+        """Return the job that ended first, of all jobs or of one user's jobs; None: no job has ended."""
         with self._reading() as sql:
             return oldest_ended(sql, of)
 
@@ -247,7 +247,7 @@ def keep_view(sql: sqlite3.Connection, job: str, view: str) -> None:
 
 
 def oldest_ended(sql: sqlite3.Connection, viewer: Viewer | None = None) -> JobRecord | None:
-    """Return the job that ended first, of all jobs or of a user's own; None when none has ended."""
+    """Return the job that ended first, of all jobs or of one user's jobs; None: no job has ended."""
     own, name = ("AND submitter IS ? ", (viewer.name,)) if viewer is not None else ("", ())
     index = "ended_jobs_by_submitter" if viewer is not None else "ended_jobs"
     row = sql.execute(

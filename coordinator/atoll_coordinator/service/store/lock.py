@@ -1,11 +1,12 @@
-"""The lock on the store's directory: one coordinator at a time serves the store; beats in the lock show that it runs.
+"""The lock on the store's directory: only one coordinator serves the store, and beats show that it runs.
 
+A beat is a new modification time of the lock file.
 The operating system releases the lock when its process dies. A process that hangs keeps the lock, but its beats stop,
 and then another coordinator may replace the lock file. If the hung process continues later, the incarnation
 (`OpenFile.beat`), not the lock, keeps it from writing.
 
-Every user who may open a file may lock it. Therefore a lock file of an earlier version, which other users could open,
-is replaced by a new file.
+Any user who may open a file may lock it. Therefore a lock file of an earlier version, which other users could open, is
+replaced by a new file.
 """
 
 import contextlib
@@ -26,22 +27,22 @@ _LOG = logging.getLogger("coordinator")
 
 LOCK_NAME: Final = "lock"
 _GUARD_NAME: Final = "guard"
-"""A process holds this second lock while it replaces the lock. Earlier versions used a file of another name, which
-other users could open."""
+"""Name of a second lock, which a process takes while it replaces the lock. Earlier versions used a file of another
+name, which other users could open."""
 
 _BEATS: Final = "beats"
-"""This mark in the lock says that its coordinator beats. Coordinators of older versions never beat, and are not treated
-as hung."""
+"""A mark in the lock file: its coordinator beats. Coordinators of older versions never beat, and are not treated as
+hung."""
 
 _SIGN_OF_LIFE_S: Final = 3.0
-"""Longest wait for a beat (six ticks of a coordinator) if a lock that other users could open names no process."""
+"""Wait for a beat (six ticks of a coordinator), if other users could open the lock and it has no process id."""
 
 _ATTEMPTS: Final = 5
 """Attempts to take a lock that other coordinators replace during the attempt."""
 
 
 class StoreInUseError(StoreError):
-    """Raised when another coordinator has the lock; the message has its process id if known."""
+    """Raised when another coordinator has the lock; the message has its process id if that is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,7 @@ class Lock:
                 process = f" (process {holder})" if holder is not None else ""
                 raise StoreInUseError(
                     f"the store {directory} is in use by another coordinator{process}; "
-                    "stop that one, or choose another directory with --state"
+                    "stop it, or choose another directory with --state"
                 )
             if _is_at(file, directory / LOCK_NAME):
                 break
@@ -82,7 +83,7 @@ class Lock:
 
     @classmethod
     def seize(cls, directory: Path, beat: Beat) -> Self | None:
-        """Replace the lock of a coordinator that hangs by a lock of ours; None: that coordinator or another one runs.
+        """Replace the lock of a hung coordinator by a new one; None: this or another coordinator runs.
 
         `beat` is its last known beat. Raises StoreError when the directory cannot be written.
         """
@@ -107,9 +108,9 @@ class Lock:
 
 
 def last_beat(directory: Path) -> Beat | None:
-    """Return the last beat of the coordinator that has the lock; None: no coordinator has it, or one that never beats.
+    """Return the last beat of the coordinator with the lock; None: there is none, or it never beats.
 
-    If the beat has changed since it was last read, that coordinator runs; no clocks are compared.
+    If the beat has changed since it was last read, the coordinator runs; no clocks are compared.
     """
     path = directory / LOCK_NAME
     try:
@@ -159,14 +160,14 @@ def _replace_open(directory: Path) -> bool:
 
 
 def _beats(directory: Path) -> bool:
-    """Tell whether the coordinator that has the lock beats; other processes cannot write to the lock."""
+    """Return whether the coordinator that has the lock beats; other processes cannot write to the lock."""
     before = last_beat(directory)
     time.sleep(_SIGN_OF_LIFE_S)
     return last_beat(directory) != before
 
 
 def _holder(file: int) -> int | None:
-    """Return the process whose id is in an open lock; None unless it runs, has the lock open, and belongs to our
+    """Return the process whose id is in an open lock file; None unless it runs, has this file open, and has our
     user."""
     try:
         process = int(os.pread(file, 32, 0).split()[0])
@@ -190,7 +191,7 @@ def _has_open(process: int, file: os.stat_result) -> bool:
 
 @contextlib.contextmanager
 def _guarded(directory: Path, *, waits: bool = False) -> Iterator[bool]:
-    """Yield whether only this process may replace the lock of a directory during the block; it may wait for others."""
+    """Yield whether this process alone may replace the lock during the block; `waits`: wait for other processes."""
     guard = _opened(directory, directory / _GUARD_NAME)
     try:
         yield _locks(guard, waits=waits)
@@ -211,23 +212,22 @@ def _replacement(directory: Path) -> int:
 
 
 def _opened(directory: Path, path: Path) -> int:
-    """Open a file of the directory, creating it if necessary. Only its user has access: a user who opens a file may
-    lock it."""
+    """Open a file of the directory, creating it if necessary. Only its user gets access, because any user who can open
+    a file can lock it."""
     try:
         _make_private(directory)
         return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError as error:
         reason = (error.strerror or "").lower()
         if may_pass(error):
-            raise StoreError(f"the store {directory} cannot be written: {reason}; see that there is room") from error
+            raise StoreError(f"the store {directory} cannot be written: {reason}; check that there is room") from error
         raise WrongStoreError(
             f"the store {directory} cannot be written: {reason}; choose another directory with --state"
         ) from error
 
 
 def _make_private(directory: Path) -> None:
-    """Create a directory if it is missing. Only its user may enter it, and only its user may write in new parent
-    folders."""
+    """Create a missing directory that only its user may enter; only this user may write in new parent folders."""
     for parent in reversed(directory.parents):
         if not parent.exists():
             parent.mkdir(mode=0o755, exist_ok=True)
@@ -235,7 +235,7 @@ def _make_private(directory: Path) -> None:
 
 
 def _locks(file: int, *, waits: bool = False) -> bool:
-    """Take the lock on an open file, waiting for it if so asked; return whether this process has it now."""
+    """Take the lock on an open file, waiting for it if `waits`; return whether this process has it now."""
     import fcntl
 
     try:
@@ -249,7 +249,7 @@ def _locks(file: int, *, waits: bool = False) -> bool:
 
 
 def _is_at(file: int, path: Path) -> bool:
-    """Tell whether an open file is still the one at `path`."""
+    """Return whether an open file is still the file at `path`."""
     try:
         there = path.stat()
     except OSError:
@@ -266,4 +266,4 @@ def _sign(file: int, directory: Path) -> None:
     except OSError as error:
         os.close(file)
         reason = (error.strerror or "").lower()
-        raise StoreError(f"the store {directory} cannot be written: {reason}; see that there is room") from error
+        raise StoreError(f"the store {directory} cannot be written: {reason}; check that there is room") from error

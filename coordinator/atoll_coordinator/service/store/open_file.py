@@ -29,7 +29,7 @@ class Room:
 
 
 class OpenFile:
-    """An open file; a context manager. `cluster` is its random name, `incarnation` counts how often it was opened."""
+    """An open store file; a context manager. `cluster` is its random name, `incarnation` the number of openings."""
 
     cluster: Final[str]
     incarnation: Final[int]
@@ -54,12 +54,12 @@ class OpenFile:
 
     @classmethod
     def open(cls, directory: Path | None, now: Callable[[], float] = time.monotonic, lock: Lock | None = None) -> Self:
-        """Open the store in `directory`, creating it if necessary; None: in memory, lost when closed.
+        """Open the store in `directory`, creating it if necessary; None: in memory, lost on closing.
 
         `lock` is the lock on the directory if the caller has it already; closing the store releases it.
 
         Raises:
-            StoreError: another coordinator uses the store, or it is damaged, of a newer version, or not writable.
+            StoreError: Another coordinator uses the store, or it is damaged, of a newer version, or not writable.
         """
         if directory is None:
             return cls(connect(None), None, None, now)
@@ -94,7 +94,7 @@ class OpenFile:
             pass
 
     def beat(self) -> None:
-        """Show a standby coordinator that this one is alive; raise StoreError when that one has taken over."""
+        """Show a standby coordinator that this one runs; raise StoreError if another coordinator has taken over."""
         if self._lock_on_directory is None:
             return
         self._lock_on_directory.beat()
@@ -107,12 +107,11 @@ class OpenFile:
 
     @property
     def served_s(self) -> float:
-        """Seconds for which the store has been open, by any coordinator; the age of ended jobs is counted in them."""
+        """Seconds for which coordinators have served the store; the age of ended jobs is counted in this time."""
         return self._now() - self._served_since
 
     def keep_served(self) -> None:
-        """Store `served_s`. If the coordinator is killed, the time since the last call is lost, and ended jobs count as
-        younger."""
+        """Store `served_s`. After a kill, the time since the last call is lost, so that ended jobs count as younger."""
         with self._transaction() as sql:
             sql.execute("UPDATE realm SET served = ?", (self.served_s,))
 
@@ -157,7 +156,7 @@ class OpenFile:
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:
-        """A connection of its own for reading: it does not wait for another thread's write of many megabytes."""
+        """Yield a separate connection for reading, which does not wait while another thread writes many megabytes."""
         reader = self._reader
         if reader is None:  # in memory there is one connection
             with self._transaction() as sql:
@@ -184,7 +183,7 @@ class OpenFile:
             return sql.execute(query, values).fetchall()
 
     def _check_incarnation(self, connection: sqlite3.Connection) -> None:
-        """Raise StoreError when another coordinator has opened the store since: its work is never overwritten."""
+        """Raise StoreError if another coordinator has opened the store since; its changes must not be overwritten."""
         (incarnation,) = connection.execute("SELECT incarnation FROM realm").fetchone()
         if incarnation != self.incarnation:
             raise StoreError(

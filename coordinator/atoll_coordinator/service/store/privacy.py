@@ -10,21 +10,21 @@ from typing import Final
 from atoll_coordinator.service.store.schema import FILE_NAME
 
 OTHERS: Final = 0o077
-"""What group and other users may do with a file."""
+"""Permission bits of the group and of other users."""
 
 _OWN_FILES: Final = (f"{FILE_NAME}*", "replaced-*", "lock", "guard", "takeover", ".lock.*", f".{FILE_NAME}.*")
 """The store, SQLite's files next to it, replaced stores, and locks."""
 
 
 def is_open(status: os.stat_result) -> bool:
-    """Tell whether users other than its owner have any access to a file."""
+    """Return whether users other than its owner have any access to a file."""
     return bool(status.st_mode & OTHERS)
 
 
 def close_to_others(directory: Path) -> tuple[str, ...]:
     """Remove other users' access to our files of the store in a directory; return the names of the files changed.
 
-    The directory itself is restricted only if it holds nothing else. A lock stays as it is (`Lock` replaces it).
+    The directory itself is restricted only if it has no other files. The lock file is not changed (`Lock` replaces it).
     """
     own = {path for pattern in _OWN_FILES for path in directory.glob(pattern)}
     files = sorted(path for path in own if path.name != "lock")
@@ -35,8 +35,8 @@ def close_to_others(directory: Path) -> tuple[str, ...]:
 
 
 def _close(path: Path) -> bool:
-    """Remove all rights of other users; return whether they had some. Links and files of other owners stay as they
-    are."""
+    """Remove the permissions of other users; return whether there were any. Links and files of other owners are not
+    changed."""
     with contextlib.suppress(OSError):  # SQLite has removed the file, or the file system has no modes
         status = path.lstat()
         if is_open(status) and status.st_uid == os.geteuid() and not stat.S_ISLNK(status.st_mode):

@@ -12,8 +12,8 @@ from atoll_core.errors import StoreError, WrongStoreError
 FILE_NAME: Final = "atoll.sqlite3"
 _APPLICATION: Final = 0x41544F4C  # "ATOL"; SQLite keeps it in the file's header
 BUSY_LIMIT_S: Final = 5.0
-"""How long another process may keep the file to itself: Litestream does so while it moves pages out of the WAL, and
-asks for this limit."""
+"""Seconds for which another process may lock the file. Litestream locks it while it moves pages out of the WAL, and
+recommends this limit."""
 
 _CHECKED_BYTES: Final = 256 * 1024 * 1024
 
@@ -81,8 +81,8 @@ DELETE FROM uploads WHERE digest IN (SELECT table_digest FROM jobs);
 DELETE FROM uploads WHERE digest IN (SELECT dataset_digest FROM jobs);
 CREATE INDEX sizes_of_blobs ON blobs (size)
 """
-"""Keeps the view of each ended job, so that lists need not read its result (up to megabytes), and no operation slows
-down with the number of ended jobs."""
+"""Stores the view of each ended job, so that lists need not read its result (up to megabytes). So no operation becomes
+slower with the number of ended jobs."""
 
 _LAYOUT_7_USERS: Final = """
 ALTER TABLE jobs ADD COLUMN submitter TEXT;
@@ -102,7 +102,7 @@ CREATE TABLE usage (
 
 OPEN: Final = "state NOT IN ('done', 'failed', 'cancelled')"
 ENDED: Final = "state IN ('done', 'failed', 'cancelled')"
-"""Conditions of partial indices; SQLite uses these only for a query that has the condition word by word."""
+"""Conditions of partial indices. SQLite uses such an index only for a query with literally the same condition."""
 
 _LAYOUT_8_HOLDINGS: Final = f"""
 ALTER TABLE jobs ADD COLUMN prepared_digest TEXT;
@@ -169,7 +169,7 @@ _LAYOUTS: Final = (
     _LAYOUT_1, _LAYOUT_2, _LAYOUT_3_DEATHS, _LAYOUT_4_DELETED_JOBS, _LAYOUT_5_SERVED, _LAYOUT_6_ENDED_JOBS,
     _LAYOUT_7_USERS, _LAYOUT_8_HOLDINGS, _LAYOUT_9_SHARED_BLOBS,
 )  # fmt: skip
-"""Changes of each version of the layout. A new store gets all of them in order, an old one the missing ones."""
+"""Changes of each version of the layout. A new store gets all changes in order, an old store the missing ones."""
 
 SCHEMA_VERSION: Final = len(_LAYOUTS)
 
@@ -231,11 +231,11 @@ def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if application != _APPLICATION and (tables or application):
-        raise WrongStoreError(f"{file} is a database, but not a store of this program; name another")
+        raise WrongStoreError(f"{file} is a database, but not a store of Atoll; name another directory")
     if version > SCHEMA_VERSION:
         raise WrongStoreError(
             f"the store {file} was written by a newer version (layout {version}, this version knows {SCHEMA_VERSION}); "
-            "use that version, or name another"
+            "use that version, or name another directory"
         )
     return int(version) if tables else 0
 

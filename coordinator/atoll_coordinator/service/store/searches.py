@@ -14,7 +14,7 @@ from atoll_coordinator.service.store.schema import ENDED
 from atoll_core.wire.state_pieces import IslandState
 
 MAX_FAILED: Final = 4
-"""Number of failed jobs, the latest ones, whose last checkpoints are kept for examination."""
+"""Number of the latest failed jobs whose last checkpoints are kept for examination."""
 
 
 class Death(NamedTuple):
@@ -31,7 +31,7 @@ class SearchStore(JobStore):
     """The part of the store that holds searches. Every method is one transaction."""
 
     def begin_terms(self, archipelagos: Sequence[tuple[str, str]], place: Callable[[int, int], bytes]) -> None:
-        """Raise the terms of archipelagos and store their placements, all or none of them, at the cost of one commit.
+        """Raise the terms of archipelagos and store their placements, all in one transaction.
 
         Args:
             archipelagos: by job and variable.
@@ -48,7 +48,7 @@ class SearchStore(JobStore):
     def commit_cuts(self, job: str, cuts: Mapping[str, bytes]) -> bool:
         """Store the ends of archipelagos, by variable.
 
-        Return False when one of them had ended before: its first end stays; the others are stored.
+        Return False if one of the archipelagos had ended before. Its first end stays; the other ends are stored.
         """
         with self._transaction() as sql:
             are_first = []
@@ -70,7 +70,7 @@ class SearchStore(JobStore):
             return has_search(sql, job)
 
     def add_deaths(self, deaths: Sequence[Death]) -> None:
-        """Keep deaths that count for archipelagos until these have a newer checkpoint, or end."""
+        """Store deaths that count for archipelagos until the archipelago has a newer checkpoint, or ends."""
         with self._transaction() as sql:
             sql.executemany("INSERT OR IGNORE INTO deaths VALUES (?, ?, ?, ?, ?)", deaths)
 
@@ -82,7 +82,7 @@ class SearchStore(JobStore):
         )
 
     def take_back_deaths(self, worker: str, instance: str) -> None:
-        """Forget the death of a process that turned out to be alive."""
+        """Delete the death of a process that is alive after all."""
         with self._transaction() as sql:
             sql.execute("DELETE FROM deaths WHERE worker = ? AND instance = ?", (worker, instance))
 
@@ -149,7 +149,7 @@ def has_search(sql: sqlite3.Connection, job: str) -> bool:
 
 
 def keep_last_checkpoints(sql: sqlite3.Connection, job: str) -> None:
-    """Keep the last checkpoint of each archipelago of a job that failed, of `MAX_FAILED` such jobs at most."""
+    """Keep only the last checkpoint of each archipelago of a failed job, for the latest `MAX_FAILED` such jobs."""
     sql.execute(
         "DELETE FROM checkpoints WHERE job = ? AND epoch < "
         "(SELECT max(epoch) FROM checkpoints AS later WHERE later.job = checkpoints.job "
@@ -164,12 +164,12 @@ def keep_last_checkpoints(sql: sqlite3.Connection, job: str) -> None:
 
 
 def forget_checkpoints(sql: sqlite3.Connection, job: str, variable: str | None = None) -> None:
-    """Delete the checkpoints of an archipelago, or all of a job (None)."""
+    """Delete the checkpoints of an archipelago; None: of all archipelagos of a job."""
     sql.execute("DELETE FROM checkpoints WHERE job = ? AND (? IS NULL OR variable = ?)", (job, variable, variable))
 
 
 def forget_deaths(sql: sqlite3.Connection, job: str, variable: str | None = None) -> None:
-    """Delete the deaths that count for an archipelago, or all of a job (None)."""
+    """Delete the deaths that count for an archipelago; None: for all archipelagos of a job."""
     sql.execute("DELETE FROM deaths WHERE job = ? AND (? IS NULL OR variable = ?)", (job, variable, variable))
 
 

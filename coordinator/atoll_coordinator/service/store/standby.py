@@ -1,9 +1,8 @@
-"""A coordinator on standby: waits until the coordinator that serves a store has died or hangs, then takes over the
-store.
+"""A standby coordinator: waits until the coordinator that serves a store has died or hangs, then takes over the store.
 
-Both coordinators must run on one machine. The serving process holds a lock; the operating system releases it when the
-process dies. On a network file system a lock may outlive its machine, and SQLite's WAL needs memory that all its
-processes share.
+Both coordinators must run on one machine. The serving process has a lock, which the operating system releases when the
+process dies. A network file system is not supported: there a lock may stay after its machine is gone, and SQLite's WAL
+needs memory that all processes of the store share.
 """
 
 import threading
@@ -17,18 +16,19 @@ from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import StoreError
 
 SILENCE_S: Final = 15.0
-"""A coordinator without a beat for this time, thirty of its ticks, is treated as hung; a silent worker is treated as
-lost after the same time. Taking over from a coordinator that is only slow loses unfinished preparing and refining, but
-no result."""
+"""A coordinator without a beat for this time (thirty ticks) is treated as hung; a silent worker is treated as lost
+after the same time. If the coordinator is only slow, unfinished preparing and refining is repeated, and no result is
+lost."""
 
 LOOK_S: Final = 0.25
-"""Pause between two looks at the lock, and so the longest delay before a death is noticed."""
+"""Seconds between two readings of the lock: the longest delay before a death is noticed."""
 
 
 class Silence:
-    """Measures for how long a lock has had no beat. Pure; the times of looks are arguments, in monotonic seconds.
+    """Measures for how long a lock has had no beat. Pure; times are arguments, in monotonic seconds.
 
-    At most twice `LOOK_S` counts between two looks: if this process was stopped itself, beats went unseen.
+    Between two readings of the lock at most twice `LOOK_S` counts: while this process itself was stopped, it could not
+    see beats.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class Silence:
         self._silent_s = 0.0
 
     def look(self, beat: Beat | None, now: float) -> bool:
-        """Take in a look (None: a lock that never beats); return whether its coordinator is treated as hung."""
+        """Add a reading of the lock (None: no beats); return whether its coordinator is treated as hung."""
         step = min(now - self._looked_at, 2 * LOOK_S) if self._looked_at is not None else 0.0
         self._silent_s = self._silent_s + step if beat == self._beat else 0.0
         self._beat, self._looked_at = beat, now
@@ -45,7 +45,7 @@ class Silence:
 
 
 class Standby:
-    """Waits for the store in a directory. Messages go to `say`, without immediate repetition."""
+    """Waits for the store in a directory. A message goes to `say`, unless it equals the last one."""
 
     def __init__(
         self, directory: Path, stop: threading.Event, obstacle: Callable[[], str | None], say: Callable[[str], None]
@@ -53,9 +53,9 @@ class Standby:
         """Set up.
 
         Args:
-            directory: of the store.
-            stop: set to end the wait.
-            obstacle: why this coordinator could not serve while the hung one still exists; None: it could.
+            directory: the directory of the store.
+            stop: is set to end the wait.
+            obstacle: returns why this coordinator cannot serve while the hung one exists; None: it can.
             say: shows a message to the user.
         """
         self._directory = directory
@@ -66,10 +66,10 @@ class Standby:
         self._said = ""
 
     def store(self) -> Store | None:
-        """Return the open store once this coordinator has taken it; None if `stop` was set first.
+        """Wait for the store and return it, opened; None: `stop` was set first.
 
         Raises:
-            StoreError: no coordinator has the store, but it cannot be opened.
+            StoreError: No coordinator has the store, but it cannot be opened.
         """
         while not self._stop.is_set():
             store = self._free() or self._hung()
@@ -90,8 +90,7 @@ class Standby:
         return None
 
     def _hung(self) -> Store | None:
-        """Return the store if the coordinator that has its lock hangs and this one can serve while that one still
-        exists."""
+        """Return the store if its coordinator hangs and this one can serve while the hung one exists; else None."""
         beat = last_beat(self._directory)
         if not self._silence.look(beat, time.monotonic()) or beat is None:
             return None
@@ -106,7 +105,7 @@ class Standby:
             return None
         try:
             return Store.open(self._directory, lock=lock)
-        except StoreError as error:  # it may hang within a transaction, and then it holds SQLite's lock
+        except StoreError as error:  # a coordinator that hangs within a transaction has SQLite's lock
             self._tell(
                 f"the coordinator that serves {self._directory} hangs, and the store cannot be taken from it yet "
                 f"({error}); end its process"

@@ -1,8 +1,12 @@
 """The coordinator's durable memory, in SQLite. Every method is one transaction.
 
-Any thread may call. When a method returns, its changes are on the disk (``synchronous=FULL``), so that a later
-announcement never has to be withdrawn. Contents are opaque here: JSON text and bytes. The parts are in `jobs`,
-`searches`, `blobs`, `events` and `holdings`; this module has the changes to several of them in one transaction.
+Any thread may call. When a method returns, its changes are on the disk (``synchronous=FULL``), so that a message sent
+afterwards never has to be withdrawn. The store does not interpret contents, which are JSON text and bytes. The parts
+are in `jobs`, `searches`, `blobs`, `events` and `holdings`. This module has the methods that change several parts in
+one transaction.
+
+*Doubts.* Five classes share one connection by inheritance, so that one transaction can change several tables. Names of
+methods must therefore be unique over all parts.
 """
 
 import hashlib
@@ -51,9 +55,9 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
         """Store the prepared data of a job: its dataset, and the rest until the job ends.
 
         Without the rest, equations found by the search could be neither shown nor refined after a restart. Return the
-        digest of the dataset that was stored before, if any; a different one stays when the search has begun from it.
-        Without effect when the job has ended. Each chunk is one transaction: call it in a thread of its own, others
-        wait for one chunk at most.
+        digest of the dataset that was stored before, if any. If that dataset is different and a search from it is
+        stored, it is kept. Without effect if the job has ended. Each chunk is one transaction. Call it in a separate
+        thread: other threads wait for one chunk at most.
         """
         made = {hashlib.sha256(data).hexdigest(): data for data in (dataset, prepared)}
         digests = (next(iter(made)), next(reversed(made)))
@@ -69,7 +73,7 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
                 if former not in (None, digests[0]) and searches.has_search(sql, job):
                     blobs.delete_unused(sql, made)
                     return former
-                # A job with the same data may have been deleted in the meantime, with the data: write them again.
+                # Another job with the same data may have been deleted meanwhile, with the data: write them again.
                 if all(blobs.finish(sql, digest, len(data)) for digest, data in made.items()):
                     job_table.update(sql, job, {"dataset_digest": digests[0], "prepared_digest": digests[1]})
                     for digest in digests:
@@ -83,8 +87,8 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
     ) -> bool:  # fmt: skip
         """Store a job's final `state`, `result` (JSON) and `view` (JSON), and delete its checkpoints.
 
-        With `keeps_checkpoints` the last one of each archipelago stays, until `searches.MAX_FAILED` more jobs have
-        failed. Return False, changing nothing, when the job had ended before: the first end counts.
+        With `keeps_checkpoints` the last checkpoint of each archipelago stays, until `searches.MAX_FAILED` more jobs
+        have failed. Return False, changing nothing, if the job had ended before: the first end counts.
         """
         with self._transaction() as sql:
             record = job_table.require(sql, job)
@@ -139,7 +143,7 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
     # settings of admins, and task time used by users
 
     def is_queue_paused(self) -> bool:
-        """Return whether no further job is started."""
+        """Return whether the queue is paused, so that no further job is started."""
         return bool(self._value("SELECT queue_paused FROM realm"))
 
     def pause_queue(self, is_paused: bool) -> None:
@@ -148,11 +152,11 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
             sql.execute("UPDATE realm SET queue_paused = ?", (int(is_paused),))
 
     def cordons(self) -> dict[str, bool]:
-        """Return the cordoned workers, which get no more islands, and whether each is drained of those that it has."""
+        """Return the cordoned workers, which get no more islands, and whether the islands of each are moved away."""
         return {worker: bool(is_draining) for worker, is_draining in self._rows("SELECT * FROM cordons")}
 
     def cordon(self, worker: str, is_draining: bool | None) -> None:
-        """Store that a worker is cordoned, and perhaps drained; None: that it is neither."""
+        """Store that a worker is cordoned, and whether it is also drained; None: it is neither."""
         with self._transaction() as sql:
             sql.execute("DELETE FROM cordons WHERE worker = ?", (worker,))
             if is_draining is not None:

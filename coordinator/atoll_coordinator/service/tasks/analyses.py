@@ -1,7 +1,7 @@
 """Questions about the results of ended jobs, and their answers. Pure.
 
-An answer is a pure function of the stored result, so it is not stored itself: it is kept in memory while clients ask
-for it, and computed again for later ones.
+An answer is a pure function of the stored result, so it need not be stored. It is kept in memory while clients ask for
+it, and computed again when a client asks later.
 """
 
 import hashlib
@@ -14,17 +14,17 @@ from atoll_core.errors import RefusedError
 from atoll_core.wire.messages.clients import AskAnalysis
 
 WANTED_S: Final = 30.0
-"""A question that no client has repeated for this number of seconds is dropped: clients ask every second, and try for
-10 s."""
+"""Seconds after which a question that no client repeats is dropped. Waiting clients ask every second, and try for 10 s
+when the coordinator does not answer."""
 
 MAX_OPEN: Final = 16
-"""Open questions of one user: each holds a result in memory."""
+"""Largest number of open questions of one user; each needs a result in memory."""
 
 MAX_KEPT: Final = 64 * 1024**2
-"""Bytes of answers that are kept; the least recently requested ones are dropped first."""
+"""Largest number of bytes of answers that are kept; the least recently requested answers are dropped first."""
 
 PRIORITY: Final = 10
-"""Before all jobs of the same user, since a person waits for the answer."""
+"""Priority of questions: before all jobs of the same user, because a person waits for the answer."""
 
 
 @dataclass(slots=True)
@@ -78,16 +78,18 @@ class Analyses:
         return self._by_id.get(task)
 
     def ask(self, question: AskAnalysis, now: float) -> Analysis | None:
-        """Return a question that was asked before, and record that it is asked again."""
+        """Return a question that was asked before, and record that it is repeated; None: it is new."""
         analysis = self._by_key.get(key_of(question))
         if analysis is not None:
             analysis.asked_at = now
         return analysis
 
     def check(self, user: str | None) -> None:
-        """Raise RefusedError when a user has too many open questions."""
+        """Raise RefusedError if a user has too many open questions."""
         if sum(analysis.is_open and analysis.submitter == user for analysis in self) >= MAX_OPEN:
-            raise RefusedError(f"{MAX_OPEN} of your questions about results wait for answers; ask when one has come")
+            raise RefusedError(
+                f"{MAX_OPEN} of your questions about results wait for answers; ask again when one has been answered"
+            )
 
     def add(self, analysis: Analysis) -> None:
         """Add a new question."""
@@ -104,7 +106,7 @@ class Analyses:
                 kept.asked_at = -math.inf  # the next `expire` drops it
 
     def fail(self, task: str, sentence: str) -> None:
-        """Record that a task has failed for good."""
+        """Record that the task of a question has failed and is not tried again."""
         self._by_id[task].failed = sentence
 
     def expire(self, now: float) -> list[str]:

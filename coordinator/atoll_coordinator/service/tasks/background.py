@@ -1,7 +1,12 @@
-"""Work on large values in a thread of its own, one piece after the other, and the outcomes that it posts to the loop.
+"""Background work: a separate thread works on large values, one after another, and posts outcomes to the loop.
 
 The thread writes checkpoints, checks tables, reads results of tasks, and composes results of jobs that are not refined.
-The service's loop answers everything else, so that it never handles more bytes at a time than one message has.
+So the service's loop never handles more bytes at a time than one message has.
+
+The thread changes the store, but no job: an outcome is posted to the loop, and only the loop changes jobs. The loop may
+have ended or deleted the job meanwhile, so each handler of an outcome must check this. Exceptions are part of outcomes,
+and the loop raises them. *Doubts.* There is one thread, so that a result that takes long delays the checkpoints of all
+jobs.
 """
 
 import hashlib
@@ -31,9 +36,9 @@ def iso_now() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Dependencies:
-    """Further dependencies of a service, next to bus and store; tests replace them.
+    """Dependencies of a service in addition to bus and store; tests replace them.
 
-    `clock` returns the time of day as ISO text, `background` executes functions in order, and `retention` says which
+    `clock` returns the time of day as ISO text, `background` executes functions in order, and `retention` decides which
     ended jobs are kept.
     """
 
@@ -49,7 +54,7 @@ class Dependencies:
 
 @dataclass(frozen=True, slots=True)
 class TableChecked:
-    """The table of a job was read: whether it is stored undamaged; `error`: why it could not be read."""
+    """The table of a job was checked. `is_sound`: it is stored undamaged; `error`: the error of reading it."""
 
     job: str
     is_sound: bool
@@ -58,7 +63,7 @@ class TableChecked:
 
 @dataclass(frozen=True, slots=True)
 class PreparationBegun:
-    """A loaded process prepares a job: its time counts from now on."""
+    """A loaded process has begun to prepare a job: its `--max-time` counts from now on."""
 
     job: str
 
@@ -67,8 +72,8 @@ class PreparationBegun:
 class JobPrepared:
     """A job is prepared. `encoded` are the prepared data as bytes with the SHA-256 `digest`, `data` is its dataset.
 
-    When it is posted, both are stored, and `data` is left out; `former` is the digest of the dataset that was stored
-    for the job before (None: there was none).
+    When this outcome is posted, both are stored, and `data` is empty. `former` is the digest of the dataset that was
+    stored for the job earlier (None: there was none).
     """
 
     job: str
@@ -90,7 +95,7 @@ class PreparationFailed:
 
 @dataclass(frozen=True, slots=True)
 class JobRefined:
-    """A job is refined: its result as JSON, without the seconds that it took (`result.result.timed`)."""
+    """A job is refined. `text` is its result as JSON, without the duration of the job (`result.result.timed`)."""
 
     job: str
     text: str
@@ -106,7 +111,7 @@ class RefiningFailed:
 
 @dataclass(frozen=True, slots=True)
 class ResultComposed:
-    """The result of a job was composed: as JSON, without the seconds; `error`: why it could not be."""
+    """A result was composed: `text` is JSON without the duration of the job; `error`: the error of composing it."""
 
     draft: Draft
     text: str = ""
@@ -115,7 +120,7 @@ class ResultComposed:
 
 @dataclass(frozen=True, slots=True)
 class CheckpointWritten:
-    """A checkpoint was written; `error`: why it is not durable."""
+    """A checkpoint was written; `error`: the error of writing it."""
 
     checkpoint: Checkpoint
     error: Exception | None = None
@@ -129,7 +134,7 @@ Outcome = (
 
 @dataclass(frozen=True, slots=True)
 class TaskResult:
-    """All parts of the result of a task under a term, whose SHA-256 must be `digest`; the task ran for `seconds`."""
+    """All parts of the result of a task under a term. Their SHA-256 must be `digest`; the task ran for `seconds`."""
 
     task: str
     term: int
@@ -144,8 +149,8 @@ class TaskResult:
 class ResultRead:
     """The result of a task was read.
 
-    `outcome` is the item posted for its job, or the bytes of an answer. Without one, the result was damaged on its way,
-    is `unreadable` for this reason, or reading it raised `error`.
+    `outcome` is the item to post for its job, or the bytes of an answer. Without an outcome, the result was damaged in
+    transit, is `unreadable` for this reason, or reading it raised `error`.
     """
 
     result: TaskResult
@@ -175,7 +180,7 @@ class Background:
             key = checkpoint.job, checkpoint.variable, checkpoint.epoch
             try:
                 self._store.commit_checkpoint(*key, progress, checkpoint.states, elapsed)
-            except Exception as error:  # ends the service's loop
+            except Exception as error:  # the loop raises it
                 return CheckpointWritten(checkpoint, error)
             return CheckpointWritten(checkpoint)
 
@@ -187,7 +192,7 @@ class Background:
         def check() -> TableChecked:
             try:
                 return TableChecked(job, self._store.is_sound(digest))
-            except Exception as error:  # ends the service's loop
+            except Exception as error:  # the loop raises it
                 return TableChecked(job, False, error)
 
         self._act(lambda: self._post(check()))
@@ -204,7 +209,7 @@ class Background:
                     former = self._store.keep_prepared(made.job, made.data, made.encoded)
                     done = replace(done, outcome=replace(made, data=b"", former=former))
                 return replace(done, result=unread)
-            except Exception as error:  # a StoreError ends the service's loop, any other error the job
+            except Exception as error:  # the loop raises it: a StoreError ends the coordinator, another error the job
                 return ResultRead(unread, error=error)
 
         self._act(lambda: self._post(read()))
@@ -215,7 +220,7 @@ class Background:
         def compose() -> ResultComposed:
             try:
                 return ResultComposed(draft, draft.compose())
-            except Exception as error:  # ends the job
+            except Exception as error:  # the loop raises it
                 return ResultComposed(draft, error=error)
 
         self._act(lambda: self._post(compose()))
@@ -249,7 +254,6 @@ def _outcome(result: TaskResult, data: bytes) -> JobPrepared | JobRefined | Prep
         return PreparationFailed(result.job, "data", made.sentence)
     prepared = made.prepared
     if hashlib.sha256(made.data).hexdigest() != prepared.blob or len(made.data) != prepared.size:
-        raise RemoteProtocolError(
-            "its dataset is not the one that it names"
-        )  # workers would request the named one for ever
+        # Workers would request the named dataset for ever.
+        raise RemoteProtocolError("its dataset does not have the digest and size that it names")
     return JobPrepared(result.job, prepared, made.encoded, hashlib.sha256(made.encoded).hexdigest(), made.data)

@@ -1,7 +1,11 @@
 """Task controller: leases tasks to workers, handles their reports, and posts outcomes to the service's loop.
 
-Leases are not stored: a coordinator that starts again creates the tasks again, and takes over tasks that workers still
-have under the same ids.
+The id of a task is the digest of its job, function and inputs, so the same work always has the same id. Leases are not
+stored: a restarted coordinator creates the tasks again, and takes over tasks with these ids that workers still have. At
+each heartbeat the tasks of a worker are compared with the table; a difference is corrected by sending the lease again
+or by a release. So a lost message delays a task, and cannot stop it.
+
+*Doubts.* Inputs and prepared data of all live jobs are kept in memory, although the store has them too.
 """
 
 import hashlib
@@ -11,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.service.monitoring.breakages import what_to_send
+from atoll_coordinator.service.monitoring.breakages import ask_for_report
 from atoll_coordinator.service.tasks.analyses import MAX_KEPT, Analyses, Analysis, key_of
 from atoll_coordinator.service.tasks.background import (
     JobPrepared,
@@ -37,18 +41,19 @@ from atoll_core.wire.messages.workers import WorkerStatus
 from atoll_core.wire.values import decode_value
 
 INLINE: Final = 64 * 1024
-"""Inputs up to this number of bytes are sent with the lease."""
+"""Inputs of at most this number of bytes are sent with the lease."""
 
 HELP_AFTER_S: Final = 1.0
-"""A task that has run for this number of seconds gets helpers: a helper's process takes about as long to start."""
+"""Seconds after which a running task gets helpers; the process of a helper takes about this time to start."""
 
 SETTLED_S: Final = 2.5
-"""A heartbeat so long after a lease must show the task, or the lease was lost: heartbeats come once a second."""
+"""Seconds after a lease from which heartbeats must show the task; otherwise the lease was lost. Heartbeats are sent
+once a second."""
 
 
 @dataclass(slots=True)
 class _Blob:
-    """An input that is not in the store, and the jobs that have it: jobs with the same data share it."""
+    """An input that is not in the store, and the jobs that use it; jobs with the same data share it."""
 
     data: bytes
     jobs: set[str]
@@ -68,13 +73,13 @@ class TaskController:
         """Set up.
 
         Args:
-            channel: reaches the workers in `membership`.
-            post: hands outcomes to the loop.
-            read: reads a result in the background; `take_result` gets it.
+            channel: sends messages to the workers in `membership`.
+            post: posts outcomes to the loop.
+            read: reads a result in the background; `take_result` is then called with it.
             order: takes the turns (`Task.turn`) of waiting tasks, in the order of their creation, and of running tasks;
                 returns the turns that may get a lease, the next one first.
-            may_follow: returns whether a job may soon create a task that is not known yet: its worker keeps it.
-            charge: charges a turn for the seconds for which workers have run its tasks, or helped with them.
+            may_follow: returns whether a job may soon create a task that a worker already has; then the worker keeps
+            it. charge: charges a turn for the seconds for which workers have run its tasks, or helped with them.
             forget: forgets the turn of a question.
         """
         self.table: Final = TaskTable()
@@ -97,13 +102,14 @@ class TaskController:
     # ------------------------------------------------------------------------------------------------ jobs
 
     def prepare(self, job: str, table: str, size: int, config: JobConfig, now: float) -> None:
-        """Have a table prepared; `PreparationBegun`, then `JobPrepared` or `PreparationFailed` is posted."""
+        """Create the task that prepares a table. `PreparationBegun`, then `JobPrepared` or `PreparationFailed` is
+        posted."""
         specification = self._input(job, config.model_dump_json().encode())
         inputs = (messages.TaskInput(digest=table, size=size), specification)
         self._add(job, "prepare", inputs, config.budget.max_time, now, config)
 
     def refine(self, searched: Searched, config: JobConfig, seconds: float | None, now: float) -> None:
-        """Have the equations of a search refined in `seconds` (None: any time).
+        """Create the task that refines the equations of a search within `seconds` (None: no limit).
 
         `JobRefined` or `RefiningFailed` is posted.
         """
@@ -112,10 +118,10 @@ class TaskController:
         self._add(job, "refine", inputs, seconds, now, config)
 
     def analyse(self, asked: AskAnalysis, result: bytes, table_size: int, user: str | None, now: float) -> Analysis:
-        """Have a question about the `result` (JSON) of a job answered for a `user`.
+        """Create the task that answers a question of a `user` about the `result` (JSON) of a job.
 
         Raises:
-            RefusedError: the user has too many open questions.
+            RefusedError: The user has too many open questions.
         """
         self.analyses.check(user)
         tables = () if asked.table is None else (messages.TaskInput(digest=asked.table, size=table_size),)
@@ -134,17 +140,18 @@ class TaskController:
             self._forget(expired)
 
     def encoded(self, job: str) -> bytes:
-        """Return the prepared data of a job as bytes; empty before they are there."""
+        """Return the prepared data of a job as bytes; empty if the job is not prepared."""
         return self._prepared.get(job, ("", b""))[1]
 
     def take_prepared(self, job: str, digest: str, encoded: bytes) -> Prepared:
-        """Keep and return data that were prepared before a restart; raises RemoteProtocolError."""
+        """Keep and return data that were prepared before a restart; raises RemoteProtocolError if they are
+        unreadable."""
         prepared = decode_value(encoded, Prepared)
         self._prepared[job] = digest, encoded
         return prepared
 
     def cancel(self, job: str) -> None:
-        """End the tasks of a job, running ones too, without an outcome."""
+        """End all tasks of a job, also running ones, without an outcome."""
         for task in self.table.of_job(job):
             self._end(task)
         for analysis in self.analyses.forget_job(job):
@@ -171,7 +178,7 @@ class TaskController:
         return any(task.worker is None for task in self.table.of_job(job))
 
     def waiting_reason(self, job: str) -> str | None:
-        """Return in words why the tasks of a job wait; None: they do not wait."""
+        """Return a sentence on why the tasks of a job wait; None: they do not wait."""
         if not self.waits(job):
             return None
         if self._keeping or any(task.worker is not None for task in self.table):
@@ -179,7 +186,7 @@ class TaskController:
         return NO_WORKER
 
     def chunk(self, digest: str, index: int) -> bytes | None:
-        """Return a chunk of an input that is not in the store; None: it is unknown."""
+        """Return a chunk of an input that is kept here and not in the store; None: the input is unknown."""
         held = self._blobs.get(digest)
         return held.data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE] if held is not None else None
 
@@ -203,7 +210,7 @@ class TaskController:
         if config is not None:
             self._configs[task.id] = config
         self.table.add(task)
-        for worker, member in self._membership.attending():  # a worker may have it since before a restart
+        for worker, member in self._membership.attending():  # a worker may have it from before a restart
             status = member.status
             has_task = status is not None and any(
                 held.task == task.id and held.state != "helping" for held in status.tasks
@@ -258,19 +265,19 @@ class TaskController:
         ]  # fmt: skip
 
     def _hosts(self, *, is_alone: bool = False) -> Counter[str]:
-        """Return the number of tasks on each host; `is_alone`: only of tasks that must be alone there."""
+        """Return the number of tasks on each host; `is_alone`: only count tasks that must be alone on their host."""
         owners = (task.worker for task in self.table if task.worker is not None and (task.is_alone or not is_alone))
         members = (self._membership.member(owner) for owner in owners)
         return Counter(member.hello.host for member in members if member is not None)
 
     def _recall(self, worker: str) -> None:
-        """Have a worker stop helping after the batch that it computes now."""
+        """Tell a worker to stop helping after its present batch."""
         for task in self.table:
             if task.helpers.pop(worker, None) is not None:
                 self._channel.send(worker, messages.Release(task=task.id))
 
     def tick(self, now: float) -> None:
-        """Let time pass: charge users, end tasks that take too long or are not wanted, lease waiting ones."""
+        """Charge users, end tasks that take too long or that no client wants, and lease waiting tasks."""
         self._expire_analyses(now)
         for task in self.table:
             self._charge_user(task, now)
@@ -282,7 +289,7 @@ class TaskController:
         self.dispatch(now)
 
     def _charge_user(self, task: Task, now: float) -> None:
-        """Charge for the time since the last charge, helpers included."""
+        """Charge the user of a task for the time since the last charge, including the time of helpers."""
         if task.began_at is not None:
             seconds = now - task.began_at - task.charged
             task.charged += seconds
@@ -320,17 +327,17 @@ class TaskController:
             if self.table.begin(task, now) and task.function == "prepare":
                 self.post(PreparationBegun(task.job))
         elif held.state in ("done", "failed") and not task.is_read and now - task.sent_at > SETTLED_S:
-            self._send_again(task, worker, now)  # its report was lost, or the lease for another try
+            self._send_again(task, worker, now)  # the report, or a later lease, was lost
 
     def _keep_or_release(self, worker: str, held: messages.TaskStatus) -> None:
-        """Let a worker keep a task that may be needed soon, such as after a restart; release any other one."""
+        """Let a worker keep an unknown task that may be needed soon, as after a restart; release any other task."""
         if held.state == "helping" or not self._may_follow(held.job):
             self._channel.send(worker, messages.Release(task=held.task))
         elif held.state in ("waiting", "running"):
-            self._keeping.add(worker)  # another task leased to it would wait for this one
+            self._keeping.add(worker)  # another task on this worker would have to wait
 
     def _can_adopt(self, task: Task, worker: str, status: WorkerStatus) -> bool:
-        """Return whether a worker may continue a task; one that failed needs a new lease, perhaps alone on a host."""
+        """Return whether a worker may continue a task. A task that has failed needs a new lease, perhaps elsewhere."""
         is_free = task.worker is None and not task.failures
         return is_free and status.state != "leaving" and self.table.on(worker) is None
 
@@ -344,9 +351,9 @@ class TaskController:
         self._channel.send(worker, task.lease())
 
     def lose(self, worker: str, now: float, *, had_left: bool = False) -> tuple[str, ...]:
-        """Give the tasks of a lost worker, which `had_left` if it had announced its end, to others at once.
+        """Lease the tasks of a lost worker to other workers; it `had_left` if it had announced its end.
 
-        Returns the jobs of the tasks that it had or helped with.
+        Return the jobs of the tasks that it had or helped with.
         """
         self._keeping.discard(worker)
         had = [task for task in self.table if task.worker == worker or worker in task.helpers]
@@ -364,12 +371,12 @@ class TaskController:
         body = report.body
         task = self.table.get(body.task)
         if task is None:
-            return  # its heartbeat says of which job it is, which may need it soon
+            return  # the next heartbeat, which has the job of the task, decides about it
         if task.worker != worker:
             self._channel.send(worker, messages.Release(task=body.task))
             return
         match body:
-            case messages.TaskFailed() if body.term == task.term:  # otherwise it has been counted
+            case messages.TaskFailed() if body.term == task.term:  # a repeated message has an earlier term
                 self._fail(task, body.failure, body.sentence, now)
             case messages.TaskChunk() if body.size > (most := _most_bytes(task)):
                 size, most_mb = body.size / 1024**2, most / 1024**2
@@ -378,12 +385,12 @@ class TaskController:
                 self._add_chunk(task, body, now)
 
     def _add_chunk(self, task: Task, body: messages.TaskChunk, now: float) -> None:
-        """Add a part of a result; when all have come, have it read."""
+        """Add a part of a result; when all parts have arrived, the result is read in the background."""
         task.sent_at = now
         if body.offset == 0:
             task.drop_result()
         if body.offset != task.received or body.offset + len(body.data) > body.size:
-            raise RemoteProtocolError(f"part of a task's result from byte {body.offset} came out of order")
+            raise RemoteProtocolError(f"part of a task's result from byte {body.offset} arrived out of order")
         task.parts.append(body.data)
         task.received += len(body.data)
         if task.received == body.size:
@@ -394,7 +401,7 @@ class TaskController:
         """Handle the result of a task; without effect when the task has ended, or was lost, in the meantime.
 
         Raises:
-            RemoteProtocolError: it was damaged on its way; its worker sends it again.
+            RemoteProtocolError: The result was damaged in transit; its worker sends it again.
         """
         result = read.result
         task = self.table.get(result.task)
@@ -404,11 +411,11 @@ class TaskController:
         if read.error is not None:
             raise read.error
         if read.is_damaged:
-            raise RemoteProtocolError("the result of a task was damaged on its way")
+            raise RemoteProtocolError("the result of a task was damaged in transit")
         if read.unreadable is not None:
             self._fail(task, "error", read.unreadable, now)
             return
-        # The time before its first heartbeat is charged here, without what an earlier coordinator has charged.
+        # Charge the time that no heartbeat has shown. Time before the lease was charged by an earlier coordinator.
         self._charge(task.turn, max(0.0, min(result.seconds, now - task.leased_at) - task.charged))
         self._end(task)
         if isinstance(read.outcome, JobPrepared):
@@ -420,7 +427,7 @@ class TaskController:
         self.dispatch(now)
 
     def _fail(self, task: Task, failure: Failure, sentence: str, now: float) -> None:
-        """Handle a task that failed on its worker: try it again, or post why not."""
+        """Handle a task that failed on its worker: try it again, or post why it is not tried again."""
         self._charge_user(task, now)
         self._release(task)
         why = self.table.fail(task, failure, sentence, now)
@@ -430,14 +437,17 @@ class TaskController:
 
     def _conclude_failed(self, task: Task, failure: Failure, why: str) -> None:
         if task.is_analysis:
-            self.analyses.fail(task.id, f"the analysis broke ({why}); try the saved result, and report it with that")
+            self.analyses.fail(
+                task.id,
+                f"the analysis broke ({why}); repeat it on the saved result, and report the error with this file",
+            )
             self._forget_unused_inputs(task.job)
             return
-        to_send = what_to_send(self._configs.pop(task.id), is_certain=failure == "error")
+        to_send = ask_for_report(self._configs.pop(task.id), is_certain=failure == "error")
         if task.function == "prepare":
             self.post(PreparationFailed(task.job, "internal", f"preparing the data broke ({why}){to_send}"))
             return
-        warning = f"Refining broke ({why}); equations are as found{to_send}."
+        warning = f"Refining broke ({why}); equations are as the search found them{to_send}."
         self.post(RefiningFailed(task.job, Refinement(warnings=(warning,), end="not refined")))
 
     def _end(self, task: Task) -> None:
@@ -452,7 +462,7 @@ class TaskController:
             self._forget_inputs(job)
 
     def _release(self, task: Task) -> None:
-        """Make the worker and the helpers of a task drop it."""
+        """Tell the worker and the helpers of a task to drop it."""
         holders: Sequence[str] = [*([task.worker] if task.worker is not None else []), *task.helpers]
         for worker in holders:
             self._channel.send(worker, messages.Release(task=task.id))
@@ -460,6 +470,5 @@ class TaskController:
 
 
 def _most_bytes(task: Task) -> int:
-    """Return the largest size of a result: the memory kept for answers, or, for a job's result, the size of one
-    message."""
+    """Return the largest size of the result of a task, in bytes."""
     return MAX_KEPT if task.is_analysis else messages.MAX_RESULT if task.function == "prepare" else MAX_MESSAGE

@@ -1,8 +1,8 @@
-"""The tasks of all jobs: their states, their assignment to workers, and retries. Pure; time comes in.
+"""The tasks of all jobs: their states, their assignment to workers, and retries. Pure; the time is an argument.
 
-A worker has one task at a time: its own, or another worker's that it helps with. Waiting tasks come first, in the order
-in which they are given; idle workers help with running ones. A task that ran out of memory gets a host for itself:
-`plan` keeps a host free of other tasks and helpers for it.
+A worker has one task at a time: its own task, or a task of another worker with which it helps. Waiting tasks are leased
+first, in the given order; idle workers then help with running tasks. A task that ran out of memory gets a host without
+other tasks: `plan` keeps a host free of other tasks and helpers for it.
 """
 
 import hashlib
@@ -16,17 +16,18 @@ from atoll_core.task_frames import Failure
 from atoll_core.wire.messages.tasks import AnalysisFunction, Lease, TaskFunction, TaskInput
 
 MAX_LOSSES: Final = 5
-"""Workers that may be lost with a task; the same number of deaths fails an archipelago (`workers.crash_loops`)."""
+"""Number of lost workers after which a task fails, as an archipelago does (`workers.crash_loops`)."""
 
 ANALYSES: Final[frozenset[TaskFunction]] = frozenset(get_args(AnalysisFunction))
 """Functions that answer questions about ended jobs."""
 
 LIMIT_S: Final = 3_600.0
-"""Seconds, far more than preparing or refining takes: a task that takes longer is treated as hung and ended, unless its
-job has more time."""
+"""Seconds after which a task is treated as hung and ended, unless its job has more time. Preparing and refining take
+far less."""
 
 MOST_THREADS: Final = 2
-"""Threads of a task. Python runs one thread at a time between kernels, so helpers use the other cores of a host."""
+"""Largest number of threads of a task. Outside kernels Python runs one thread at a time, so helpers, which are
+processes, use the other cores of a host."""
 
 HELPED: frozenset[TaskFunction] = frozenset({"refine", "profile"})
 """Functions whose work comes in batches, with which other workers can help."""
@@ -46,8 +47,8 @@ TASK_TRANSITIONS: Final[Mapping[State, Mapping[Step, State]]] = {
 def task_id(job: str, function: TaskFunction, inputs: Sequence[TaskInput]) -> str:
     """Return the id of a task: the SHA-256 of its job, function and digests of inputs.
 
-    The time limit is not part of it: the limit differs after a restart of the coordinator, which takes over tasks of
-    workers all the same.
+    The time limit is not part of the id, because it differs after a restart of the coordinator, which must still
+    recognise the tasks of workers.
     """
     words = [job, function, *(given.digest for given in inputs)]
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
@@ -57,12 +58,12 @@ def task_id(job: str, function: TaskFunction, inputs: Sequence[TaskInput]) -> st
 class Task:
     """One task.
 
-    `worker` has it while it is leased or running, `helpers` help with it since these times. `term` counts its leases;
-    `threads` may be used. `is_alone`: it ran out of memory and is tried once more where nothing else runs.
-    `waiting_since`, `leased_at`, `sent_at` (when its worker was last written to) and `began_at` are in seconds of the
-    bus. `compared` is the number of candidates that its worker has compared. `charged` seconds since `began_at` have
-    been charged to its user. `parts` of its result have come, `received` bytes; when all have arrived, the result is
-    being read in the background (`is_read`).
+    `worker` has the task while it is leased or running; `helpers` has the time since which each helper helps. `term`
+    counts the leases of the task; its worker may use `threads` threads. `is_alone`: it ran out of memory and is tried
+    once more on a host without other tasks. `waiting_since`, `leased_at`, `sent_at` (the last message to its worker or
+    chunk from it) and `began_at` are in seconds of the bus. `compared` is the number of candidates that its worker has
+    compared. `charged` seconds since `began_at` have been charged to its user. `parts` are the parts of its result that
+    have arrived, with `received` bytes. When all have arrived, the result is read in the background (`is_read`).
     """
 
     id: str
@@ -95,7 +96,7 @@ class Task:
 
     @property
     def turn(self) -> str:
-        """The id by which it takes turns: the job's, or its own for an analysis."""
+        """The id by which the task takes turns: the id of its job, or for an analysis its own id."""
         return self.id if self.is_analysis else self.job
 
     def lease(self) -> Lease:
@@ -106,19 +107,19 @@ class Task:
         )  # fmt: skip
 
     def drop_result(self) -> None:
-        """Forget the parts of its result."""
+        """Forget the parts of its result that have arrived."""
         self.parts, self.received, self.is_read = [], 0, False
 
     @property
     def limit_s(self) -> float:
-        """Seconds after its lease when it counts as hung."""
+        """Seconds after its lease from which it is treated as hung."""
         return max(LIMIT_S, self.seconds or 0.0)
 
     def step(self, step: Step) -> None:
         """Go to the next state by the table."""
         following = TASK_TRANSITIONS[self.state].get(step)
         if following is None:
-            raise LocalProtocolError(f"a task that is {self.state} has no {step}")
+            raise LocalProtocolError(f"a task that is {self.state} cannot {step}")
         self.state = following
 
 
@@ -160,7 +161,7 @@ class TaskTable:
         task.term, task.threads = task.term + 1, threads
 
     def begin(self, task: Task, now: float) -> bool:
-        """Record that a task runs; return whether it was not known to run."""
+        """Record that a task runs; return whether this is new."""
         is_new = task.state == "leased"
         if is_new:
             task.began_at = now
@@ -168,9 +169,9 @@ class TaskTable:
         return is_new
 
     def lose(self, worker: str, now: float, *, had_left: bool = False) -> list[tuple[Task, str | None]]:
-        """Record that a worker is lost; return its tasks, each with the reason why it is not tried again, if any.
+        """Record that a worker is lost; return its tasks, each with the reason of its failure (None: it waits again).
 
-        A worker that `had_left` announced its end, so that no task caused it, and the loss does not count.
+        A worker that `had_left` had announced its end. So no task caused the loss, and it does not count.
         """
         lost: list[tuple[Task, str | None]] = []
         for task in tuple(self._tasks.values()):
@@ -187,10 +188,10 @@ class TaskTable:
         return lost
 
     def fail(self, task: Task, failure: Failure, sentence: str, now: float) -> str | None:
-        """Record that a task failed; return why it is not tried again, None when it is.
+        """Record that a task failed; return why it is not tried again, None: it is tried again.
 
-        After an error or the death of a process it is tried once more, after a lack of memory once more and alone,
-        after a timeout never.
+        After an error or the death of its process a task is tried once more. After a lack of memory it is tried once
+        more, alone on a host. After a timeout it is not tried again.
         """
         task.failures.append(failure)
         if failure == "time" or len(task.failures) > 1:
@@ -207,7 +208,7 @@ class TaskTable:
         return [task for task in held if now - task.leased_at > task.limit_s]
 
     def end(self, task: Task) -> None:
-        """Remove a task that is done, has failed for good, or is no longer needed."""
+        """Remove a task that is done, has failed, or is no longer needed."""
         task.step("end")
         del self._tasks[task.id]
 
@@ -246,7 +247,7 @@ class Slot:
 
 @dataclass(slots=True)
 class TaskPlan:
-    """Leases: task, worker, threads. Helps: task, worker. Recalled: helpers that a waiting task needs."""
+    """The plan: `leases` (task, worker, threads), `helps` (task, worker), and `recalled` helpers, which must stop."""
 
     leases: list[tuple[Task, str, int]] = field(default_factory=list)
     helps: list[tuple[Task, str]] = field(default_factory=list)
@@ -261,10 +262,10 @@ def plan(
 
     Args:
         waiting: tasks without a worker, the next one first.
-        running: tasks that run.
-        slots: workers without a task of their own.
+        running: running tasks that may get helpers.
+        slots: workers that have no task, or only help with one.
         busy_hosts: number of tasks on each host.
-        closed_hosts: hosts with a task that must be alone.
+        closed_hosts: hosts with a task that must be alone there.
     """
     made = TaskPlan()
     left = [slot for slot in slots if slot.host not in closed_hosts]
@@ -286,7 +287,7 @@ def plan(
     helped.sort(key=lambda task: (len(task.helpers), task.waiting_since))
     idle_slots = [slot for slot in left if slot.helps is None]
     if len(idle_slots) == 1 and len(helped) == 1 and helped[0].threads > 1 and busy_hosts[idle_slots[0].host]:
-        return made  # a second thread of the task uses that core, without sending anything
+        return made  # a second thread of the task uses this core, which needs no messages
     while idle_slots and helped:
         for task in helped:
             if idle_slots:
@@ -295,7 +296,7 @@ def plan(
 
 
 def _best(task: Task, slots: Sequence[Slot], busy: Counter[str]) -> Slot | None:
-    """Return the worker for a task: near its data, loaded, with few islands; None: it must wait."""
+    """Return the best worker for a task (near its data, loaded, few islands); None: the task must wait."""
     fit = [slot for slot in slots if not (task.is_alone and busy[slot.host])]
 
     def cost(slot: Slot) -> tuple[bool, bool, bool, int, str]:

@@ -10,7 +10,7 @@ PULL_TIMEOUT_S = 5.0
 
 
 class WorkerChannel:
-    """Sends messages to workers, and remembers which pulls have not been answered."""
+    """Sends messages to workers, and stores the pulls that have not been answered."""
 
     def __init__(self, bus: Bus, cluster: str) -> None:
         self._bus = bus
@@ -26,7 +26,7 @@ class WorkerChannel:
         self._bus.put(topics.control(self._cluster), encode(Control(body=body)))
 
     def pull(self, worker: str, body: PullReports | PullStates) -> None:
-        """Ask a worker for reports or states; a reply event follows, also without an answer."""
+        """Ask a worker for reports or states; a reply event follows in any case, after a timeout without an answer."""
         key = topics.worker(self._cluster, worker, "pull")
         self._pulls[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = (worker, body)
 

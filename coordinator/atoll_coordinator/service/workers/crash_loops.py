@@ -1,13 +1,13 @@
 """Archipelagos whose workers are lost repeatedly: crash loops, quarantine, and longer leases.
 
-A death counts for each archipelago of which the dead worker had islands, at most once a term: a host without power
-takes many workers with it, which says nothing about their islands. After three terms in a row that ended by a death,
-without a commit in between, an archipelago is quarantined: one worker is reserved for it and computes nothing else.
-After two more its job fails. Harmless archipelagos that shared a worker with it are quarantined as well, until their
-next commit.
+A death counts for each archipelago that had islands on the dead worker, at most once per term: when a host loses power,
+many workers die at once, and their islands are not the cause. After three successive terms that ended by a death,
+without a commit in between, an archipelago is quarantined: one worker is reserved for it and computes no other islands.
+After two more such terms its job fails. Harmless archipelagos that shared a worker with it are quarantined as well,
+until their next commit.
 
-A slow worker whose lease is too short would be given up repeatedly, without any progress. So each time that happens
-without a commit in between, the leases of the archipelago's workers are doubled.
+A slow worker with too short a lease would be treated as lost again and again, without progress. So from the second loss
+without a commit in between, each loss doubles the leases of the archipelago's workers.
 """
 
 from collections import Counter
@@ -23,7 +23,7 @@ from atoll_coordinator.service.workers.membership import Membership
 
 QUARANTINE_AFTER: Final = 3
 FAIL_AFTER: Final = 5
-"""Terms in a row that ended by a death."""
+"""Numbers of successive terms that ended by a death."""
 
 MAX_FACTOR: Final = 64.0
 """Largest factor on leases."""
@@ -70,13 +70,13 @@ class CrashLoop:
         return is_first
 
     def add_eviction(self) -> None:
-        """Double the leases, if a worker was given up before and there was no commit in between."""
+        """Double the leases, if a worker was lost before and there was no commit in between."""
         if self._is_evicted:
             self.lease_factor = min(MAX_FACTOR, 2.0 * self.lease_factor)
         self._is_evicted = True
 
     def withdraw(self, process: Process) -> bool:
-        """Withdraw the death of a process that is alive; return whether a term no longer counts because of that."""
+        """Withdraw the death of a process that is alive; return whether a term no longer counts as ended by a death."""
         terms = [term for term, processes in self._processes.items() if processes == {process}]
         for processes in self._processes.values():
             processes.discard(process)
@@ -87,7 +87,7 @@ class CrashLoop:
         return bool(terms)
 
     def add_commit(self, epoch: int) -> None:
-        """Forget the deaths, if the commit is newer than all before: after a death, epochs are computed again."""
+        """Forget the deaths if the commit is later than all previous ones: after a death, epochs are computed again."""
         self._is_evicted = False
         if epoch > self._committed and self.state != "failed":
             self._committed = epoch
@@ -114,7 +114,7 @@ class CrashLoops:
             loop.add_death(death.term, (death.worker, death.instance))
 
     def add_death(self, key: ArchipelagoKey, term: int, process: Process, why: str) -> str | None:
-        """Count a death for an archipelago; return the reason for which its job fails, if it does."""
+        """Count a death for an archipelago; return the reason if its job fails by it, otherwise None."""
         loop = self._loops.setdefault(key, CrashLoop())
         loop.add_eviction()
         is_first = loop.add_death(term, process)
@@ -123,14 +123,14 @@ class CrashLoops:
         if not is_first:
             return None
         if loop.deaths == QUARANTINE_AFTER:
-            text = "workers of its islands died three times in a row; one worker now computes only these islands"
+            text = "workers of its islands died three times in succession; one worker now computes only these islands"
             self._events.record("isolated", text, key[0], variable=key[1])
         if loop.state != "failed":
             return None
         return (
-            f"the islands of {key[1]} end the workers that compute them: in {FAIL_AFTER} placements in a row workers "
-            f"were lost before there was a commit, in the last {FAIL_AFTER - QUARANTINE_AFTER} they computed nothing "
-            f"else (the last was {process[0]}: {why}); look at that worker's own log, at its memory, and at the data"
+            f"the islands of {key[1]} seem to kill their workers: in {FAIL_AFTER} successive placements a worker was "
+            f"lost before a commit, and in the last {FAIL_AFTER - QUARANTINE_AFTER} it computed no other islands (the "
+            f"last worker was {process[0]}: {why}); look at the log of this worker, at its memory, and at the data"
         )
 
     def add_commit(self, key: ArchipelagoKey, epoch: int) -> None:
@@ -139,7 +139,9 @@ class CrashLoops:
         was_quarantined = loop.state == "quarantined"
         loop.add_commit(epoch)
         if was_quarantined and loop.state == "healthy":
-            self._events.record("pardoned", "it makes progress, and is no longer isolated", key[0], variable=key[1])
+            self._events.record(
+                "pardoned", "it makes progress again, and other islands may share its worker", key[0], variable=key[1]
+            )
 
     def withdraw(self, process: Process) -> None:
         """Withdraw the death of a process that is alive."""
@@ -153,7 +155,7 @@ class CrashLoops:
             self._store.take_back_deaths(*process)
 
     def lease_factors(self, archipelagos: Iterable[Archipelago]) -> dict[str, float]:
-        """Return the factor on each worker's lease: the largest of the archipelagos of which it has islands."""
+        """Return the factor on each worker's lease: the largest factor of the archipelagos with islands on it."""
         factors: dict[str, float] = {}
         for archipelago in archipelagos:
             for worker in archipelago.workers:
@@ -173,7 +175,7 @@ class CrashLoops:
 
 
 class Quarantine:
-    """Reserves a worker for each quarantined archipelago, as far as there are workers. Pure."""
+    """Reserves one worker for each quarantined archipelago, while there are enough workers. Pure."""
 
     def __init__(self, membership: Membership, crash_loops: CrashLoops) -> None:
         self._membership = membership
@@ -181,7 +183,7 @@ class Quarantine:
         self._reserved: dict[ArchipelagoKey, str | None] = {}
 
     def reserve(self, archipelagos: Sequence[Archipelago], guarded: JobGuard = unguarded) -> None:
-        """Reserve workers for quarantined ones of all open archipelagos, in order; each is checked under `guarded`."""
+        """Reserve workers for the quarantined archipelagos, in order; each archipelago is checked under `guarded`."""
         keys = [archipelago.key for archipelago in archipelagos]
         quarantined: list[ArchipelagoKey] = []
         for key in keys:
@@ -219,11 +221,11 @@ def reserve_workers(
     """Return the worker reserved for each quarantined archipelago; None: it must wait.
 
     Args:
-        quarantined: open ones, in the order in which they are served.
+        quarantined: the open quarantined archipelagos, in the order in which they get workers.
         has_others: whether other archipelagos are open; at least one worker is kept for them.
         workers: all workers that are not lost.
-        reserved: previous reservations; an archipelago keeps its worker while that is among `workers`.
-        load: number of archipelagos of each worker; the worker with the lowest is chosen.
+        reserved: previous reservations; an archipelago keeps its worker if that is among `workers`.
+        load: number of archipelagos of each worker; the worker with the fewest is chosen.
     """
     number = len(workers) - has_others
     chosen: dict[ArchipelagoKey, str] = {}

@@ -1,4 +1,12 @@
-"""The known workers: which are present, in which state, and which are lost. Pure; time comes in."""
+"""The known workers, their states and leases. Pure; the time is an argument.
+
+A worker is present while its connection lives, and has a lease that each heartbeat renews. It is *absent* when its
+connection ends, *hung* when it sends heartbeats and computes without progress, and *lost* when its absence or silence
+is too long. A lost or hung worker may return as the same process; then its islands have usually been placed elsewhere.
+
+*Doubts.* Silence has two causes that look the same here: a worker that hangs, and messages that this coordinator has
+not processed. So all leases are renewed after a gap in the checks (`GAP_S`).
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,25 +18,26 @@ from atoll_core.wire.messages.views import Counters, WorkerService, WorkerState,
 from atoll_core.wire.messages.workers import WorkerStatus
 
 LEASE_S: Final = 15.0
-"""Silence after which a worker is lost although it is still connected: its process hangs."""
+"""Seconds of silence after which a connected worker is lost: its process hangs."""
 
 ABSENCE_S: Final = 0.5
-"""How long a worker's connection may be gone before it is lost, since it may come back. A worker that is wrongly given
-up costs the work between two checkpoints; waiting costs the wait."""
+"""Seconds after the end of its connection from which a worker is lost; the connection may return earlier. A worker that
+is wrongly treated as lost costs the work since the last checkpoint; a longer wait delays the islands of dead
+workers."""
 
 STANDING_S: Final = 60.0
-"""How long a worker may compute without progress before it counts as hung, without loading and compiling."""
+"""Seconds of computing without progress after which a worker is hung; loading and compiling do not count."""
 
 GAP_S: Final = 3.0
-"""If the coordinator itself has not checked for so long, silence is its own fault: all leases are renewed."""
+"""Seconds without a check after which all leases are renewed: the coordinator itself did not process messages."""
 
 FORGET_S: Final = 3600.0
-"""How long lost workers are listed."""
+"""Seconds for which lost workers are listed."""
 
 NO_WORKER: Final = (
     "waits for a worker: none has joined since the coordinator was started, or all are lost, leaving or cordoned"
 )
-"""The known workers are not stored: after a restart workers join again within seconds."""
+"""Sentence for jobs without any worker. Workers are not stored: after a restart they join again within seconds."""
 
 MemberState = Literal["here", "absent", "hung", "lost"]
 MemberStep = Literal["heard", "gone", "back", "expired", "stands", "moves"]
@@ -80,7 +89,7 @@ class Membership:
     """All workers by name."""
 
     def __init__(self, fingerprint: str = "") -> None:
-        """`fingerprint` is of this installation's kernels; all workers must have the same kernels. "": any kernels."""
+        """`fingerprint` identifies this installation's kernels, which all workers must have; "": any kernels."""
         self._fingerprint = fingerprint
         self._members: dict[str, Member] = {}
         self._checked_at: float | None = None
@@ -102,11 +111,11 @@ class Membership:
         return self._checked_at or 0.0
 
     def member(self, worker: str) -> Member | None:
-        """Return the known facts about a worker."""
+        """Return a worker by name; None: it is unknown."""
         return self._members.get(worker)
 
     def register(self, hello: Hello, now: float) -> str | None:
-        """Add a worker; return a sentence instead when it must be refused."""
+        """Add a worker, or return a sentence on why it is refused."""
         refusal = version_refusal(hello) or self._name_refusal(hello) or self._fingerprint_refusal(hello)
         if refusal is not None:
             return refusal
@@ -116,7 +125,9 @@ class Membership:
             known = self._members[hello.name]
             known.hello, known.heard_at = hello, now
         if hello.fingerprint == self._fingerprint or not self._fingerprint:
-            self._members[hello.name].has_our_kernels = True  # an old greeting that comes late changes nothing
+            self._members[
+                hello.name
+            ].has_our_kernels = True  # an earlier greeting that arrives late has no fingerprint and changes nothing
         return None
 
     def record_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> bool:
@@ -125,14 +136,14 @@ class Membership:
         if member is None or member.hello.instance != status.instance:
             return False
         before, member.status, member.heard_at = member.status, status, now
-        gets_on = before is None or status.progress != before.progress
-        if gets_on or member.state == "lost" or not _is_computing(member):
+        has_progressed = before is None or status.progress != before.progress
+        if has_progressed or member.state == "lost" or not _is_computing(member):
             member.progressed_at = now
-        member.step("moves" if gets_on and member.state == "hung" else "heard")
+        member.step("moves" if has_progressed and member.state == "hung" else "heard")
         return True
 
     def record_presence(self, worker: str, present: bool, now: float) -> None:
-        """Record that a worker's connection came or went."""
+        """Record that a worker's connection was made or lost."""
         member = self._members.get(worker)
         if member is None:
             return
@@ -147,16 +158,16 @@ class Membership:
         return self._members.pop(worker, None)
 
     def renew_leases(self, now: float) -> None:
-        """Renew all leases: messages may have been lost on the coordinator's side."""
+        """Renew all leases, because messages may have been lost at the coordinator."""
         for member in self._members.values():
             member.heard_at = member.progressed_at = now
             if member.gone_at is not None:
                 member.gone_at = now
 
     def expire(self, now: float, factors: Mapping[str, float] | None = None) -> list[Member]:
-        """Mark workers whose leases are over as lost or hung; return those that had been computing until now.
+        """Mark workers whose leases have ended as lost or hung; return those that were not hung before.
 
-        `factors`, by worker, make leases longer; `Member.lost_by` says why a worker is lost.
+        `factors`, by worker, lengthen leases; `Member.lost_by` is the reason of a loss.
         """
         if self._checked_at is not None and now - self._checked_at > GAP_S:
             self.renew_leases(now)
@@ -180,7 +191,7 @@ class Membership:
         return tuple(sorted(name for name in self._members if self.is_ready(name)))
 
     def attending(self) -> Iterator[tuple[str, Member]]:
-        """Yield the workers that are present and do not leave, sorted by name; their kernels may still be compiling."""
+        """Yield the workers that are present and not leaving, sorted by name; some may still compile their kernels."""
         for name, member in sorted(self._members.items()):
             if member.state == "here" and member.status is not None and not member.is_leaving:
                 yield name, member
@@ -198,7 +209,7 @@ class Membership:
         )
 
     def waiting_reason(self) -> str:
-        """Return in words why an archipelago without workers waits."""
+        """Return a sentence on why an archipelago without workers waits."""
         arriving = self.arriving()
         if arriving:
             return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
@@ -212,13 +223,13 @@ class Membership:
         return member is not None and member.status is not None and job in member.status.jobs
 
     def has_room(self, worker: str, needed: int) -> bool:
-        """Return whether a worker's machine has this number of bytes of memory available, as far as is known."""
+        """Return whether a worker's machine has this number of bytes of free memory, or does not report it."""
         member = self._members.get(worker)
         available = member.status.available_bytes if member is not None and member.status is not None else None
         return available is None or available >= needed
 
     def is_lost(self, worker: str) -> bool:
-        """Return whether a worker does not compute the islands that are placed on it."""
+        """Return whether a worker is unknown, lost or hung, so that it does not compute its islands."""
         member = self._members.get(worker)
         return member is None or member.state in ("lost", "hung")
 
@@ -228,7 +239,7 @@ class Membership:
         return self._cordons.get(worker, False) or (member is not None and member.is_leaving)
 
     def is_new(self, hello: Hello) -> bool:
-        """Return whether the process of this name is another one than before."""
+        """Return whether the name is new, or has a new process."""
         member = self._members.get(hello.name)
         return member is None or member.hello.instance != hello.instance
 
@@ -249,7 +260,7 @@ class Membership:
         )
 
     def _fingerprint_refusal(self, hello: Hello) -> str | None:
-        """Refuse other kernels than the coordinator's: they might give other bits."""
+        """Return why kernels that differ from the coordinator's are refused: their results might have other bits."""
         if not (self._fingerprint and hello.fingerprint) or hello.fingerprint == self._fingerprint:
             return None
         return (
@@ -259,15 +270,15 @@ class Membership:
 
 
 def lease_end(member: Member, now: float, factor: float) -> tuple[MemberStep, str] | None:
-    """Return the event for a worker whose lease is over, and why; None: it is not. `factor` makes leases longer."""
+    """Return event and reason if the lease of a worker has ended; None: it has not. `factor` lengthens leases."""
     if member.state == "absent":
         is_over = member.is_leaving or now - (member.gone_at or 0.0) >= ABSENCE_S
-        return ("expired", "its connection has gone") if is_over else None
+        return ("expired", "its connection was lost") if is_over else None
     silent, standing = now - member.heard_at, now - member.progressed_at
     if member.state in ("here", "hung") and silent >= LEASE_S * factor:
         return "expired", f"silent for {silent:.0f} s"
     if member.state == "here" and _is_computing(member) and standing >= STANDING_S * factor:
-        return "stands", f"it has computed for {standing:.0f} s without getting on"
+        return "stands", f"it has computed for {standing:.0f} s without progress"
     return None
 
 
@@ -276,7 +287,7 @@ def _is_computing(member: Member) -> bool:
 
 
 def version_refusal(hello: Hello) -> str | None:
-    """Return a sentence about both sides' versions when they do not fit; clients need the same protocol only."""
+    """Return a sentence if the versions of both sides do not fit; clients need only the same protocol."""
     ours = f"Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
     theirs = f"Atoll {hello.version} (protocol {hello.protocol}, engine {hello.engine})"
     fits = hello.protocol == PROTOCOL_VERSION
@@ -312,7 +323,7 @@ def _view(name: str, member: Member, now: float) -> WorkerView:
 
 
 def _doing(status: WorkerStatus) -> str:
-    """Return in words what a worker computes, the job first: an island, or a task."""
+    """Return a text about the island or task that a worker computes, beginning with its job."""
     words = [f"{one.job}/{one.variable} island {one.island} epoch {one.epoch}" for one in [status.doing] if one]
     words += [f"{held.job}/a task" for held in status.tasks if held.state == "running"]
     words += [f"{held.job}/a task of another worker" for held in status.tasks if held.state == "helping"]

@@ -1,7 +1,12 @@
-"""Placements: which archipelagos begin a term now, on which workers, and messages that correct the holdings of workers.
-Pure.
+"""Placements: plans which archipelagos begin a term now, and on which workers; corrects the holdings of workers. Pure.
 
 Placements decide when and where islands are computed, and never their results.
+
+`Scheduler.plan` visits all archipelagos at each event that may change something. A placement that has lost a worker
+ends at once, and the next term continues from the last commit. For all other changes (a leaving worker, a better
+balance, a held job) the archipelago first gets a barrier, so that no work is lost. Soon after a placement there is no
+barrier, because little has been computed. *Doubts.* The load of a worker is its number of islands; differences between
+islands or machines are not measured.
 """
 
 from collections import Counter
@@ -27,14 +32,14 @@ from atoll_core.wire.messages.workers import (
 )
 
 REPLACE_WITHIN_S: Final = 5.0
-"""A worker that joins within this time after a placement gets islands of it; the few results since then are computed
-again."""
+"""Seconds after a placement in which it may be replaced at once, for example when a worker joins; the few results since
+the placement are computed again."""
 
 EXPECT_S: Final = 10.0
-"""How long the first ready worker waits for the other expected ones."""
+"""Seconds for which the first ready worker waits for the other expected workers."""
 
 DATASET_ROOM: Final = 3
-"""Memory of a dataset on a worker, in multiples of its bytes: 50 MB took 130 MB (docs/scale.md)."""
+"""Memory that a dataset needs on a worker, in multiples of its bytes: 50 MB took 130 MB (docs/scale.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +68,7 @@ class Assignment:
 
 @dataclass(slots=True)
 class PlacementPlan:
-    """Terms that begin, placements broken by a lost worker, and placements at a barrier without a successor."""
+    """Terms that begin, placements broken by a lost worker, and placements that end without a next term."""
 
     assignments: list[Assignment] = field(default_factory=list)
     broken: list[ArchipelagoKey] = field(default_factory=list)
@@ -71,7 +76,7 @@ class PlacementPlan:
 
 
 class Scheduler:
-    """Plans the placements of all archipelagos on the workers that are there now."""
+    """Plans the placements of all archipelagos on the present workers."""
 
     def __init__(self, membership: Membership, quarantine: Quarantine, expected_workers: int = 1) -> None:
         """No island is placed before `expected_workers` are ready, or `EXPECT_S` have passed."""
@@ -82,10 +87,10 @@ class Scheduler:
         self._sizes: dict[str, int] = {}
 
     def plan(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> PlacementPlan:
-        """Plan terms for all archipelagos that have no workers, or lost ones, or could use more. `now` in bus seconds.
+        """Plan terms for archipelagos that have no workers or lost workers, or could use more; `now` in bus seconds.
 
-        Archipelagos whose placements end are unplaced, and those that are to move get a barrier. Each is handled under
-        `guarded`, so that an error affects no other archipelago.
+        Archipelagos whose placements end are unplaced; archipelagos that should move get a barrier. Each is handled
+        under `guarded`, so that an error affects no other archipelago.
         """
         wanted = [
             archipelago
@@ -96,7 +101,7 @@ class Scheduler:
         self._quarantine.reserve(wanted, guarded)
         self._sizes = {job.id: job.prepared.size for job in jobs if job.prepared is not None}
         plan = PlacementPlan()
-        # While a checkpoint is being written, no term begins: the next one begins at that checkpoint.
+        # While a checkpoint is being written, no term begins: the next term begins at this checkpoint.
         changing = [
             (job, archipelago)
             for job in jobs
@@ -121,7 +126,7 @@ class Scheduler:
     def _end_placement(
         self, job: Job, archipelago: Archipelago, plan: PlacementPlan, load: Counter[str], now: float
     ) -> None:
-        """Unplace an archipelago if its placement ends now, or prepare its end."""
+        """Unplace an archipelago if its placement ends now, or request a barrier."""
         if job.is_held:
             self._hold(archipelago, load, now)
         elif self.is_broken(archipelago):
@@ -134,7 +139,7 @@ class Scheduler:
         self, job: Job, archipelago: Archipelago, released: Placement | None, plan: PlacementPlan, load: Counter[str],
         now: float,
     ) -> None:  # fmt: skip
-        """Plan the next term of an archipelago, or its release if there is none and `released` has ended."""
+        """Plan the next term of an archipelago; without a next term, plan the release of an ended placement."""
         workers = self.choose_workers(archipelago, load, now) if not job.is_held else None
         if workers is not None:
             load.subtract(_islands(archipelago))
@@ -144,7 +149,7 @@ class Scheduler:
             plan.released.append(released)
 
     def _hold(self, archipelago: Archipelago, load: Counter[str], now: float) -> None:
-        """Stop a held archipelago: at a barrier, or at once if little work would be lost."""
+        """Stop an archipelago of a held job: at a barrier, or at once if little work is lost."""
         is_new = archipelago.has_no_commit and self._is_young(archipelago, now)
         if archipelago.is_at_barrier or is_new or self.is_broken(archipelago):
             _unplace(archipelago, load)
@@ -152,10 +157,10 @@ class Scheduler:
             archipelago.request_barrier()
 
     def _prepare_change(self, archipelago: Archipelago, load: Counter[str], now: float) -> None:
-        """Prepare a change of placement that loses nothing, because workers leave or are idle.
+        """Prepare a change of placement because workers leave or are idle, without losing work.
 
-        All islands wait at a barrier; when it is durable they are placed again, or wait for a worker if there is none.
-        Soon after a placement it is quicker to compute the few results again.
+        All islands wait at a barrier. When it is durable, they are placed again, or wait if there is no worker. Soon
+        after a placement there is no barrier, because computing the few results again is faster.
         """
         if archipelago.is_at_barrier:
             _unplace(archipelago, load)
@@ -186,10 +191,10 @@ class Scheduler:
         return self._spread(archipelago, load)
 
     def _spread(self, archipelago: Archipelago, load: Mapping[str, int]) -> tuple[str, ...] | None:
-        """Return the worker of each island, among ready ones; None: there is none.
+        """Return the worker of each island, among the ready workers; None: no worker is ready.
 
-        Machines without memory for the dataset are left out while there are others. Among workers with the same load,
-        workers with the dataset come first.
+        Workers without memory for the dataset are used only if there are no others. Among workers with the same load,
+        workers that have the dataset come first.
         """
         job, needed = archipelago.job, DATASET_ROOM * self._sizes.get(archipelago.job, 0)
         ready = self._quarantine.ready_for(archipelago.key)
@@ -204,7 +209,7 @@ class Scheduler:
     def _better(self, archipelago: Archipelago, load: Mapping[str, int]) -> tuple[str, ...] | None:
         """Return a placement that lowers the largest load of the archipelago's workers; None: there is none.
 
-        Each such move lowers the sum of squares of all loads, so that moves come to an end.
+        Each such move lowers the sum of squares of all loads, so there are only finitely many moves.
         """
         own, others = _islands(archipelago), Counter(load)
         others.subtract(own)
@@ -215,7 +220,7 @@ class Scheduler:
         return workers if busiest < max(load.get(worker, 0) for worker in own) else None
 
     def _update_expected(self, now: float) -> None:
-        """Expect one worker only, once all have been ready or the first one has waited for `EXPECT_S`."""
+        """Expect one worker only, after all expected workers were ready or the first one has waited for `EXPECT_S`."""
         ready = len(self._membership.ready())
         if not ready:
             return
@@ -230,12 +235,12 @@ def spread(
 ) -> tuple[str, ...]:  # fmt: skip
     """Return the worker of each island: workers in turn, the least loaded first.
 
-    So loads that differ by one island at most stay so, and each archipelago is on as many workers as there are: it
-    continues when some are lost, and has its share on every worker that jobs share by priority.
+    So loads that differ by at most one island continue to do so, and each archipelago is on as many workers as
+    possible. Then each loss of a worker affects few of its islands, and it has its share of every worker.
 
     Args:
-        islands: their number.
-        load: number of islands of each worker, 0 if it is missing.
+        islands: number of islands.
+        load: number of islands of each worker; a missing worker has none.
         workers: at least one, names unique.
         preferred: workers that come first among equally loaded ones.
     """
@@ -260,11 +265,11 @@ def corrections(
     jobs: Mapping[str, Job], begun: Mapping[str, Job], worker: str, status: WorkerStatus,
     guarded: JobGuard = unguarded, ending: Container[str] = (),
 ) -> list[Correction]:  # fmt: skip
-    """Return the messages to a worker after its heartbeat: releases, missing placements, announcements and reports.
+    """Return the messages to a worker after its heartbeat: releases, missing placements, announcements and pulls.
 
-    Only live `jobs` that have `begun` can have placements. Jobs that are `ending` are left out: they go on if the
+    Only live `jobs` that have `begun` can have placements. Jobs that are `ending` are left out: they continue if the
     coordinator dies before their ends are stored. Each job is handled under `guarded`, so that an error affects no
-    other.
+    other job.
     """
     messages: list[Correction] = []
     for assignment_status in status.holdings:
@@ -303,6 +308,6 @@ def _correct_assignment(jobs: Mapping[str, Job], worker: str, assignment_status:
 
 
 def _is_open(jobs: Mapping[str, Job], job_id: str) -> bool:
-    """Return whether islands of a job are computed now or will be."""
+    """Return whether islands of a job are computed now or later."""
     job = jobs.get(job_id)
     return job is not None and job.state in ("queued", "preparing", "running")

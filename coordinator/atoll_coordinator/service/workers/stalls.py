@@ -1,4 +1,4 @@
-"""Why an archipelago makes no progress: a pure function of placement, reports and workers, as far as they are known."""
+"""Finds why an archipelago makes no progress, from its placement, its reports and the states of workers. Pure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,8 @@ PATIENCE_S: Final[dict[Cause, float]] = {
     "silence": 5.0, "absence": 3.0, "compiling": 5.0, "not taken up": 5.0, "lost report": 5.0, "standing": 10.0,
     "others": 30.0, "migrants": 5.0, "slow": 60.0,
 }  # fmt: skip
-"""Seconds without progress, and of the cause, after which that is a stall; causes that hold up others come first."""
+"""Seconds for which the lack of progress and its cause must last to be a stall. The first cause in this order counts:
+it may be the reason of later ones."""
 
 _SILENT_S: Final = 3.0
 _STANDING_S: Final = 5.0
@@ -24,7 +25,7 @@ _MOST_NAMED: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class Stall:
-    """An archipelago that waits for `islands` on `worker` to report `epoch`; `seconds` belong to the cause."""
+    """An archipelago that waits until `islands` on `worker` report `epoch`; the cause has lasted for `seconds`."""
 
     cause: Cause
     worker: str
@@ -36,11 +37,11 @@ class Stall:
 
 
 def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -> Stall | None:
-    """Return why no further epoch of an archipelago is complete; None: it is not a stall.
+    """Return why no further epoch of an archipelago is complete; None: this is not a stall.
 
     Args:
-        archipelago: only one that is placed and not cut can stall.
-        membership: workers, as of its last check.
+        archipelago: it can stall only if it is placed and not cut.
+        membership: the workers, at the time of the last check.
         still_s: seconds since an epoch was completed, or since the placement.
     """
     placement = archipelago.placement
@@ -76,7 +77,7 @@ def _stall(
 def _cause(
     archipelago: Archipelago, member: Member | None, now: float, epoch: int, still_s: float
 ) -> tuple[Cause, str, float]:
-    """Return the cause, words about it, and its seconds."""
+    """Return the cause, a text about it, and the seconds for which it has lasted."""
     if member is None or member.state == "absent":
         gone = now - (member.gone_at or now) if member is not None else still_s
         return "absence", f"whose connection has been lost for {gone:.0f} s", gone
@@ -105,14 +106,14 @@ def _cause(
 
 
 def named(islands: Sequence[int]) -> str:
-    """Return islands by number, as text."""
+    """Return a text with the numbers of islands."""
     shown = ", ".join(str(island) for island in islands[:_MOST_NAMED])
     more = f" and {len(islands) - _MOST_NAMED} more" if len(islands) > _MOST_NAMED else ""
     return f"island {shown}" if len(islands) == 1 else f"islands {shown}{more}"
 
 
 class StallDetector:
-    """Finds stalls, and remembers since when each archipelago makes no progress."""
+    """Finds stalls, and stores the time of the last progress of each archipelago."""
 
     def __init__(self, membership: Membership) -> None:
         self._membership = membership
@@ -120,7 +121,7 @@ class StallDetector:
         self._stalls: dict[ArchipelagoKey, Stall] = {}
 
     def check(self, archipelagos: Sequence[Archipelago], now: float) -> list[tuple[ArchipelagoKey, Stall | None]]:
-        """Return stalls of open archipelagos that are new or have another cause, and (None) stalls that are over."""
+        """Return stalls that are new or have another cause, and None for each archipelago whose stall has ended."""
         changes: list[tuple[ArchipelagoKey, Stall | None]] = []
         for archipelago in archipelagos:
             key, before = archipelago.key, self._stalls.pop(archipelago.key, None)
@@ -139,7 +140,7 @@ class StallDetector:
         return tuple(f"{key[1]}: {stall.sentence}" for key, stall in sorted(self._stalls.items()) if key[0] == job)
 
     def _still_s(self, archipelago: Archipelago, now: float) -> float:
-        """Return the seconds since term or complete epochs of an archipelago changed."""
+        """Return the seconds since the term or the number of complete epochs of an archipelago changed."""
         term = archipelago.placement.term if archipelago.placement is not None else 0
         mark = (term, archipelago.collector.state.epochs)
         before, since = self._marks.get(archipelago.key, (None, now))

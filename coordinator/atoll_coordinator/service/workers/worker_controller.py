@@ -1,7 +1,7 @@
 """Worker controller: handles greetings, heartbeats and silence of workers, and begins terms of archipelagos.
 
-Changes are stored before messages about them are sent. Steps for several jobs are guarded by job, so that an error in
-one job does not affect the others. `LiveJobs.fail_job` fails jobs that cannot continue because of their workers.
+Changes are stored before messages about them are sent. A step that concerns several jobs is guarded for each job, so
+that an error in one job does not affect the others. `LiveJobs.fail_job` fails jobs that have lost too many workers.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 from typing import Final, Protocol
 
 from atoll_coordinator.service.jobs.job import Fault, Job
-from atoll_coordinator.service.monitoring.breakages import Breakages, JobGuard, what_to_send
+from atoll_coordinator.service.monitoring.breakages import Breakages, JobGuard, ask_for_report
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import CounterRegistry
 from atoll_coordinator.service.search.archipelago import Archipelago
@@ -57,7 +57,7 @@ class WorkerController:
     def __init__(
         self, live: LiveJobs, store: Store, channel: WorkerChannel, events: EventLog, expected_workers: int
     ) -> None:
-        """See `Scheduler` for the expected workers."""
+        """`expected_workers`: see `Scheduler`."""
         self.membership: Final = Membership(source_digest(WORKER))
         self.counters: Final = CounterRegistry()
         self.crash_loops: Final = CrashLoops(store, events)
@@ -77,9 +77,9 @@ class WorkerController:
         self._stalls = StallDetector(self.membership)
 
     def register(self, hello: Hello, now: float) -> str | None:
-        """Add a worker; return a sentence instead when it must be refused.
+        """Add a worker, or return a sentence on why it is refused.
 
-        A new process under a known name does not have the islands of the old one: they are placed again.
+        A new process under a known name does not have the islands of the old process: they are placed again.
         """
         is_new, before = self.membership.is_new(hello), self.membership.member(hello.name)
         was_ready = self.membership.is_ready(hello.name)
@@ -104,7 +104,7 @@ class WorkerController:
     def add_heartbeat(self, worker: str, status: messages.WorkerStatus, now: float) -> bool:
         """Handle a heartbeat, and correct differences in the worker's holdings by messages.
 
-        Returns False when this process is not known; it is asked to greet.
+        Return False if this process is not known; it is asked to greet.
 
         Raises:
             RemoteProtocolError: The worker names a later incarnation that does not exist, or islands that are placed
@@ -114,7 +114,7 @@ class WorkerController:
         if status.incarnation > self._store.incarnation:
             self._store.check()
             raise RemoteProtocolError(
-                f"worker {worker} has heard of incarnation {status.incarnation}, but this is {self._store.incarnation}"
+                f"worker {worker} names incarnation {status.incarnation}, but the latest is {self._store.incarnation}"
             )
         self._check_places(worker, status, now)
         was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
@@ -122,14 +122,14 @@ class WorkerController:
             self._channel.send(worker, messages.Reregister())
             return False
         if was_lost and not self.membership.is_lost(worker):
-            self._events.record("worker-back", "it is there again, as the same process", worker=worker)
+            self._events.record("worker-back", "it has returned, as the same process", worker=worker)
             self.crash_loops.withdraw((worker, status.instance))
         if not was_ready and self.membership.is_ready(worker):
             self.place(now)
         for failure in status.failures:
             with self._guarded(failure.job, "handling a failed island", now):
                 if self._placed(failure.job, failure.variable, failure.term) is not None:
-                    to_send = what_to_send(self._jobs[failure.job].config)
+                    to_send = ask_for_report(self._jobs[failure.job].config)
                     sentence = f"{failure.sentence} (on worker {worker}){to_send}"
                     self._fail_job(failure.job, "internal", sentence, now)
         for assignment_status in status.holdings:
@@ -162,7 +162,7 @@ class WorkerController:
                 islands = archipelago.islands_of(worker) if archipelago is not None else None
                 if islands is not None and isinstance(claim, messages.AssignmentStatus) and not islands:
                     placed = f"{claim.variable} of job {claim.job}"
-                    wrong.append(f"worker {worker} holds {placed}, which is placed elsewhere")
+                    wrong.append(f"worker {worker} has {placed}, which is placed elsewhere")
                 elif islands is not None and isinstance(claim, messages.IslandFailure) and claim.island not in islands:
                     island = f"island {claim.island} of {claim.variable} of job {claim.job}"
                     wrong.append(f"worker {worker} reports that {island} failed, which is placed elsewhere")
@@ -179,28 +179,28 @@ class WorkerController:
                 self._channel.publish(commit)
 
     def _let_leave(self, worker: str, now: float) -> None:
-        """Place the islands of a leaving worker elsewhere; let it end when it has none."""
+        """Place the islands of a leaving worker elsewhere; let it end when it has no islands and no task."""
         self.place(now)
         has_islands = any(worker in archipelago.workers for archipelago in self._open_archipelagos())
         if not has_islands and not self._has_task(worker):
-            self._channel.send(worker, messages.Shutdown(sentence="nothing is placed here any more"))
+            self._channel.send(worker, messages.Shutdown(sentence="it has no more islands or tasks"))
 
     def send_away(self, worker: str, why: str, now: float) -> None:
-        """Give up a worker that may no longer take part; its islands are placed again."""
+        """Treat a worker that may no longer take part as lost; its islands are placed again."""
         member = self.membership.send_away(worker)
         if member is not None:
             self._lose(member, why, now)
             self.place(now)
 
     def expire(self, now: float) -> None:
-        """Give up the workers whose leases are over."""
+        """Treat the workers whose leases have ended as lost."""
         for member in self.membership.expire(now, self.crash_loops.lease_factors(self._open_archipelagos())):
             self._lose(member, member.lost_by, now)
 
     def _lose(self, member: Member, why: str, now: float) -> None:
         """Record that a process is lost, and fail jobs that have now lost too many workers.
 
-        A process that had announced its end was not ended by its islands.
+        The loss of a process that had announced its end does not count: its islands were not the cause.
         """
         name = member.hello.name
         of_tasks = self._lose_tasks(name, now, had_left=member.is_leaving)
@@ -220,7 +220,7 @@ class WorkerController:
             self._fail_job(job_id, "poison", reason, now)
 
     def _add_death(self, archipelago: Archipelago, member: Member, why: str) -> str | None:
-        """Count the loss of a process for an archipelago; return the reason why its job fails, if it does."""
+        """Count the loss of a process for an archipelago; return the reason if its job fails by it."""
         self.counters.add(archipelago.job, deaths=1)
         term = archipelago.placement.term if archipelago.placement is not None else 0
         return self.crash_loops.add_death(archipelago.key, term, (member.hello.name, member.hello.instance), why)
@@ -235,7 +235,7 @@ class WorkerController:
         plan = self._scheduler.plan(tuple(self._begun.values()), now, guarded)
         for key in plan.broken:
             with guarded(key[0]):
-                text = "a worker of its placement is lost, or kept for another archipelago"
+                text = "a worker of its placement is lost, or reserved for another archipelago"
                 self._events.record("unplaced", text, key[0], variable=key[1])
         for placement in plan.released:
             for worker in dict.fromkeys(placement.workers):
@@ -253,7 +253,7 @@ class WorkerController:
     def _begin_terms(
         self, assignments: Sequence[Assignment], guarded: JobGuard
     ) -> list[tuple[Assignment, messages.Placement]]:
-        """Store terms: all of them in one transaction, which is faster; after an error, one by one."""
+        """Store all terms in one transaction, which is faster; after an error, each in a separate transaction."""
         live = [assignment for assignment in assignments if assignment.job.id in self._jobs]
         with self._breakages.tolerated("beginning terms"):
             return self._store_terms(live)
@@ -297,11 +297,11 @@ class WorkerController:
             )  # fmt: skip
 
     def stalls(self, job_id: str) -> tuple[str, ...]:
-        """Return in words why archipelagos of a job make no progress, by variable."""
+        """Return sentences on why archipelagos of a job make no progress, by variable."""
         return self._stalls.sentences(job_id)
 
     def waiting_reason(self, job: Job) -> str | None:
-        """Return in words why archipelagos of a job without workers wait; None: all have workers."""
+        """Return a sentence on why archipelagos of a job without workers wait; None: all have workers."""
         quarantined = self._quarantine.waiting(job.open_archipelagos)
         if quarantined:
             return f"islands of {', '.join(quarantined)} are isolated and wait for a worker of their own"

@@ -246,7 +246,7 @@ def test_an_upload_that_would_fill_the_disk_is_refused_in_one_sentence(
     refused = failure(clients.answer("ann", chunk()))
     assert refused.failure == "refused"
     assert refused.sentence.startswith(
-        f"the coordinator's disk has room for {15 * MB + 7} bytes more, of which {15 * MB} are kept"
+        f"the coordinator's disk has {15 * MB + 7} free bytes, of which {15 * MB} are reserved"
     )
     room = Room(15 * MB + len(TABLE), 60 * MB)
     assert isinstance(clients.answer("ann", chunk()), messages.Uploaded)

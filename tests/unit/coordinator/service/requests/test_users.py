@@ -273,7 +273,7 @@ def test_what_is_announced_takes_no_room_and_what_is_stored_counts(lab: Lab, mon
     lab.ask("eve", messages.Upload(blob=part(table, 0).blob, size=3))
     lab.ask("eve", part(table, 0))
     assert lab.clients.uploads.pending_bytes("eve", "", "eve-1")[0] == lab.store.blob_bytes() - 3 == CHUNK_SIZE
-    assert "are over the" in said(lab.upload("eve", bytes(91)))
+    assert "exceed the" in said(lab.upload("eve", bytes(91)))
 
 
 def test_tables_of_few_bytes_are_bounded_by_their_number(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -281,13 +281,13 @@ def test_tables_of_few_bytes_are_bounded_by_their_number(lab: Lab, monkeypatch: 
     monkeypatch.setattr(uploads, "MOST_OF_ALL", 5)
     for number in range(3):
         assert not isinstance(lab.upload("ann", b"%d" % number), Failure)
-    assert "3 tables are uploaded and not submitted" in said(lab.upload("ann", b"3"))
+    assert "uploaded 3 tables without submitting" in said(lab.upload("ann", b"3"))
     assert not isinstance(lab.upload("ann", b"0"), Failure), "it is there"
     lab.submit("ann", "a", b"0")
     assert not isinstance(lab.upload("ann", b"3"), Failure)
     for number in range(2):
         assert not isinstance(lab.upload("bob", b"b%d" % number), Failure)
-    assert "of all users 5" in said(lab.upload("eve", b"e"))
+    assert "all users: 5" in said(lab.upload("eve", b"e"))
     lab.now += LEASE_S + CHECK_INTERVAL_S
     lab.clients.uploads.expire()
     assert not isinstance(lab.upload("eve", b"e"), Failure)
@@ -325,7 +325,7 @@ def test_a_revoked_certificate_is_told_so(lab: Lab) -> None:
     assert lab.authorization.refuse_worker("lab1-0") is None
     lab.authorization.role_bindings = RoleBindings({"lab1": "revoked", "ann": "submitter"})
     assert "'lab1' is revoked" in (lab.authorization.refuse_worker("lab1-0") or "")
-    assert "not name 'lab2-0' as a worker" in (lab.authorization.refuse_worker("lab2-0") or "")
+    assert "no longer lists 'lab2-0'" in (lab.authorization.refuse_worker("lab2-0") or "")
 
 
 # ------------------------------------------------------------------------------------- pause, priority, retry
@@ -385,7 +385,7 @@ def test_jobs_beyond_those_that_may_wait_are_refused(lab: Lab) -> None:
     limit(lab, user=Allowance(queued=2, running=1), total=Total(queued=3))
     for number in range(3):
         lab.submit("ann", f"a{number}")
-    assert "of the jobs of ann 2 wait, and limits allow 2" in said(lab.submit("ann", "a3"))
+    assert "2 jobs of ann wait, and limits allow 2" in said(lab.submit("ann", "a3"))
     assert view(lab.submit("ann", "a2")).state == "queued"  # it is known already
     lab.submit("bob", "b0")
     lab.submit("bob", "b1")
@@ -402,7 +402,7 @@ def test_bytes_of_a_user_hold_to_the_byte(lab: Lab, monkeypatch: pytest.MonkeyPa
     assert "stores 40 bytes" in said(lab.submit("ann", "c", bytes(31)))
     view(lab.submit("ann", "c", bytes(30)))  # 70 + 30
     assert lab.store.held("ann").stored == 70
-    assert "are over the 100" in said(lab.submit("ann", "d", table))
+    assert "exceed the 100" in said(lab.submit("ann", "d", table))
     view(lab.submit("bob", "z", bytes(90)))
 
 

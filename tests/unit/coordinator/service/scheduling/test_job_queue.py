@@ -78,7 +78,7 @@ def test_endless_jobs_lose_their_places_after_a_quantum_and_get_them_back() -> N
     queue.charge(0.0)
     queue.add("b0", "bob", 0, 1.0)
     assert take(queue) == Decision(take_up=("b0",), hold=("a1",))  # the second of one user gives way at once
-    assert queue.waiting_reason("a1") == "waits for its user's next turn; others have theirs"
+    assert queue.waiting_reason("a1") == "waits for its user's next turn: jobs of other users run now"
     queue.add("c0", "cem", 0, 1.0)
     queue.charge(0.9 * QUANTUM_S)
     assert take(queue) == Decision()

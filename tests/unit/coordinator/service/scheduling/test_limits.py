@@ -44,7 +44,7 @@ def test_an_empty_file_limits_what_is_limited_anyway(tmp_path: Path) -> None:
         ("[user]\ntask_time = 'long'", "have 'long' as user.task_time, but a time such as 90s, 30m or 12h was"),
         ("[users]\nann = 5", "have 5 as users.ann, but a table of its own, such as [users.ann], was expected"),
         ("[time]\nmost = 0", "have 0 as time.most, but greater than 0 was expected"),
-        ("[time]\nmost = '1h'\ndefault = '2h'", "a default of 7200 s at most as long as most, which is 3600 s"),
+        ("[time]\nmost = '1h'\ndefault = '2h'", "a default of at most 3600 s (the value of most) instead of 7200 s"),
         ("[time]\nmaximal = '1h'", "have time.maximal, which is unknown; known here: default, most"),
     ],
 )
@@ -69,5 +69,5 @@ def test_jobs_have_the_time_that_is_given_to_them() -> None:
     assert limits.with_time(timed(None)).budget.max_time == 60.0
     assert limits.with_time(timed(100.0)).budget.max_time == 100.0
     assert Limits(time=Times(most=100.0)).with_time(timed(None)).budget.max_time == 100.0
-    with pytest.raises(RefusedError, match="asks for 101 s, but this coordinator gives a job 100 s at most"):
+    with pytest.raises(RefusedError, match="asks for 101 s, but this coordinator allows a job at most 100 s"):
         limits.with_time(timed(101.0))

@@ -182,7 +182,7 @@ def test_damage_in_a_copy_is_found_and_nothing_is_made_of_it(copy: Path, tmp_pat
         restore(copy, tmp_path / "new")
     assert files(tmp_path / "new") == {"lock"}
     copy.write_bytes(contents[:6000])
-    with pytest.raises(StoreError, match=r"use another copy|see that there is room"):
+    with pytest.raises(StoreError, match=r"use another copy|check that there is room"):
         restore(copy, tmp_path / "new")
     assert files(tmp_path / "new") == {"lock"}
 
@@ -199,7 +199,7 @@ def test_a_database_of_another_program_is_refused(tmp_path: Path) -> None:
     foreign = sqlite3.connect(tmp_path / "copy")
     foreign.execute("CREATE TABLE jobs (id TEXT)")
     foreign.close()
-    with pytest.raises(StoreError, match="not a store of this program"):
+    with pytest.raises(StoreError, match="not a store of Atoll"):
         restore(tmp_path / "copy", tmp_path / "new")
 
 
@@ -233,7 +233,7 @@ def test_a_disk_that_is_full_is_one_sentence_and_leaves_nothing(verb: str, state
     )  # fmt: skip
     assert ended.returncode == 1, "it may pass, and is no mistake in the options"
     assert "cannot be written" in ended.stderr
-    assert "see that there is room" in ended.stderr
+    assert "check that there is room" in ended.stderr
     assert len(ended.stderr.splitlines()) == 1
     assert files(tmp_path) - {"new"} == {"state", "good"}
     assert not (tmp_path / "new").exists() or files(tmp_path / "new") == {"lock"}

@@ -147,7 +147,7 @@ def _spoil(directory: Path, how: str) -> None:
         ("text", "not a database.*restore it from a copy"),
         ("truncated", "restore it from a copy"),
         ("scribbled", "restore it from a copy"),
-        ("foreign", "not a store of this program"),
+        ("foreign", "not a store of Atoll"),
         ("newer", "written by a newer version"),
         ("nameless", "has no name.*restore it from a copy"),
     ],
@@ -312,7 +312,7 @@ def test_a_disk_that_is_full_at_the_start_is_said(tmp_path: Path, monkeypatch: p
 
     with monkeypatch.context() as full:
         full.setattr("atoll_coordinator.service.store.lock.os.pwrite", is_full)
-        with pytest.raises(StoreError, match="no space left on device; see that there is room"):
+        with pytest.raises(StoreError, match="no space left on device; check that there is room"):
             Store.open(tmp_path)
     Store.open(tmp_path).close()
 

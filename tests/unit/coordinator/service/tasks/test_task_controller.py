@@ -186,7 +186,7 @@ def test_a_dataset_that_is_not_the_one_that_is_named_counts_as_a_mistake_of_the_
         scene.chunk("w0", "j", encode_value(PreparationOutcome(made.encoded, made.data + b"x")))
     (failed,) = scene.posted
     assert isinstance(failed, PreparationFailed)
-    assert "not the one that it names" in failed.sentence
+    assert "does not have the digest" in failed.sentence
 
 
 def test_a_worker_speaks_for_its_own_task_only() -> None:
@@ -201,16 +201,16 @@ def test_a_worker_speaks_for_its_own_task_only() -> None:
     assert scene.controller.table.on(worker) is not None
 
 
-def test_what_breaks_says_what_to_send() -> None:
+def test_a_broken_task_asks_for_a_report() -> None:
     scene = refining("j", "w0")
     for _ in range(2):
         scene.fail("w0", failure="error")
     (refined,) = [item for item in scene.posted if isinstance(item, RefiningFailed)]
     (warning,) = refined.refinement.warnings
     assert refined.refinement.end == "not refined"
-    assert "Refining broke (it broke, twice); equations are as found" in warning
+    assert "Refining broke (it broke, twice); equations are as the search found them" in warning
     assert all(part in warning for part in (f"Atoll {VERSION}", "seed 3", "command", "to_csv"))
-    assert "a mistake of Atoll" in warning
+    assert "a bug in Atoll" in warning
     scene = Scene("w0")
     scene.prepare()
     for _ in range(2):

@@ -92,7 +92,7 @@ def test_a_worker_that_computes_without_getting_on_is_hung_until_it_gets_on() ->
     assert (view.state, view.standing) == ("hung", 100.0)
     member = membership.member("w0")
     assert member is not None
-    assert member.lost_by == "it has computed for 60 s without getting on"
+    assert member.lost_by == "it has computed for 60 s without progress"
     membership.record_heartbeat("w0", status("ready"), 101.0)
     assert membership.is_lost("w0")
     membership.record_heartbeat("w0", status("computing").model_copy(update={"progress": 2}), 102.0)
