@@ -40,7 +40,7 @@ LEFT_OUT = {
     (JobController, "guarded"),
     (Service, "start"),  # before the loop begins
     (Service, "step"),
-    (WorkerChannel, "take_pull"),  # one look into a dict; without it nobody knows whose answer came
+    (WorkerChannel, "take_pull"),  # one look-up in a dict; without it the job of an answer is unknown
 }
 LEFT_OUT_ALWAYS = {
     (JobController, "_change"),  # these only call the guard of a job, or end the job after an error
