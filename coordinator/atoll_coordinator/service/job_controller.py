@@ -527,7 +527,7 @@ class JobController:
             self.tasks.add_report(worker, report, now)
 
     def take_result(self, read: background.ResultRead, now: float) -> None:
-        """Handle the result of a task; raises RemoteProtocolError when it was damaged on its way."""
+        """Handle the result of a task; raises RemoteProtocolError if it was damaged in transit."""
         with self.guarded(read.result.job, "handling the result of a task", now, by_peer=True):
             self.tasks.take_result(read, now)
 
@@ -573,7 +573,7 @@ class JobController:
         self._advance_checkpoint(job.id, report.variable, now)
 
     def tick(self, now: float) -> None:
-        """Let time pass: lost workers, `--max-time`, turns of waiting jobs, tasks, checkpoints."""
+        """Do the work of each tick: lost workers, `--max-time`, turns of jobs, tasks, checkpoints, stalls, events."""
         with self.breakages.tolerated("looking for lost workers"):
             self.workers.expire(now)
         with self.breakages.tolerated("counting task time"):
@@ -634,7 +634,7 @@ class JobController:
         """Handle the answer to a pull of states; None: there was no answer, and the states are pulled again later.
 
         Raises:
-            RemoteProtocolError: A state was damaged on its way.
+            RemoteProtocolError: A state was damaged in transit.
         """
         job = self.jobs.get(pull.job)
         archipelago = job.archipelagos.get(pull.variable) if job is not None else None
