@@ -47,7 +47,8 @@ from atoll.web.gateway import BusyError, Gateway
 from atoll.web.operations import Body, Operation, Query, operation, receive
 from atoll.web.options import options_by_heading, read_options, sizes_by_name
 from atoll.web.pictures import progress, simulation_of
-from atoll.web.reading import MAX_BODY, PREFIX, TABLE, Readers, locked, split_files
+from atoll.web.reading import PREFIX, Readers, locked, split_files
+from atoll.web.reading_task import MAX_BODY, TABLE
 from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, RemoteProtocolError, UnknownJobError, UnreachableError

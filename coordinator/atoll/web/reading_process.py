@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.web.problems import status_of
-from atoll.web.reading import REFUSED, Limits, Reading
+from atoll.web.reading_task import REFUSED, Limits, Reading
 from atoll.web.submission import Submission
 from atoll_core.errors import AtollError
 from atoll_core.wire.messages.limits import MAX_UPLOAD

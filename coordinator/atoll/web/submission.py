@@ -11,7 +11,7 @@ import numpy as np
 from atoll.client.options import OPTIONS
 from atoll.web.options import read_options
 from atoll.web.pictures import some
-from atoll.web.reading import TABLE
+from atoll.web.reading_task import TABLE
 from atoll_coordinator.data.outline import Outline, describe, outline
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table

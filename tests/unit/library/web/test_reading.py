@@ -18,7 +18,8 @@ import pytest
 from atoll.web import operations
 from atoll.web.access import LOCAL_HOSTS, Access, digest_of
 from atoll.web.api import MAX_COMING
-from atoll.web.reading import LATE, Limits, Readers
+from atoll.web.reading import Readers
+from atoll.web.reading_task import LATE, Limits
 from atoll.web.server import build_application
 from tests.http import LOCAL, Answer, ask, ask_async
 from tests.unit.library.web.made import AUTHORIZED, READERS, Asked, AtHand, access
