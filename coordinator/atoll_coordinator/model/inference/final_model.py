@@ -141,7 +141,7 @@ class FinalModel(ShownEquations):
         """Return the shown equations simulated along the trajectories of a comparison, with fitted initial states."""
         return comparison.estimator.fit(self.shown_fit.system, None, SETTINGS.effort.steps)
 
-    def origin(self, equation: int, program: Program) -> Origin:
+    def find_origin(self, equation: int, program: Program) -> Origin:
         """Return the source of a program, for instance the front; `program` still has its fitted constants."""
         if self.task.variables[equation] in self.task.known:
             return "known"
@@ -284,7 +284,7 @@ def _show_equations(
     errors, is_exact = estimate_errors_of_constants(comparison, free), comparison.score.is_exact(free)
     numbers = fitted.fit.system.columns[0].tolist()
 
-    def outside(rounded: RoundedEquations) -> frozenset[int]:
+    def numbers_outside_intervals(rounded: RoundedEquations) -> frozenset[int]:
         """Return the fitted numbers, by index, of constants whose shown value is outside their 95 % interval."""
         if is_exact:
             return frozenset()  # intervals would only reflect integration errors
@@ -293,7 +293,7 @@ def _show_equations(
         written = (constant for constants in sought for constant in constants.written)
         return frozenset(number for number, constant in zip(numbers, written, strict=True) if not constant.is_within)
 
-    rounded_fit = _round_to_fewest_digits(comparison, fitted, outside)
+    rounded_fit = _round_to_fewest_digits(comparison, fitted, numbers_outside_intervals)
     return None if rounded_fit is None else ShownEquations(*rounded_fit, explicit, free)
 
 
@@ -316,7 +316,7 @@ _Outside = Callable[[RoundedEquations], frozenset[int]]
 
 
 def _round_to_fewest_digits(
-    comparison: ModelComparison, fitted: FittedModel, outside: _Outside
+    comparison: ModelComparison, fitted: FittedModel, numbers_outside_intervals: _Outside
 ) -> tuple[RoundedEquations, FittedModel] | None:
     """Return a system with rounded constants, with the fewest digits that do not change simulations.
 
@@ -327,22 +327,26 @@ def _round_to_fewest_digits(
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None
     constants = attach_estimates(comparison, fitted)
     for digits in few:
-        rounded = _round_to_digits(comparison, fitted, constants, digits, outside)
+        rounded = _round_to_digits(comparison, fitted, constants, digits, numbers_outside_intervals)
         if rounded is None:
             continue
         if rounded[1].misfit > limit and exact is None:
-            exact = _round_to_digits(comparison, fitted, constants, most, outside)
+            exact = _round_to_digits(comparison, fitted, constants, most, numbers_outside_intervals)
             limit = np.inf if exact is None else exact[1].misfit + SETTINGS.selection.least_gain
-        if rounded[1].misfit <= limit and not outside(rounded[0]):
+        if rounded[1].misfit <= limit and not numbers_outside_intervals(rounded[0]):
             return rounded
-    return exact or _round_to_digits(comparison, fitted, constants, most, outside)
+    return exact or _round_to_digits(comparison, fitted, constants, most, numbers_outside_intervals)
 
 
 def _round_to_digits(
-    comparison: ModelComparison, fitted: FittedModel, constants: FittedEquations, digits: int, outside: _Outside
+    comparison: ModelComparison,
+    fitted: FittedModel,
+    constants: FittedEquations,
+    digits: int,
+    numbers_outside_intervals: _Outside,
 ) -> tuple[RoundedEquations, FittedModel] | None:
     rounded, estimates = constants.round_constants(digits), frozenset[int]()
-    while not (further := outside(rounded)) <= estimates:
+    while not (further := numbers_outside_intervals(rounded)) <= estimates:
         estimates |= further
         rounded = constants.round_constants(digits, estimates)
     fit = fit_initial_states(comparison, rounded.programs, fitted.fit)

@@ -100,7 +100,7 @@ def compare_predictions(
     farthest = int(np.argmax([course_distances.max() for course_distances in distances_from_measured]))
     novelty = float(np.median(np.concatenate(distances_from_measured)))
 
-    def predicted(state: int) -> Prediction:
+    def describe_state(state: int) -> Prediction:
         reached = other_states.farthest_value(courses, state)
         probability, disputed = misses.agreement(state), misses.most_disputed_place(state)
         if reached is not None and misses_of_data.agreement(state) < probability:
@@ -113,10 +113,10 @@ def compare_predictions(
             novelty=novelty,
             reached=reached,
             is_disputed=disputed is not None,
-            measure_from=other_states.named_state(followed[farthest if disputed is None else disputed]),
+            measure_from=other_states.initial_state(followed[farthest if disputed is None else disputed]),
         )
 
-    return [predicted(state) for state in states]
+    return [describe_state(state) for state in states]
 
 
 _DRAWN: Final = -1
@@ -164,8 +164,10 @@ class _OtherInitialStates:
         points = points_between(measurements.smoothed) if groups is None else self._starts_of_groups(groups)
         if not measurements.has_smoothed_inputs:
             return points
-        begun = np.array([self._estimator(place).measurements.smoothed[:, 0] for place in range(len(points))])
-        return np.asarray(begun + SETTINGS.inference.part * (points - begun))
+        trajectory_starts = np.array(
+            [self._estimator(place).measurements.smoothed[:, 0] for place in range(len(points))]
+        )
+        return np.asarray(trajectory_starts + SETTINGS.inference.part * (points - trajectory_starts))
 
     def _starts_of_groups(self, groups: Ints) -> FloatArray:
         """Return initial states (G, D), each between two measured states of the group whose constants apply."""
@@ -245,7 +247,7 @@ class _OtherInitialStates:
             return None
         return highest if above >= below else lowest
 
-    def named_state(self, place: int) -> dict[str, float]:
+    def initial_state(self, place: int) -> dict[str, float]:
         """Return the values of one initial state by the names of the states."""
         names = self._measurements.variables[: len(self._low)]
         return dict(zip(names, self.starts[place].tolist(), strict=True))
