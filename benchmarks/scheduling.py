@@ -284,7 +284,7 @@ def _one_thing(stream: Stream, controller: JobController, clients: ClientRequest
         text = controller._fitting(job, "x" * stream.below(150))
         controller._store.commit_result(job.id, "done" if text is not None else "failed", text, None, f"{number:04}")
         controller._remove(job.id)
-        controller._take_turns(0.0)
+        controller._apply_decision(0.0)
     elif ended := [record.id for record in controller._store.jobs() if record.state in FINAL_STATES]:
         clients.answer(user, ClientRequest(body=Delete(job=ended[stream.below(len(ended))])))
 

@@ -66,7 +66,8 @@ def numbers_of(model: Model) -> dict[str, str]:
     value, _, error = plus_minus(balance.estimate, balance.std_error or 0.0).partition(" ± ")
     centre = next(point.point for point in analysis.fixed_points.points if point.kind == "centre")
     (comparison,) = analysis.comparisons
-    theirs = next(other for other in lynx.candidates if re.search(r"lynx\*\(([\d.]+\*)?hare - [\d.]+\)$", other.expression))
+    predators = re.compile(r"lynx\*\(([\d.]+\*)?hare - [\d.]+\)$")
+    theirs = next(other for other in lynx.candidates if predators.search(other.expression))
     noise = [result.noise[name].relative or 0.0 for name in ("hare", "lynx")]
     return {
         "balance": value,

@@ -7,7 +7,7 @@ import numpy as np
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.piece_lengths import in_stretches
+from atoll_coordinator.model.selection.piece_lengths import choose_piece_length
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
@@ -38,13 +38,13 @@ def excess_of_truth(
         systems = [[shortest(from_infix(text, names)) for text in side] for side in (truths.values(), texts)]
         with np.errstate(all="ignore"):
             if task.is_nearly_clean:
-                task = in_stretches(task, systems[1])
-            comparison = task.compare(task.measurements(variables), variables)
+                task = choose_piece_length(task, systems[1])
+            comparison = task.make_comparison(task.measurements(variables), variables)
             models = [comparison.fit_model(system, 40) for system in systems]
             fitted = [model for model in models if model is not None]
             if fitted:
-                comparison, _ = comparison.calibrated(min(fitted, key=lambda model: model.nats))
-                models = [None if model is None else comparison.measure(model.fit) for model in models]
+                comparison, _ = comparison.calibrate(min(fitted, key=lambda model: model.nats))
+                models = [None if model is None else comparison.score_fit(model.fit) for model in models]
     except AtollError:
         return None
     right, other = models

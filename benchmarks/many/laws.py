@@ -5,7 +5,7 @@ from argparse import Namespace
 
 from atoll.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.sparse.laws import find_all_laws, with_screened_variables
+from atoll_coordinator.model.sparse.laws import find_all_laws, screen_variables
 from atoll_core.expression.text.infix import to_infix
 from benchmarks.judging.forms import judge_form
 from benchmarks.many.campaign import case, keys
@@ -22,7 +22,7 @@ def _judged(name: str, noise: float, seed: int, options: Namespace) -> tuple[str
     begun = time.process_time()
     preparation = prepare(searched.table, searched.config)
     assert preparation.recording is not None
-    config, names = with_screened_variables(preparation, searched.config), preparation.dataset.names
+    config, names = screen_variables(preparation, searched.config), preparation.dataset.names
 
     laws = dict(find_all_laws(preparation, config, {}))
     texts = [to_infix(laws[state][0].program, names) if laws[state] else None for state in searched.equations]

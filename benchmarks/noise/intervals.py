@@ -78,7 +78,7 @@ def fit(law: Law, columns: dict[str, FloatArray]) -> Fit | None:
     model = comparison.fit_model([written])
     if model is None:
         return None
-    comparison, model = comparison.calibrated(model)
+    comparison, model = comparison.calibrate(model)
     errors = estimate_errors(comparison, model)
     truth = written.constants[written.constants != 0.0]
     reach = student_quantile_95(errors.degrees_of_freedom) * np.sqrt(np.diag(errors.covariance))

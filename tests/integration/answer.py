@@ -10,7 +10,7 @@ from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Law, Pool
 from atoll_coordinator.model.result.building import Account, VariableOutcome, build_result
-from atoll_coordinator.model.sparse.laws import find_all_laws, laws_among_many, settled_variables
+from atoll_coordinator.model.sparse.laws import find_all_laws, find_laws_among_many, settled_variables
 from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig, PredictorConfig
 from atoll_core.expression.text.infix import to_infix
@@ -39,7 +39,7 @@ def answer(path: Path) -> dict[str, object]:
     plain = config.model_copy(update={"budget": BudgetConfig()})
     return {
         "laws": {name: [bits(law) for law in laws] for name, laws in find_all_laws(preparation, config, {}).items()},
-        "settled": sorted(settled_variables(preparation, plain, laws_among_many(preparation, plain))),
+        "settled": sorted(settled_variables(preparation, plain, find_laws_among_many(preparation, plain))),
         "shown": {name: to_infix(one.program, dataset.names) for name, one in refinement.equations.items()},
         "refined": sha256(result.to_json().encode()).hexdigest(),
         "dataset": dataset.digest,

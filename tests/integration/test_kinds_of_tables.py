@@ -132,7 +132,7 @@ KINDS = [
     kind("two regimes", charged_then_emptied, {"c": None}, grades=UNKNOWN),
     kind("dry friction", rubbing, {"x": "v", "v": "-4*x - 0.5*v/abs(v)"}),
     kind("a drift in time", drifting, {"N": None}, grades=UNKNOWN),
-    kind("a drive that was not measured", shaken, {"x": "v", "v": None}, "period|go on with different rates"),
+    kind("a drive that was not measured", shaken, {"x": "v", "v": None}, "period|have different rates"),
     kind("three levels", in_three_levels, {"x": "v", "v": "-x"}, "takes 3 values only"),
     kind("a clipped sensor", clipped, PREY, "of a sensor at the end of its range", clean=hunted),
     kind("a total beside its parts", lambda: joined(noisy(hunted(), 0.01, 15), s=noisy(hunted(), 0.01, 15)["x"]

@@ -36,14 +36,14 @@ from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World
 
 LEFT_OUT = {
-    (Breakages, "tolerated"),  # it is what holds the others
+    (Breakages, "tolerated"),  # the guards themselves
+    (JobController, "guarded"),
     (Service, "start"),  # before the loop begins
     (Service, "step"),
-    (WorkerChannel, "take_pull"),  # one look into a dict; without it nobody knows whose answer came
+    (WorkerChannel, "take_pull"),  # one look-up in a dict; without it the job of an answer is unknown
 }
 LEFT_OUT_ALWAYS = {
-    (JobController, "guarded"),  # what ends a job over which something breaks, and what does nothing but call that
-    (JobController, "_change"),
+    (JobController, "_change"),  # these only call the guard of a job, or end the job after an error
     (JobController, "_advance_checkpoint"),
     (RequestDispatcher, "_answer"),
     (RequestDispatcher, "_tell_worker"),

@@ -1,20 +1,20 @@
-"""From the programs of a search to the equations that are shown, and how far they can be trusted.
+"""Refining: from the programs of a search to the displayed equations and their verdicts.
 
-`pipeline` tells the whole way on one page; it goes down this list from refinement to result:
+`pipeline` has the whole way on one page. The packages, in the order in which it uses them:
 
 - `pools`: the input of refining (the `Pool` of each variable, laws); `refinement`: its result (`Refinement`)
 - `description_length`: the three description lengths and their prices
-- `batches`: named pure functions of which any machine may compute batches (`BatchFunction`, `Batches`, `Spread`)
+- `batches`: named pure functions; any worker may compute a batch of their items (`BatchFunction`, `Batches`, `Spread`)
 - `deadline`: the end set by ``--max-time``
 - `thinning`: subsets of many rows
-- `least_squares`, `cholesky`: the driver of every fit by damped steps, and its linear equations
-- `structure`: programs rewritten or changed in one place. Algebra without data
+- `least_squares`, `cholesky`: the Levenberg-Marquardt driver of every fit, and its linear equations
+- `structure`: changes of a program at one node, units of constants, poles. Algebra without data
 - `regression`: the equation of one variable fitted to its target
 - `sparse`: laws of one variable as sparse sums of products, by regression alone
 - `shooting`: a system of equations fitted to the measured trajectories
-- `selection`: which equations together are the model, and which come next
+- `selection`: which equations together are the model, and their closest alternatives
 - `inference`: errors of constants, simulations, residuals, the verdict
 - `result`: ``result.json``, and its text
 
-Which room may import which is a contract in pyproject.toml.
+A contract in pyproject.toml says which package may import which.
 """

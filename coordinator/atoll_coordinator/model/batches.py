@@ -1,9 +1,14 @@
 """Batches of work that may be computed on any machine: named pure functions of a context and of items.
 
-A `BatchFunction` is computed by threads of this process, from values as they are, or as bytes in batches by any worker
-that pulls them (`Batches`). The results are equal to the bit, wherever and in which order batches are computed, and
-however often: the result of an item depends on the item and the context alone, not on its batch. Work is divided on one
-level only, into whole fits, searches of laws, folds and the like; no function computes a part of a fit (ADR 0078).
+How it works. A `BatchFunction` has a name, a context (the data that all items share) and items. `Spread.map` computes
+the results of items: threads of this process take the values directly; with workers, context and items are encoded as
+bytes, and any worker that pulls a batch (`Batches`) decodes and computes it. A worker keeps the last contexts that it
+has built. The result of an item depends on the item and the context alone. So results are equal to the bit, whichever
+machine computes a batch, in any order, once or twice. Work is divided on one level only, into whole fits, searches of
+laws, or folds; no function computes a part of a fit (ADR 0078).
+
+Doubts. The batch size follows from the number of workers, and not from the measured seconds of an item: one slow item
+can delay a whole call.
 """
 
 import threading
@@ -22,26 +27,26 @@ Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
 FUNCTIONS: Final[dict[str, Callable[[bytes, bytes], bytes]]] = {}
-"""Batch functions by name, of the bytes of a context and of a batch. Complete once `pipeline` is imported."""
+"""Batch functions by name; each takes the bytes of a context and of a batch. Complete once `pipeline` is imported."""
 
 CANCELLED: Final = b""
-"""Stands for a batch that was not computed since its time was over; no result of a batch is empty."""
+"""The result of a batch that was not computed before the deadline; no other result is empty."""
 
 _BATCHES_OF_A_WORKER: Final = 2
-"""In a call, so that a batch that takes longer than the others delays the call by little."""
+"""Batches for each worker in one call. With two, a slow batch delays the call by less."""
 _CONTEXTS: Final = 8
-"""Contexts that are kept as they were built: the comparisons of all states of a system, and the one of the whole."""
+"""Number of built contexts that are kept: enough for one comparison for each state and one for the whole system."""
 _CALLERS: Final = 16
-"""Calls whose own work, besides batches, goes on at the same time: it takes turns, since Python computes one at a time;
-with more there is always one with batches for other workers."""
+"""Most calls that run at the same time. Python computes only one of them at a time; with several, one of them always
+has batches for the workers."""
 
 
 class Batches(Protocol):
-    """Has batches computed. Several threads may call `map` at the same time."""
+    """Computes batches, here or on workers. Several threads may call `map` at the same time."""
 
     @property
     def workers(self) -> int:
-        """About the number of other workers that pull batches; 0: values need not become bytes."""
+        """About the number of workers that pull batches; 0: there are none, and values are not encoded."""
         ...
 
     @property
@@ -52,24 +57,24 @@ class Batches(Protocol):
     def map(
         self, function: str, context: bytes, items: Sequence[bytes], cancel_after: float | None = None
     ) -> list[bytes]:
-        """Return ``FUNCTIONS[function](context, item)`` of each item, in order, wherever it is computed.
+        """Return ``FUNCTIONS[function](context, item)`` of each item, in order.
 
         Args:
             function: a name in `FUNCTIONS`.
-            context: the same for all items, and for many calls.
-            items: batches.
-            cancel_after: seconds from now after which `CANCELLED` stands for results that are missing; None: never.
+            context: bytes of the context, which many calls share.
+            items: bytes of each batch.
+            cancel_after: seconds from now after which missing results are `CANCELLED`; None: never.
         """
         ...
 
     def note(self, compared: int) -> None:
-        """Report that so many more candidates have been compared."""
+        """Report the number of newly `compared` candidates."""
 
 
 class BatchFunction(Generic[Context, Item, Outcome]):
-    """A pure function of a context and an item, known by its name wherever Atoll is installed.
+    """A pure function of a context and an item, known by the same name on every machine.
 
-    Called with bytes, as in `FUNCTIONS`, it takes a context and a batch of items.
+    As an entry of `FUNCTIONS` it takes the bytes of a context and of a batch of items.
     """
 
     def __init__(
@@ -79,12 +84,12 @@ class BatchFunction(Generic[Context, Item, Outcome]):
         """Register a function.
 
         Args:
-            name: no other function has it.
-            context: type of the parts of a context that travel.
+            name: must be unique.
+            context: type of the parts of a context that are sent.
             item: type of an item.
             outcome: type of a result.
             compute: the function.
-            build: makes a context of its parts; once for many batches.
+            build: builds a context from its parts, once for many batches.
         """
         if name in FUNCTIONS:
             raise LocalProtocolError(f"two functions are called {name!r}")
@@ -102,24 +107,24 @@ class BatchFunction(Generic[Context, Item, Outcome]):
         items: tuple[Item, ...] = decode_value(batch, self._items)
         return encode_value(tuple(self.compute(built, item) for item in items), self._outcomes)
 
-    def encoded(self, items: Sequence[Item]) -> bytes:
+    def encode(self, items: Sequence[Item]) -> bytes:
         """Return a batch of items."""
         return encode_value(tuple(items), self._items)
 
-    def decoded(self, outcomes: bytes) -> tuple[Outcome, ...]:
+    def decode(self, outcomes: bytes) -> tuple[Outcome, ...]:
         """Return the results of a batch."""
         return decode_value(outcomes, self._outcomes)
 
 
 class _BuiltContexts:
-    """The last contexts that were built of bytes. Any thread may use it."""
+    """A cache of the last contexts that were built from bytes. Safe for threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._kept: OrderedDict[tuple[Any, bytes], Any] = OrderedDict()
 
     def get(self, build: Callable[[Any], Any], context: bytes, kind: Any) -> Any:
-        """Return the context that `build` makes of a value of type `kind`, given its bytes."""
+        """Return the context that `build` makes from a value of type `kind`, which is decoded from bytes."""
         key = (build, context)
         with self._lock:
             if key in self._kept:
@@ -137,14 +142,14 @@ _built: Final = _BuiltContexts()
 
 
 class Spread:
-    """Spreads work over threads of this process, or in batches over all workers that pull them."""
+    """Distributes work over threads of this process, or in batches over all workers that pull them."""
 
     def __init__(
         self, batches: Batches | None = None, executor: Executor | None = None, deadline: Deadline | None = None
     ) -> None:
-        """Without `batches`, work is done by threads of `executor`; without both one item after another.
+        """Without `batches`, threads of `executor` do the work; without both, items are computed one after another.
 
-        After the `deadline` no result is waited for.
+        After the `deadline`, missing results are not waited for.
         """
         self._batches = batches
         self._executor = executor
@@ -156,11 +161,11 @@ class Spread:
         return self._batches is not None and self._batches.workers > 0
 
     def note(self, compared: int) -> None:
-        """Report, from any thread, that so many more candidates have been compared."""
+        """Report the number of newly `compared` candidates; safe for threads."""
         if self._batches is not None:
             self._batches.note(compared)
 
-    def here(self, function: Callable[[Item], Outcome], items: Sequence[Item]) -> Iterator[Outcome]:
+    def map_threads(self, function: Callable[[Item], Outcome], items: Sequence[Item]) -> Iterator[Outcome]:
         """Yield the results of items, in order, computed by threads of this process."""
         yield from map(function, items) if self._executor is None else self._executor.map(function, items)
 
@@ -168,49 +173,49 @@ class Spread:
         self, function: BatchFunction[Context, Item, Outcome], context: Callable[[], Context], items: Sequence[Item],
         size: int = 1, parts: Callable[[], Any] | None = None,
     ) -> list[Outcome | None]:  # fmt: skip
-        """Return the results of items, computed in batches by other workers if there are any, else here.
+        """Return the results of items, computed in batches by workers if there are any, else in this process.
 
         Args:
-            function: is given each item.
-            context: gives it as the function takes it here.
-            items: even a single one goes elsewhere where workers pull batches.
+            function: computes an item.
+            context: returns the context for this process.
+            items: with workers, even a single item is sent.
             size: most items of a batch.
-            parts: gives the parts of the context that travel; the context itself unless given.
+            parts: returns the parts of the context that are sent; by default the context itself.
 
         Returns:
-            None for items that were not computed elsewhere before the time was over.
+            None for items that no worker has computed before the deadline.
         """
         if not self.is_shared or not items:
             built = context()
-            return list(self.here(lambda item: function.compute(built, item), items))
-        return self.share(function, encode_value((parts or context)(), function.context), items, size)
+            return list(self.map_threads(lambda item: function.compute(built, item), items))
+        return self.map_workers(function, encode_value((parts or context)(), function.context), items, size)
 
-    def share(
+    def map_workers(
         self, function: BatchFunction[Context, Item, Outcome], context: bytes, items: Sequence[Item], size: int
     ) -> list[Outcome | None]:
-        """Return the results of `map` where workers pull batches, given the bytes of the context."""
+        """Return the results of items, computed by workers, for an encoded context; see `map`."""
         if self._batches is None or not items:
             return []
         size = self.batch_size(len(items), size)
         groups = [items[first : first + size] for first in range(0, len(items), size)]
-        batches = [function.encoded(group) for group in groups]
-        outcomes = self._batches.map(function.name, context, batches, self._deadline.left)
+        batches = [function.encode(group) for group in groups]
+        outcomes = self._batches.map(function.name, context, batches, self._deadline.seconds_left)
         results: list[Outcome | None] = []
         for group, one in zip(groups, outcomes, strict=True):
             self._deadline.has_cut_short |= one == CANCELLED
-            results += [None] * len(group) if one == CANCELLED else function.decoded(one)
+            results += [None] * len(group) if one == CANCELLED else function.decode(one)
         return results
 
     def batch_size(self, count: int, most: int) -> int:
-        """Return the size of batches for this many items: two batches for each worker, of at most so many items.
+        """Return the number of items in a batch: two batches for each worker, at most `most` items in one.
 
-        The result of an item does not depend on the others of its batch, so that the number of workers changes no bit.
+        Results do not depend on it, since the result of an item does not depend on the other items of its batch.
         """
         workers = self._batches.workers if self._batches is not None else 1
         return max(1, min(most, -(-count // (_BATCHES_OF_A_WORKER * max(workers, 1)))))
 
-    def branches(self, calls: Sequence[Callable[[], Outcome]]) -> list[Outcome]:
-        """Return the result of each call: at the same time where workers pull their batches, else one after another."""
+    def run_calls(self, calls: Sequence[Callable[[], Outcome]]) -> list[Outcome]:
+        """Return the result of each call; with workers the calls run at the same time, else one after another."""
         if not self.is_shared or len(calls) < 2:
             return [call() for call in calls]
         with ThreadPoolExecutor(min(len(calls), _CALLERS)) as callers:
@@ -219,6 +224,6 @@ class Spread:
 
 @contextmanager
 def spreading(batches: Batches | None, threads: int, deadline: Deadline) -> Iterator[Spread]:
-    """Yield a `Spread` over `batches` and this many threads of this process while the block lasts."""
+    """Context manager: a `Spread` over `batches` and `threads` threads of this process."""
     with ThreadPoolExecutor(threads) as executor:
         yield Spread(batches, executor, deadline)

@@ -1,4 +1,4 @@
-"""Cholesky's factors of small symmetric matrices in kernels, damped as Levenberg and Marquardt do."""
+"""Cholesky factors of small symmetric matrices in kernels, with Levenberg-Marquardt damping."""
 
 import math
 

@@ -1,7 +1,7 @@
-"""The end of refining set by ``--max-time``: the only clock that may change a result, and only if the user sets it.
+"""The time limit of refining, ``--max-time``. No other clock may change a result.
 
-Choosing the equations ends first; the remaining time is for their constants, errors and verdicts. A stage that begins
-after the end tries nothing new and returns the best so far.
+The choice of equations ends first; the remaining time is for constants, errors and verdicts. A stage that begins after
+its end tries nothing new and returns the best result so far.
 """
 
 import time
@@ -10,17 +10,17 @@ from typing import Final
 
 CHOICE_SHARE: Final = 0.6
 """Share of the seconds in which equations are chosen. The later stages take about a tenth of that time, but more with
-many rows, which the choice thins."""
+many rows, since the choice uses a subset of them."""
 
 _LAST_SHARE: Final = 0.9
-"""Share of the seconds after which also the last stage starts nothing new: the rest is for the report."""
+"""Share of the seconds after which the last stage starts nothing new. The rest is for the report."""
 
 
 class Deadline:
-    """Tells when the time of a stage is over."""
+    """The time limit of refining, in two stages."""
 
     def __init__(self, seconds: float | None = None, clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin to count `seconds`; None: time is never over."""
+        """Start the clock. `seconds` is the limit; None: no limit."""
         self.seconds: Final = seconds
         self._clock: Final = clock
         self._began: Final = clock()
@@ -30,17 +30,17 @@ class Deadline:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing new is to be begun."""
+        """Whether the time of the current stage is over, so that nothing new may start."""
         if self.seconds is None or self._clock() - self._began < self._share * self.seconds:
             return False
         self.has_cut_short = True
         return True
 
     @property
-    def left(self) -> float | None:
-        """Seconds until nothing new is to be begun, at least 0; None: that never comes."""
+    def seconds_left(self) -> float | None:
+        """Seconds until `is_over`, at least 0; None: no limit."""
         return None if self.seconds is None else max(0.0, self._began + self._share * self.seconds - self._clock())
 
     def begin_last_stage(self) -> None:
-        """Allow the time that choosing equations does not have."""
+        """Extend the limit from the choice of equations to the stages after it."""
         self._share = _LAST_SHARE

@@ -1,7 +1,7 @@
 """The three description lengths by which equations are compared, in nats; the shortest wins.
 
-Each is the length of the data given the model plus the length of the model (Rissanen 1978). They differ in the
-data and in the prices of operators and constants; scores of different criteria are never compared.
+Each is the length of the data given the model plus the length of the model (Rissanen 1978). They differ in the data and
+in the prices of operators and constants. So lengths of different criteria are never compared.
 
 - `front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It says which member of a front
   is shown while the search runs, and whether the search stagnates.
@@ -28,7 +28,7 @@ from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.search.pareto import FrontEntry
 
 SMALLEST_UNCERTAINTY: Final = 1e-12
-"""Errors below this share of the target's standard deviation are rounding, not merit."""
+"""Errors below this share of the target's standard deviation are rounding errors."""
 
 # ------------------------------------------------------------------------------------------ a member of a front
 
@@ -44,14 +44,15 @@ def front_length(
 
         n/2 ln(max(MSE, u^2)) + nodes ln 8 + k/2 ln n
 
-    with the uncertainty u in the target's unit; a constant costs as in Schwarz (1978). The number decides which
-    equation is shown and is part of the digest, so it is computed with + - * / alone: the same bits on every machine.
+    with the uncertainty u in the target's unit; a constant costs as in Schwarz (1978). The length decides which
+    equation is shown and is part of the digest. So it is computed with + - * / alone, which give the same bits on every
+    machine.
 
     Args:
-        entry: complexity and mean squared error are read from it.
+        entry: the member, with its complexity and mean squared error.
         rows: n, number of rows on which the error was measured, or number of rows with independent errors.
         uncertainty: mean uncertainty of the target over its standard deviation.
-        standard_deviation: of the target, in its unit.
+        standard_deviation: standard deviation of the target, in its unit.
         constants: k.
     """
     limit = max(uncertainty, SMALLEST_UNCERTAINTY) * standard_deviation
@@ -60,10 +61,10 @@ def front_length(
 
 
 def select_member(front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None) -> int:
-    """Return the index of the member of least description length, the first of equals.
+    """Return the index of the member with the least description length; of equal lengths, the first.
 
-    When members meet the error at which an equation counts as found, only those are considered, so that a search which
-    ended because its target was met never shows an equation that misses it.
+    If some members reach the error at which an equation counts as found, only these are considered. So a search that
+    ended because its target error was reached shows an equation that reaches it.
 
     Raises:
         ValueError: the front is empty.
@@ -83,7 +84,8 @@ def count_constants(program: bytes) -> int:
 
 
 def log(value: float) -> float:
-    """Return ln(value), value > 0, by the series of artanh; equal on every machine, unlike the C library's."""
+    """Return ln(value), value > 0, by the series of artanh. Its bits are equal on every machine, unlike the bits of the
+    C library's function."""
     mantissa, exponent = math.frexp(value)
     if mantissa < _SQRT_HALF:
         mantissa, exponent = 2.0 * mantissa, exponent - 1
@@ -101,7 +103,8 @@ _TINY: Final = 1e-290
 
 
 def program_length(program: Program) -> float:
-    """Return the nats of a program without the values of its constants: nodes ln 8 + 1.4 for each further use."""
+    """Return the nats of a program without the values of its constants: nodes ln 8 + 1.4 for each further use of a
+    node."""
     codes: list[int] = program.operators.tolist()
     uses = sum(ARITY[code] for code in codes)
     return SETTINGS.criterion.node * len(program) + SETTINGS.criterion.common * (uses + 1 - len(program))
@@ -138,7 +141,7 @@ class RegressionCriterion:
         return 0.5 * self.rows * (math.log(variance) + mse / variance - 1.0)
 
     def mse_of(self, misfit: float) -> float:
-        """Return the mean squared error of a misfit, the inverse of `misfit`; not below twice the least variance."""
+        """Return the mean squared error of a misfit, the inverse of `misfit`; at least twice the least variance."""
         return max(math.exp(min(2.0 * misfit / self.rows, 700.0)), 2.0 * self.least_variance)
 
     def length_of_program(self, program: Program) -> float:
@@ -146,14 +149,15 @@ class RegressionCriterion:
         return program_length(program) + constant_nats_of(self.rows) * len(constant_places(program))
 
     def length(self, mse: float, program: Program) -> float:
-        """Return the description length of a program with this mean squared error, infinite where that is."""
+        """Return the description length of a program with this mean squared error; infinite if the error is
+        infinite."""
         return self.misfit(mse) + self.length_of_program(program)
 
 
 # -------------------------------------------------------------------------------------- a system along trajectories
 
 _SMALLEST_COUNT: Final = 1e-6
-"""Guard: independent numbers if no row is free."""
+"""Guard: least number of independent rows, if as many numbers as rows are fitted."""
 
 
 def system_length(misfit: float, programs: Sequence[Program], constants: int, constant_nats: float) -> float:
@@ -161,9 +165,9 @@ def system_length(misfit: float, programs: Sequence[Program], constants: int, co
 
     Args:
         misfit: see `trajectory_misfit`.
-        programs: the equations that were sought.
-        constants: k, how many were fitted.
-        constant_nats: nats of each of them, see `constant_nats_of`.
+        programs: the equations that were not given by the user.
+        constants: k, the number of fitted constants.
+        constant_nats: nats of one constant, see `constant_nats_of`.
     """
     return misfit + sum(map(structure_length, programs)) + constant_nats * constants
 
@@ -174,34 +178,34 @@ def least_term_length(constant_nats: float) -> float:
 
 
 def constant_nats_of(rows: float) -> float:
-    """Return the nats of a constant fitted to this many rows, each counted over its correlation length."""
+    """Return the nats of a constant, 1/2 ln N, for N `rows` over their correlation length."""
     return 0.5 * log(max(rows, 2.0))
 
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryMisfit:
-    """Lengths of the errors of simulations of O states: minus their log-likelihood up to a constant (ADR 0032).
+    """Nats of the errors of simulations of O states: minus their log-likelihood up to a constant (ADR 0032).
 
-    Errors are the sum of independent ones of variance v in each of n rows, and of systematic ones, which vary no faster
-    than the state itself and hence make up m < n independent numbers: those of a solver, of a filter, of terms that
-    a law lacks. With the variance of the latter fitted to a mean square s, and v known between a and b, this is
+    An error is the sum of two parts. Independent errors have the variance v in each of n rows. Systematic errors (of a
+    solver, of a filter, of terms that a law lacks) vary no faster than the state itself, and hence consist of m < n
+    independent numbers. With the mean square s of the residuals, and v known to lie between a and b, the nats are
 
         n/2 ln s   for a <= s <= b
         n/2 ln b + m/2 ln(1 + (n/m) (s/b - 1))   above
         n/2 ln a - m/2 ln(1 + (n/m) (a/s - 1))   below
 
-    Its slope by ln s is the slope of n independent rows if s is near v, and of m rows if it is much larger. With the
-    variance and p numbers of a system integrated out, n - p rows count and not n; so m is n - p at most
-    (`with_fitted`), and a system with as many numbers as rows gains nothing by describing all of them.
+    The slope by ln s is n/2 if s is near v, and m/2 if s is much larger. If the variance and p fitted numbers of a
+    system are integrated out, n - p rows count instead of n. So m is at most n - p (`with_fitted`), and a system with
+    as many fitted numbers as rows gains nothing by a perfect fit.
 
     Args:
         low: a (O,).
         high: b (O,).
         least: mean squares (O,) below which errors are integration errors.
-        counts: n, the numbers that count for each state (O,): all measured numbers, or m without noise.
+        counts: n, the number of rows that count for each state (O,): all measured rows, or m without noise.
         pieces: m, the independent numbers of each state (O,).
         below: m below a.
-        measured: how many numbers were measured for each state (O,); fitted numbers are subtracted from these.
+        measured: number of measured values of each state (O,); the number of fitted numbers is subtracted from it.
     """
 
     low: FloatArray
@@ -213,15 +217,15 @@ class TrajectoryMisfit:
     measured: FloatArray
 
     def with_fitted(self, numbers: float) -> "TrajectoryMisfit":
-        """Return the misfit of systems with this many fitted numbers for each state; itself where rows are many
-        more."""
+        """Return the misfit of systems with `numbers` fitted numbers for each state; itself if there are many more
+        rows."""
         free = np.maximum(self.measured - numbers, _SMALLEST_COUNT)
         if (free >= np.maximum(self.pieces, self.below)).all():
             return self
         return replace(self, pieces=np.minimum(self.pieces, free), below=np.minimum(self.below, free))
 
     def total(self, squares: FloatArray) -> float:
-        """Return the length of errors of these mean squares (O,)."""
+        """Return the nats of errors with these mean squares (O,)."""
         inside = np.clip(np.maximum(squares, self.least), self.low, self.high)
         total = 0.5 * float(self.counts @ np.log(inside))
         for ratio, count, pieces, is_above in self._beyond(squares):
@@ -230,9 +234,9 @@ class TrajectoryMisfit:
         return total
 
     def effective_rows(self, squares: FloatArray) -> FloatArray:
-        """Return how many independent rows decide at these mean squares (O,): from m to n.
+        """Return the effective number of independent rows (O,) at these mean squares (O,), from m to n.
 
-        That is twice the slope of the length by ln s.
+        It is twice the slope of the nats by ln s.
         """
         return np.array(
             [
@@ -242,7 +246,8 @@ class TrajectoryMisfit:
         )
 
     def _beyond(self, squares: FloatArray) -> Iterator[tuple[float, float, float, bool]]:
-        """Yield how far outside of a and b the mean square of each state is, n, m, and whether it is above."""
+        """Yield for each state the ratio of its mean square to the exceeded bound (a or b), n, m, and whether it is
+        above b."""
         clipped = np.maximum(squares, self.least)
         above, under = np.maximum(clipped / self.high, 1.0), np.maximum(self.low / clipped, 1.0)
         is_above = above > 1.0
@@ -257,17 +262,18 @@ class TrajectoryMisfit:
 
 
 def structure_length(program: Program) -> float:
-    """Return the nats of a program without the values of its constants: the simpler, the more plausible.
+    """Return the nats of a program without the values of its constants.
 
-    Sums, products and whole powers are common in equations of motion, functions less so, functions inside functions
-    rare (compare the counts of Guimerà et al. 2020 in a corpus of named equations).
+    Sums, products and whole powers are common in equations of motion, functions are less common, and nested functions
+    are rare (compare the counts of Guimerà et al. 2020 in a corpus of named equations).
     """
     return _structure_length(structure(program), len(program))
 
 
 @lru_cache(maxsize=20_000)
 def _structure_length(key: bytes, size: int) -> float:
-    """Return the nats of a structure of this many nodes: a local search meets the same structure many times."""
+    """Return the nats of a structure of `size` nodes; cached, since a local search meets the same structure many
+    times."""
     codes = np.frombuffer(key, np.int8, size).tolist()
     lefts, rights = np.frombuffer(key, np.int16, 2 * size, size).reshape(2, size).tolist()
     total = 0.0

@@ -1,11 +1,16 @@
 """Least squares and likelihoods by damped steps: one driver of every fit, and the linear equations of its steps.
 
-Near a point with the gradient g, the least cost is reached by a step s with N s = -g, the normal equations: half a
-sum of squares with the derivatives J of the residuals has N = J'J, a likelihood has Fisher's information. Steps solve
-them with the diagonal raised by a share, the damping (Levenberg 1944, Marquardt 1963). A step that does not lower the
-cost is tried again, damped more. A `Fitter` says what is fitted, to what, and when a fit has ended: there is one for
-the rows of a target (`regression.fit`), one for trajectories (`shooting.multiple_shooting`), one for the steps of a
-stochastic process (`stochastic.likelihood`). Letters: K numbers that are fitted, R rows.
+How it works. At a point with the gradient g of the cost, the step s solves the normal equations N s = -g. For half a
+sum of squares N = J'J with the derivatives J of the residuals; for a likelihood N is Fisher's information. The diagonal
+of N is raised by a share, the damping (Levenberg 1944, Marquardt 1963). If a step does not lower the cost, the damping
+is multiplied by ten and the step is solved again, with the same N; a successful step divides the damping by ten.
+
+A `Fitter` defines the data, the cost and the end of a fit. There are three: for the rows of a target
+(`regression.fit`), for trajectories (`shooting.multiple_shooting`), and for the steps of a stochastic process
+(`stochastic.likelihood`).
+
+Doubts. The driver finds a local minimum; callers choose where a fit begins. It stops at a fixed number of steps,
+successful or not, so that a slow fit can end before it has converged. Letters: K fitted numbers, R rows.
 """
 
 from collections.abc import Callable
@@ -24,9 +29,9 @@ SETTLED: Final = 1e-7
 FIRST_DAMPING: Final = 1e-3
 """The damping of the first step."""
 LEAST_DAMPING: Final = 1e-12
-"""Below, a step is Newton's."""
+"""Below this damping, a step equals the undamped Gauss-Newton step."""
 MOST_DAMPING: Final = 1e9
-"""Guard: a fit ends whose equations have no solution up to here. Steps promise too little long before."""
+"""Guard: a fit ends if its equations have no solution up to this damping."""
 _FACTOR: Final = 10.0
 """A step that fails multiplies the damping by this factor, a successful step divides it."""
 
@@ -39,10 +44,10 @@ solution, or if bounds allow no step that lowers the cost."""
 
 
 class Fitter(Protocol[Point, Step, Result]):
-    """One fit by damped steps, by roles that are named as in optimistix."""
+    """One fit by damped steps. The methods are named as in optimistix."""
 
     def init(self) -> Point | None:
-        """Return where the fit begins, None where there is no cost to lower."""
+        """Return the first point; None if the cost is undefined there."""
         ...
 
     def equations(self, point: Point) -> Solver[Step]:
@@ -50,17 +55,17 @@ class Fitter(Protocol[Point, Step, Result]):
         ...
 
     def step(self, point: Point, step: Step) -> tuple[Point, float] | None:
-        """Return the point after a step and by how much the cost has fallen, None where there is no cost."""
+        """Return the point after a step and the decrease of the cost; None if the cost is undefined there."""
         ...
 
-    def settled(self, point: Point) -> float:
-        """Return the fall of the cost that does not count: a step that predicts no more is not tried, and a step
-        that lowers the cost by no more is the last. For costs in nats: the difference that counts in a description."""
+    def least_gain(self, point: Point) -> float:
+        """Return the smallest decrease of the cost that counts. A step with a smaller predicted decrease is not tried;
+        a step with a smaller decrease is the last. By default the cost is in nats."""
         return SETTINGS.selection.least_gain
 
     def done(self, point: Point, promise: float, taken: int) -> bool:
-        """Tell whether the fit ends at a point, given the predicted decrease of its first step and how many steps were
-        tried."""
+        """Tell whether the fit ends at a point, given the predicted decrease of its first step (`promise`) and the
+        number of steps tried (`taken`)."""
         return False
 
     def result(self, point: Point | None) -> Result:
@@ -70,24 +75,24 @@ class Fitter(Protocol[Point, Step, Result]):
 
 @dataclass(frozen=True)
 class Descent(Generic[Point, Step]):
-    """A `Fitter` of a few lines: a fit from a point that has a cost to the last point, its roles being functions."""
+    """A `Fitter` made of functions: it begins at a point with a defined cost, and its result is the last point."""
 
-    begun: Point
+    start: Point
     equations: Callable[[Point], Solver[Step]]
     step: Callable[[Point, Step], tuple[Point, float] | None]
-    settled: Callable[[Point], float] = lambda point: SETTINGS.selection.least_gain
+    least_gain: Callable[[Point], float] = lambda point: SETTINGS.selection.least_gain
 
     def init(self) -> Point:
         """Return where the fit begins."""
-        return self.begun
+        return self.start
 
     def done(self, point: Point, promise: float, taken: int) -> bool:
-        """Return False: the fit ends where it has settled."""
+        """Return False: the fit ends when the cost no longer decreases."""
         return False
 
     def result(self, point: Point | None) -> Point:
         """Return the last point."""
-        return self.begun if point is None else point
+        return self.start if point is None else point
 
 
 def minimize(fitter: Fitter[Point, Step, Result], steps: int = SETTINGS.effort.steps) -> Result:
@@ -96,7 +101,7 @@ def minimize(fitter: Fitter[Point, Step, Result], steps: int = SETTINGS.effort.s
     for taken in range(steps if point is not None else 0):
         assert point is not None
         is_new, solve = solve is None, solve or fitter.equations(point)
-        solved, least, moved = solve(damping), fitter.settled(point), None
+        solved, least, moved = solve(damping), fitter.least_gain(point), None
         if solved is not None and np.isfinite(solved[1]):
             if solved[1] <= least or (is_new and fitter.done(point, solved[1], taken)):
                 break
@@ -119,13 +124,13 @@ def solver(
 
     Args:
         normal: the matrix.
-        gradient: of the cost.
-        reach: least and largest step (K,) of each number. Numbers whose bounds block the gradient stay, and the
-            others move as they would without them (Bertsekas 1982).
+        gradient: gradient (K,) of the cost.
+        reach: least and largest step (K,) of each number. Numbers whose bounds block the step stay fixed, and the step
+            of the other numbers is solved without them (Bertsekas 1982).
     """
     if reach is not None:
         held = ((reach[0] >= 0.0) & (gradient >= 0.0)) | ((reach[1] <= 0.0) & (gradient <= 0.0))
-        normal, gradient = without(normal, gradient, held)
+        normal, gradient = hold_numbers(normal, gradient, held)
 
     def solve(damping: float) -> tuple[FloatArray, float] | None:
         step = -gradient
@@ -138,8 +143,10 @@ def solver(
     return solve
 
 
-def without(normal: FloatArray, gradient: FloatArray, held: npt.NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    """Return the normal equations in which the numbers `held` (K,) are no unknowns: their step is zero."""
+def hold_numbers(
+    normal: FloatArray, gradient: FloatArray, held: npt.NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the normal equations with the step of the `held` numbers (K,) fixed at zero."""
     if not held.any():
         return normal, gradient
     normal, gradient = normal.copy(), gradient.copy()
@@ -156,13 +163,14 @@ def coefficients_of(columns: FloatArray, target: FloatArray) -> FloatArray:
 
 
 _DEPENDENT: Final = 1e-12
-"""Share of unit columns beyond others that is rounding."""
+"""Relative size of singular values of normalised columns below which they are rounding errors."""
 
 
 def inverse(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:
     """Return the pseudoinverse (K, K) of a symmetric matrix in units in which its diagonal is one.
 
-    With a `ridge`, which is added there, it is huge and not zero in directions that the matrix does not determine.
+    The `ridge` is added to the diagonal in these units. With it, the inverse is huge instead of zero in directions that
+    the matrix does not determine.
     """
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-200))
     unit = matrix / np.outer(scale, scale) + ridge * np.eye(len(scale))

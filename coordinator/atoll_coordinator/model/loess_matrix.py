@@ -1,6 +1,6 @@
-"""Loess of evenly spaced rows as a matrix: smoothed values, and the shares of errors in residuals. Pure.
+"""The matrix of loess for evenly spaced rows, and the share of an error that is in a residual. Pure.
 
-Letters: n rows, S the matrix (n, n) by which loess makes smoothed values of measured ones.
+Letters: n rows; S (n, n), the matrix that maps measured values to smoothed values.
 """
 
 from functools import lru_cache
@@ -11,15 +11,15 @@ import numpy as np
 from atoll_core.data.dataset import FloatArray
 
 _MOST_ROWS: Final = 240
-"""Rows of the matrix that is computed: rows between the ends are alike."""
+"""Most rows of the computed matrix: the rows between the ends have equal shares."""
 
 
 @lru_cache(maxsize=64)
 def residual_shares(rows: int, span: int, degree: int) -> FloatArray:
     """Return for each row (n,) the variance of its residual over the variance of its error, at most 1.
 
-    That is the diagonal of (I - S)(I - S)': loess follows the errors of the rows at the ends, and of few rows all of
-    them. The middle of many rows is like the middle of fewer rows.
+    This is the diagonal of (I - S)(I - S)'. Loess follows the errors of the rows at the ends, and of all rows if there
+    are few. In the middle, many rows have the same share as fewer rows.
     """
     degree = min(degree, rows - 2)
     if degree < 0:

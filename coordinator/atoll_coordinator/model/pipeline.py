@@ -1,12 +1,17 @@
-"""From the fronts of a search to the model that is shown and its verdict: the whole way on one page.
+"""Refining: from the fronts of a search to the displayed model and its verdict, on one page.
 
 1. The programs of the search are decoded and joined with guesses and known equations (selection/candidates.py).
-2. A stochastic process goes its own way from there (stochastic/).
-3. Without trajectories, each variable's equation is fitted to its target, and that is all (regression/equation.py).
+2. A stochastic process is then fitted by likelihood (stochastic/), and the steps below do not apply.
+3. Without trajectories, each variable's equation is fitted to its target and judged by its rows
+   (regression/equation.py). The steps below do not apply.
 4. With trajectories, equations of noise-free targets that converged are fitted to these first: they are candidates.
-5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model
-   (selection/stages.py, which says in which order candidates are proposed and when no more are).
-6. Its constants get errors, it is compared with its alternatives, simulated and judged (inference/conclusion.py).
+5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model. The table
+   in selection/stages.py lists the order of proposals and the conditions under which no more are refinement.
+6. The model is compared with its alternatives, gets errors of its constants, is simulated and judged
+   (inference/conclusion.py).
+
+Doubts. Candidates that reach no trajectory stage are judged by derivatives only; a warning says so. The result depends
+on the clock only if the user sets ``--max-time``.
 """
 
 import os
@@ -26,7 +31,7 @@ from atoll_coordinator.model.refinement import Refined, Refinement
 from atoll_coordinator.model.regression.equation import WeightedRows, fit_equation
 from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
-from atoll_coordinator.model.selection.shortcut import standing_laws, with_laws
+from atoll_coordinator.model.selection.shortcut import add_laws, laws_at_noise_level
 from atoll_coordinator.model.selection.stages import operator_remarks, select_model
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
@@ -36,12 +41,14 @@ from atoll_core.config import JobConfig
 from atoll_core.machine import usable_cores
 
 NOT_SIMULATED: Final = (
-    "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."
+    "No system of equations could be simulated along the measured trajectories. The equations shown were fitted to the "
+    "derivatives only."
 )
 
 
 OUT_OF_TIME: Final = (
-    "The time allowed by --max-time ended the choice of the equations early; those shown are the best by then."
+    "The time limit (--max-time) ended the choice of equations early. "
+    "The equations shown are the best found until then."
 )
 
 
@@ -53,52 +60,52 @@ def refine_all(
     laws: LawsByGroup | None = None,
     batches: Batches | None = None,
 ) -> Refinement:
-    """Return the refined equation of each variable; equations are missing if the front has nothing better.
+    """Return the refined equation of each variable; a variable is missing if its front has no better equation.
 
     Args:
         preparation: the dataset of the search, and the recording unless left-hand sides were given.
         config: the resolved configuration of the job.
         pools: the programs passed from the search to refining, by variable.
-        deadline: when refining must end with the best so far; None: never.
-        laws: laws among many variables that preparing found (`sparse.laws`); None: they are sought.
-        batches: lets other workers compute batches; None: threads of this process compute everything. The results
-            are equal to the bit.
+        deadline: when refining must return its best result so far; None: never.
+        laws: laws among many variables that preparing found (`sparse.laws`); None: they are searched here.
+        batches: sends batches to workers; None: threads of this process compute everything. The results are equal to
+            the bit.
     """
     deadline = deadline or Deadline()
-    refined = _refined(preparation, config, pools, deadline, laws, batches)
+    refined = _refine(preparation, config, pools, deadline, laws, batches)
     if preparation.recording is None and preparation.process is None:
-        refined = _judged_by_target(refined, preparation, deadline)
-    made = _with_units(refined, preparation, config)
+        refined = _judge_by_target(refined, preparation, deadline)
+    refinement = _add_units(refined, preparation, config)
     if not deadline.has_cut_short:
-        return made
-    warnings = tuple(warning for warning in made.warnings if warning != NOT_SIMULATED)
-    return replace(made, warnings=(*warnings, OUT_OF_TIME), end="max-time")
+        return refinement
+    warnings = tuple(warning for warning in refinement.warnings if warning != NOT_SIMULATED)
+    return replace(refinement, warnings=(*warnings, OUT_OF_TIME), end="max-time")
 
 
-def _judged_by_target(made: Refinement, preparation: Preparation, deadline: Deadline) -> Refinement:
-    """Return the same with verdicts by the rows of the targets, where there are no trajectories."""
+def _judge_by_target(refinement: Refinement, preparation: Preparation, deadline: Deadline) -> Refinement:
+    """Return the refinement with verdicts by the rows of the targets; for jobs without trajectories."""
     stopped = "the choice of the equation" if deadline.has_cut_short else ""
     equations = {}
-    for name, equation in made.equations.items():
+    for name, equation in refinement.equations.items():
         problem = (preparation.counted or preparation.dataset).problem(name)
         verdict = judge(TargetChecks(equation, problem, preparation.weights, stopped=stopped))
         equations[name] = replace(equation, **vars(verdict))
-    return replace(made, equations=equations)
+    return replace(refinement, equations=equations)
 
 
-def _with_units(made: Refinement, preparation: Preparation, config: JobConfig) -> Refinement:
+def _add_units(refinement: Refinement, preparation: Preparation, config: JobConfig) -> Refinement:
     """Return the refinement with the findings on units of each equation, if columns have units."""
     if not config.data.units:
-        return made
+        return refinement
     dataset = preparation.dataset
     equations = {
         name: replace(equation, units=equation_units(dataset, config, name, equation.program))
-        for name, equation in made.equations.items()
+        for name, equation in refinement.equations.items()
     }
-    return replace(made, equations=equations)
+    return replace(refinement, equations=equations)
 
 
-def _refined(
+def _refine(
     preparation: Preparation, config: JobConfig, pools: Pools, deadline: Deadline, laws: LawsByGroup | None,
     batches: Batches | None,
 ) -> Refinement:  # fmt: skip
@@ -109,14 +116,14 @@ def _refined(
         deadline.begin_last_stage()
         return summarize_process(chosen, preparation.dataset, config, candidates)
     if preparation.recording is None:
-        return Refinement(_by_regression(preparation, config, candidates, deadline))
+        return Refinement(_fit_by_regression(preparation, config, candidates, deadline))
     converged = {
         name: programs for name, programs in candidates.items() if _has_converged(preparation, config, name, programs)
     }
-    settled = _by_regression(preparation, config, converged, deadline)
+    settled = _fit_by_regression(preparation, config, converged, deadline)
     threads = usable_cores(os.environ)[0] if batches is None else batches.threads
     with spreading(batches, threads, deadline) as spread:
-        task = with_laws(ModellingTask(
+        task = add_laws(ModellingTask(
             preparation.dataset, preparation.recording, config, candidates, settled, spread, deadline=deadline,
             among_many=laws,
         ))  # fmt: skip
@@ -131,16 +138,16 @@ def _refined(
             *warn_of_residual_pattern(preparation.recording, model.equations, time),
         )
         left_out = {name: programs for name, programs in candidates.items() if name not in model.equations}
-        alone = _by_regression(preparation, config, left_out, deadline)
+        alone = _fit_by_regression(preparation, config, left_out, deadline)
         return replace(
             model,
             equations={**alone, **model.equations},
             warnings=(*model.warnings, *remarks),
         )
     unsettled = {name: programs for name, programs in candidates.items() if name not in converged}
-    rest = _by_regression(preparation, config, unsettled, deadline)
+    rest = _fit_by_regression(preparation, config, unsettled, deadline)
     if deadline.has_cut_short:
-        rest |= _by_laws(task, [name for name in unsettled if name not in task.known])
+        rest |= _fit_laws(task, [name for name in unsettled if name not in task.known])
     warnings = (NOT_SIMULATED, *warn_of_random_walk(preparation.recording))
     return Refinement({**settled, **rest}, warnings=warnings)
 
@@ -155,16 +162,17 @@ def _has_converged(preparation: Preparation, config: JobConfig, name: str, candi
     return not target.is_noisy and any(member.error <= limit for member in candidates.front)
 
 
-def _by_laws(task: ModellingTask, names: Sequence[str]) -> dict[str, Refined]:
-    """Return the equations of variables that have a law by regression at the noise level, of these `names`.
+def _fit_laws(task: ModellingTask, names: Sequence[str]) -> dict[str, Refined]:
+    """Return, for the variables `names` that have a law at the noise level, the equation of this law.
 
-    Without a comparison along trajectories, the member shown describes the derivatives best, with any terms.
+    Without a comparison along trajectories, the shown front member is the best fit to the derivatives, with any terms.
     """
     equations = {}
     for name in names:
         problem, loss = task.dataset.problem(name), task.config.evolution.loss
         members = [
-            Member(law.program, *measure_errors(problem, law.program, loss)) for law in standing_laws(task, name)[:1]
+            Member(law.program, *measure_errors(problem, law.program, loss))
+            for law in laws_at_noise_level(task, name)[:1]
         ]
         equation = fit_equation(problem, task.config, members, deadline=task.deadline)
         if equation is not None:
@@ -173,13 +181,13 @@ def _by_laws(task: ModellingTask, names: Sequence[str]) -> dict[str, Refined]:
     return equations
 
 
-def _by_regression(
+def _fit_by_regression(
     preparation: Preparation, config: JobConfig, candidates: Mapping[str, CandidateSet], deadline: Deadline
 ) -> dict[str, Refined]:
-    """Return the equations that are fitted to their targets, of the variables that were searched.
+    """Return the equations of the searched variables, each fitted to its target.
 
-    Errors of given left-hand sides are independent, errors of smoothed derivatives are not: only the former give
-    intervals.
+    Errors of left-hand sides given by the user are independent, errors of smoothed derivatives are not. Only the first
+    give confidence intervals.
     """
     is_given = preparation.recording is None
     weights = preparation.weights if is_given else None

@@ -10,16 +10,16 @@ from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.search.pareto import FrontEntry
 
 Origin = Literal["front", "runner-up", "guess", "library", "descent", "known"]
-"""Where an equation comes from: the front or the runners-up of the search, a guess, a library of terms, a known
-equation, or a descent from any of these to a shorter description. Constants may have been fitted and rounded since."""
+"""The origin of an equation: the front or the runners-up of the search, a guess, a library of terms, a known equation,
+or a descent from one of these to a shorter description. Its constants may have been fitted and rounded later."""
 
 
 @dataclass(frozen=True)
 class Pool:
     """The candidates that the search has found for one variable.
 
-    `front` has for each complexity the program of least error, if no simpler one is as good; `runners_up` the next best
-    of each complexity, distinct in function, by (complexity, error).
+    `front` has for each complexity the program of least error, if no simpler program is as good. `runners_up` has the
+    next best programs of each complexity, which differ as functions, sorted by (complexity, error).
     """
 
     front: tuple[FrontEntry, ...]
@@ -32,12 +32,12 @@ Pools = Mapping[str, Pool]
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A sum of products: its `program`, the `nats` by which laws of one state are compared, and how well it fits.
+    """A law found by sparse regression: its `program`, its `nats` (to compare laws of one state), and its fit.
 
-    `excess` is how many times as large as the noise, or as the limit of convergence, the errors are. `is_tested` tells
-    whether there are enough rows for the largest library that it was chosen from. `lead` is how many nats longer the
-    best program is that was compared with it and is no sum of products. `probability` is the probability of errors as
-    large as these if all are noise. `is_of_rates`: it was found among many variables, by derivatives.
+    `excess` is the ratio of the residuals to the noise, or to the limit of convergence. `is_tested` tells whether there
+    are enough rows for the largest library that it was chosen from. `lead` is the difference in nats between the best
+    compared program that is no sum of products and the law. `probability` is the probability of residuals at least as
+    large as these if all are noise. `is_of_rates` tells whether the law was found by derivatives among many variables.
     """
 
     program: Program
@@ -50,7 +50,7 @@ class Law:
 
 
 LawsByGroup = Sequence[Mapping[str, tuple[Law, ...]]]
-"""By variable, its laws: a mapping for each group of trajectories, one for all where there are no groups."""
+"""For each group of trajectories, the laws of each variable by name; without groups, one mapping for all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Member:
 
 
 def decode_members(entries: Sequence[FrontEntry], inputs: int) -> tuple[Member, ...]:
-    """Return the members of a front; `inputs` is how many variables there are."""
+    """Return the decoded members of a front; `inputs` is the number of variables."""
     return tuple(Member(Program.from_bytes(entry.program, inputs), entry.error, entry.mse) for entry in entries)
 
 

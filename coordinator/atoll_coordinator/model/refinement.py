@@ -1,8 +1,7 @@
 """The result of refining, before programs become text. Pure.
 
-Numbers that stand in ``result.json`` are held as the parts of a result from the start (`atoll_coordinator.result`):
-constants, checks, covariances, simulations. The classes here have a program, the file has its text: only
-`atoll_coordinator.model.result` knows the names and units for it.
+Constants, checks, covariances and simulations already have the classes of ``result.json`` (`atoll_coordinator.result`).
+Equations are still programs here; `atoll_coordinator.model.result` writes them as text with names and units.
 """
 
 from collections.abc import Mapping
@@ -19,16 +18,16 @@ from atoll_core.expression.writing.expansion import Shape
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
 JobKind = Literal["trajectories", "target", "process"]
-"""Kinds of job by what an equation is tested against: simulated trajectories, a target on rows, or the steps of a
-stochastic process."""
+"""The kind of job decides the data that test an equation: simulated trajectories, the rows of a target, or the steps of
+a stochastic process."""
 CheckOutcome = Literal["passed", "failed", "not made", "not applicable"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
-"""How refining ended: by itself, by ``--max-time`` with the best so far, or without a result of its own."""
+"""How refining ended: finished, stopped by ``--max-time`` with the best result so far, or not run."""
 
 
 @dataclass(frozen=True)
 class UnitCoefficient:
-    """A factor of one that is not written, of the term `of`; the constant has its value as it was fitted."""
+    """The factor 1 of the term `of`, which is not written; `constant` is its estimate as it was fitted."""
 
     of: Program
     constant: Estimate
@@ -36,12 +35,12 @@ class UnitCoefficient:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An equation that was compared with the one shown, all other variables as in the model.
+    """An equation that was compared with the shown one; all other equations are those of the model.
 
-    `nats` is how much longer the description of the data is with it (0 for the one shown, negative where it is shorter
-    but predicts less well; below about 3 the data hardly decide); `r2` is the R2 of its state's simulation,
-    `held_out_r2` the same on trajectories that did not take part in its fit, None where there are none:
-    held-out ones, or when it `is_cross_validated` each of the others, left out one at a time.
+    `nats` is its description length minus the length of the shown equation (0 for the shown equation, negative if the
+    alternative is shorter but predicts worse; below about 3 the data hardly decide). `r2` is the R2 of its state's
+    simulation. `held_out_r2` is the R2 on trajectories that it was not fitted to: held-out trajectories, or, if it
+    `is_cross_validated`, each other trajectory left out in turn; None if there are none.
     """
 
     program: Program
@@ -55,14 +54,15 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """The equation of one variable as it is shown; before refinement, a member of the front as it stands.
+    """The displayed equation of one variable; before refinement, an unchanged member of the front.
 
-    `member` is the index of the front member it came from, None when it came from elsewhere; `error` is the job's loss
-    and `mse` the mean squared error on all rows of the dataset; `constants` has one for each constant of `program`, in
-    node order (empty before refinement); `unit_coefficients` has the factors of one that are not written. Where groups
-    of trajectories have constants of their own, `by_group` has program and constants of each, by the group's name; the
-    constants of `program` that are not `shared` by all groups are means. `units` are the units of the constants, None
-    where no unit is known. `simple_together` are simple numbers of two and more constants, None where none are likely.
+    `member` is the index of the front member that it came from, None for other origins. `error` is the job's loss and
+    `mse` the mean squared error, both on all rows of the dataset. `constants` has an entry for each constant of
+    `program`, in node order (empty before refinement); `unit_coefficients` are the factors 1 that are not written. If
+    groups of trajectories have their own constants, `by_group` has the program and constants of each group by name, and
+    the constants of `program` that are not `shared` are means over the groups. `units` are the units of the constants,
+    None if no unit is known. `simple_together` are simple numbers for two or more constants together, None if none are
+    likely.
     """
 
     member: int | None
@@ -84,12 +84,12 @@ class Refined:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """Everything that refining a job gives; `equations` lacks variables of which the front has nothing better.
+    """The result of refining a job; `equations` lacks the variables whose front has no better equation.
 
-    `fluxes` are terms that were fitted in several equations together, such as one that leaves one state and enters
-    another: the term without numbers, and by variable how many times it stands in its equation, None where the factor
-    was fitted by itself. `covariance` is the covariance of all constants, `by_group` the covariance of each group of
-    trajectories if groups have their own constants.
+    `fluxes` are terms that share a fitted constant in several equations, such as a flux that leaves one state and
+    enters another: the term without numbers, and its multiple by variable; None if the factor was fitted separately.
+    `covariance` is the covariance of all constants, `by_group` the covariance of each group of trajectories if groups
+    have their own constants.
     """
 
     equations: Mapping[str, Refined] = field(default_factory=dict)

@@ -118,7 +118,7 @@ class JobController:
         """Number of jobs of each user that have not ended."""
         self.queue.task_time = TaskTime(_day_of(store), store.usage(_day_of(store)))
         self._saved_at = 0.0
-        self._rested_at: float | None = None
+        self._excluded_at: float | None = None
         self.events: Final = EventLog(store, clock)
         self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
         self.workers: Final = WorkerController(self, store, channel, self.events, expected_workers)
@@ -179,9 +179,9 @@ class JobController:
             )
         except (KeyError, RemoteProtocolError):  # damaged or of another version: the data are prepared again
             return
-        self._change(record.id, "continuing a job", now, lambda job: self._go_on(job, record, prepared, now))
+        self._change(record.id, "continuing a job", now, lambda job: self._continue(job, record, prepared, now))
 
-    def _go_on(self, job: Job, record: JobRecord, prepared: Prepared, now: float) -> Sequence[JobAction]:
+    def _continue(self, job: Job, record: JobRecord, prepared: Prepared, now: float) -> Sequence[JobAction]:
         """Continue a job in the state that it had when the coordinator ended, held until its next turn."""
         job.start_preparing()
         self.begun[job.id] = job
@@ -218,7 +218,7 @@ class JobController:
         with self.guarded(body.job, "accepting a job", now):
             self._add(Job(record, body.config, now), now)
             self.events.record("submitted", f"submitted as {body.name!r}", body.job, priority=body.priority)
-        self._take_turns(now)
+        self._apply_decision(now)
 
     def _add(self, job: Job, asked_at: float, *, has_begun: bool = False) -> None:
         """Add a job to the queue, in which it waits since `asked_at` (seconds of the bus).
@@ -249,8 +249,8 @@ class JobController:
                 job.hold(True)
             text = "paused: its islands stop at a checkpoint" if is_paused else "resumed: it continues at its next turn"
             self.events.record("held" if is_paused else "resumed", text, job_id)
-        self._rest(now)
-        self._take_turns(now)
+        self._exclude_waiting(now)
+        self._apply_decision(now)
         self._place(now)
 
     def set_priority(self, job_id: str, priority: int, now: float) -> None:
@@ -263,7 +263,7 @@ class JobController:
             self.events.record("changed", f"its priority is {priority} now", job_id)
             if job.state == "running":
                 self._channel.publish(job.announcement())
-        self._take_turns(now)
+        self._apply_decision(now)
 
     def share(self, job_id: str, is_shared: bool) -> None:
         """Let all users see a job, or only its submitter and admins."""
@@ -276,7 +276,7 @@ class JobController:
         if job is not None:
             job.is_shared = is_shared
 
-    def again(self, job_id: str, again: str) -> Submit:
+    def submission_again(self, job_id: str, again: str) -> Submit:
         """Return the submission of a job under another id.
 
         Raises:
@@ -302,7 +302,7 @@ class JobController:
             "changed",
             "the queue is paused: no more jobs are started" if is_paused else "the queue is resumed: jobs are started",
         )
-        self._take_turns(now)
+        self._apply_decision(now)
 
     def set_worker(self, worker: str, service: WorkerService, now: float) -> None:
         """Open, cordon or drain a worker; the setting is stored. Raises RefusedError for an unknown worker."""
@@ -527,7 +527,7 @@ class JobController:
             self.tasks.add_report(worker, report, now)
 
     def take_result(self, read: background.ResultRead, now: float) -> None:
-        """Handle the result of a task; raises RemoteProtocolError when it was damaged on its way."""
+        """Handle the result of a task; raises RemoteProtocolError if it was damaged in transit."""
         with self.guarded(read.result.job, "handling the result of a task", now, by_peer=True):
             self.tasks.take_result(read, now)
 
@@ -538,11 +538,11 @@ class JobController:
 
     def _order(self, waiting: Collection[str], running: Collection[str]) -> list[str]:
         """Return the ids of jobs and questions whose waiting tasks may be leased, the next one first."""
-        ready = [one for one in map(self._of_turn, waiting) if one is not None and self._may_run(one)]
-        served = [one for one in map(self._of_turn, running) if one is not None]
+        ready = [one for one in map(self._find_turn, waiting) if one is not None and self._may_run(one)]
+        served = [one for one in map(self._find_turn, running) if one is not None]
         return self._turns.order_tasks([*map(_turn, ready)], [*map(_turn, served)])
 
-    def _of_turn(self, turn: str) -> Job | Analysis | None:
+    def _find_turn(self, turn: str) -> Job | Analysis | None:
         return self.jobs.get(turn) or self.tasks.analyses.get(turn)
 
     def _may_run(self, turn: Job | Analysis) -> bool:
@@ -552,7 +552,7 @@ class JobController:
 
     def _charge(self, turn: str, seconds: float) -> None:
         """Charge the user of a job, or of a question, for the time of workers."""
-        charged = self._of_turn(turn)
+        charged = self._find_turn(turn)
         if charged is not None:
             self.queue.task_time.charge(charged.submitter, seconds)
             self._turns.charge(charged.submitter, seconds)
@@ -573,15 +573,15 @@ class JobController:
         self._advance_checkpoint(job.id, report.variable, now)
 
     def tick(self, now: float) -> None:
-        """Let time pass: lost workers, `--max-time`, turns of waiting jobs, tasks, checkpoints."""
+        """Do the work of each tick: lost workers, `--max-time`, turns of jobs, tasks, checkpoints, stalls, events."""
         with self.breakages.tolerated("looking for lost workers"):
             self.workers.expire(now)
         with self.breakages.tolerated("counting task time"):
             self._count_time(now)
-        self._rest(now)
+        self._exclude_waiting(now)
         for job_id in tuple(self.begun):
             self._change(job_id, "letting time pass", now, lambda job: job.tick(now))
-        self._take_turns(now)
+        self._apply_decision(now)
         with self.breakages.tolerated("leasing tasks"):
             self.tasks.tick(now)
         self._place(now)
@@ -600,13 +600,13 @@ class JobController:
                 self._store.add_usage(_day_of(self._store), unsaved)
             self.queue.task_time.begin_day(_day_of(self._store))
 
-    def _rest(self, now: float) -> None:
+    def _exclude_waiting(self, now: float) -> None:
         """Do not count the time for which jobs wait for a worker that refines them.
 
         Jobs that wait to be prepared but may not run give their places back.
         """
-        seconds = now - self._rested_at if self._rested_at is not None else 0.0
-        self._rested_at = now
+        seconds = now - self._excluded_at if self._excluded_at is not None else 0.0
+        self._excluded_at = now
         for job in tuple(self.begun.values()):
             if job.state in ("preparing", "refining") and self.tasks.waits(job.id):
                 with self.guarded(job.id, "letting a job wait", now):
@@ -634,7 +634,7 @@ class JobController:
         """Handle the answer to a pull of states; None: there was no answer, and the states are pulled again later.
 
         Raises:
-            RemoteProtocolError: A state was damaged on its way.
+            RemoteProtocolError: A state was damaged in transit.
         """
         job = self.jobs.get(pull.job)
         archipelago = job.archipelagos.get(pull.variable) if job is not None else None
@@ -818,7 +818,7 @@ class JobController:
             return
         self._remove(job.id)
         self._compose(Ending(job, job.former_state, draft))
-        self._take_turns(now)
+        self._apply_decision(now)
 
     def _commit_result(self, job: Job, now: float) -> None:
         result = timed(job.result_text, now - job.submitted_at) if job.result_text is not None else None
@@ -835,7 +835,7 @@ class JobController:
         self.events.record_end(job)
         self.counters.forget(job.id)
         self.workers.crash_loops.forget(job.id)
-        self._take_turns(now)
+        self._apply_decision(now)
 
     def _fitting(self, job: Job, text: str | None) -> str | None:
         """Return the result if its user may store it, after deleting the user's oldest ended jobs if necessary.
@@ -875,7 +875,7 @@ class JobController:
         self.queue.remove(job_id)
         self._turns.forget(job_id)
 
-    def _take_turns(self, now: float) -> None:
+    def _apply_decision(self, now: float) -> None:
         """Start, hold and release jobs by the decision of the queue."""
         with self.breakages.tolerated("deciding about turns"):
             self.queue.charge(now)

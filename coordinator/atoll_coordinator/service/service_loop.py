@@ -127,7 +127,7 @@ class Service:
             store.incarnation, self.controller.shown, self.controller.events, self._workforce,
             lambda client, payload: self._bus.put(topics.client(store.cluster, client, "changes"), payload),
         )  # fmt: skip
-        self.controller.changed, self.controller.events.told = self._note_change, self._note_event
+        self.controller.changed, self.controller.events.on_event = self._note_change, self._note_event
         self._metrics = metrics
         self._probe_due = self._metrics_due = self._tick_due = bus.now()
         self._lags: deque[float] = deque(maxlen=round(LAG_WINDOW_S / TICK_S))

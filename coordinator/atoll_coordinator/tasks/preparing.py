@@ -99,19 +99,19 @@ def prepare_job(table: bytes, config: JobConfig, preparer: Preparer = prepare_ta
     """Return the prepared job and the bytes of its dataset; raises the errors of `prepare_table`."""
     from atoll_coordinator.model.result.known_equations import known_entries, warn_of_missing_values
     from atoll_coordinator.model.sparse.laws import (  # loads kernels
-        laws_among_many,
+        find_laws_among_many,
+        screen_variables,
         settled_variables,
-        with_screened_variables,
     )
     from atoll_coordinator.tasks.defaults import resolve, with_units
 
     preparation = preparer(table, config)
     data = dataset_to_bytes(preparation.dataset)
     blob = hashlib.sha256(data).hexdigest()
-    resolved = with_screened_variables(preparation, resolve(config, preparation.dataset))
+    resolved = screen_variables(preparation, resolve(config, preparation.dataset))
     known = known_entries(preparation.dataset, resolved)
     preparation = warn_of_missing_values(preparation, resolved)
     resolved = with_units(resolved, preparation.source)
-    laws = laws_among_many(preparation, resolved)
+    laws = find_laws_among_many(preparation, resolved)
     settled = settled_variables(preparation, resolved, laws)
     return Prepared(preparation, resolved, blob, len(data), known, settled, laws), data

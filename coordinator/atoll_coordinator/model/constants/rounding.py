@@ -328,8 +328,9 @@ def search_decisions(start: Decision) -> list[Decision]:
 def _simple_number_gains(value: float, error: float, others: Sequence[float]) -> dict[float, float]:
     """Return the simple numbers near an estimate with their log odds (nats) against an arbitrary number.
 
-    Numbers whose product with one of `others` is simple are included. Their prior probability is half that of numbers
-    that are simple themselves, and they are tried only if no such number is likelier than an arbitrary number.
+    Numbers whose product with one of `others` is simple are included. Their prior probability is half the prior
+    probability of numbers that are simple themselves, and they are tried only if no such number is likelier than an
+    arbitrary number.
     """
     if value == 0.0 or not math.isfinite(value) or not math.isfinite(error):  # no number is near
         return {}

@@ -258,7 +258,7 @@ class EquationConstants:
         """The indices of factors of one that the data refute: their intervals do not contain one."""
         return [number for number, one in enumerate(self.unit_coefficients) if not one.constant.is_within]
 
-    def with_simple(self, simple: Sequence[SimpleNumber | None]) -> "EquationConstants":
+    def with_simple_numbers(self, simple: Sequence[SimpleNumber | None]) -> "EquationConstants":
         """Return the constants with the simple number near each; `simple` is empty for a given equation."""
         if not simple:
             return self

@@ -44,7 +44,7 @@ from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.errors import measure_grouped_errors
 from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.piece_lengths import remarks
+from atoll_coordinator.model.selection.piece_lengths import piece_remarks
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.shooting.smoothing_noise import estimate_variances
@@ -104,7 +104,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         () if final.by_group else find_correlations(places, of_groups[0]),
         _estimate_state_errors(final),
         (
-            *remarks(task, is_tested_in_whole=long_run.fits is True),
+            *piece_remarks(task, is_tested_in_whole=long_run.fits is True),
             *_warn_of_poles(final),
             *warn_of_random_walk(recording, task.variables, simulated),
         ),
@@ -129,7 +129,7 @@ def _describe_constants(
     ]
     if not final.by_group:
         pairs = zip(described[0], final.rounded.simple, strict=True)
-        return [known.with_simple(simple) for known, simple in pairs], [[] for _ in final.programs]
+        return [known.with_simple_numbers(simple) for known, simple in pairs], [[] for _ in final.programs]
     are_shared = iter((columns == columns[0]).all(axis=0).tolist())
     together, by_group = list[EquationConstants](), list[list[tuple[Constant, ...]]]()
     for equation, program in enumerate(final.programs):
@@ -175,7 +175,7 @@ def _describe_equation(
         known.written,
         known.unit_coefficients,
         _describe_alternatives(final, index, held_out_r2),
-        origin=final.origin(index, ranking.selection.model.programs[index]),
+        origin=final.find_origin(index, ranking.selection.model.programs[index]),
         prediction=prediction,
         by_group=dict(zip(task.recording.groups, zip(programs, by_group, strict=True), strict=True))
         if by_group
@@ -189,7 +189,7 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
     ranking = final.ranking
     comparison, best = ranking.selection.comparison, ranking.selection.model
     r2 = compute_r2(final.shown_comparison.estimator.measurements, final.shown_fit, slice(None))[index]
-    origin = final.origin(index, best.programs[index])
+    origin = final.find_origin(index, best.programs[index])
     is_crossed = final.held_out_comparison is None and ranking.validated is not None
     alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
     for alternative in ranking.alternatives[index]:
@@ -201,7 +201,7 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
             measurements = final.held_out_comparison.estimator.measurements
             held_out_r2 = -math.inf if fit is None else compute_r2(measurements, fit, slice(None))[index]
         is_crossed = alternative.validated is not None
-        origin = final.origin(index, programs[index])
+        origin = final.find_origin(index, programs[index])
         alternatives.append(Alternative(programs[index], nats, r2, held_out_r2, False, is_crossed, origin))
     return tuple(alternatives)
 
@@ -227,7 +227,7 @@ def _errors_along_trajectories(
     """
     free, trajectory_bands = final.free.fit, []
     for owner in sorted(set(comparison.estimator.measurements.owners.tolist())):
-        estimator, starts = comparison.estimator.of_trajectory(owner, fit)
+        estimator, starts = comparison.estimator.estimator_of_trajectory(owner, fit)
         near = estimator.fit(free.system, None, 0, starts, free.errors, is_stiff=fit.is_stiff)
         if near is None:
             return None

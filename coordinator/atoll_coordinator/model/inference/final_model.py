@@ -37,9 +37,9 @@ from atoll_coordinator.model.inference.shared_terms import fit_shared_terms
 from atoll_coordinator.model.inference.trajectory_simulation import fit_initial_states
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
-from atoll_coordinator.model.selection.candidates import form
+from atoll_coordinator.model.selection.candidates import form_key
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows
+from atoll_coordinator.model.selection.piece_lengths import refit_on_all_rows, with_longest_pieces
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.system import SharedNumber
@@ -141,12 +141,12 @@ class FinalModel(ShownEquations):
         """Return the shown equations simulated along the trajectories of a comparison, with fitted initial states."""
         return comparison.estimator.fit(self.shown_fit.system, None, SETTINGS.effort.steps)
 
-    def origin(self, equation: int, program: Program) -> Origin:
+    def find_origin(self, equation: int, program: Program) -> Origin:
         """Return the source of a program, for instance the front; `program` still has its fitted constants."""
         if self.task.variables[equation] in self.task.known:
             return "known"
         origins = self.origins[equation]
-        return origins.get(form(program)) or origins.get(structure(program), "descent")
+        return origins.get(form_key(program)) or origins.get(structure(program), "descent")
 
 
 def finalize(selection: SelectedModel) -> FinalModel | None:
@@ -157,7 +157,7 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
         for candidates, compared in zip(task.candidates.values(), selection.lists, strict=True)
     )
     ranking = rank_alternatives(selection, task.dataset.inputs)
-    whole = on_all_rows(ranking.selection)
+    whole = refit_on_all_rows(ranking.selection)
     if whole is None:
         return None
     equations = _show_by_group(whole) if task.recording.groups else _show_on_all_rows(whole)
@@ -169,7 +169,7 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
         task, shown_comparison, fit = _simulate_in_whole(whole.task, whole.comparison, equations)
     held_out_comparison = None
     if any(trajectory.held_out for trajectory in task.recording.trajectories):
-        held_out_comparison = task.compare(task.measurements(task.variables, held_out=True), task.variables)
+        held_out_comparison = task.make_comparison(task.measurements(task.variables, held_out=True), task.variables)
     return FinalModel(
         **vars(equations), task=task, ranking=ranking, origins=origins, held_out_comparison=held_out_comparison,
         comparison=whole.comparison, shown_comparison=shown_comparison, shown_fit=fit, piece=piece,
@@ -181,7 +181,7 @@ def _show_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
 
     def misfit_increase(programs: Sequence[Program]) -> float:
         fit = fit_initial_states(comparison, programs, best.fit)
-        return np.inf if fit is None else comparison.measure(fit).misfit - best.misfit
+        return np.inf if fit is None else comparison.score_fit(fit).misfit - best.misfit
 
     for programs in (attach_estimates(comparison, best).simplify(misfit_increase), best.programs):
         shown = _show_equations(comparison, best, _shortest_writings(whole, programs))
@@ -214,7 +214,7 @@ def _show_by_group(whole: SelectedModel) -> ShownEquations | None:
     programs = fixed.programs[leading:]
     return ShownEquations(
         RoundedEquations(programs, tuple(() for _ in programs)),
-        replace(model, programs=programs, made=fit),
+        replace(model, programs=programs, fit_or_summary=fit),
         tuple(map(as_written, programs)),
         model,
         by_group=[fixed.of_group(group).programs[leading:] for group in range(len(whole.task.recording.groups))],
@@ -261,11 +261,11 @@ def _simulate_in_whole(
 
     Otherwise return the simulation along the pieces and rows to which they were fitted.
     """
-    whole, fitted = in_whole(task), comparison.estimator.measurements.rows
+    whole, fitted = with_longest_pieces(task), comparison.estimator.measurements.rows
     for here in (whole, task) if whole.piece != task.piece else (task,):
         measurements = here.measurements(here.variables)
         if here.piece != task.piece or measurements.rows > fitted:
-            shown_comparison = here.compare(measurements, here.variables, is_precise=True)
+            shown_comparison = here.make_comparison(measurements, here.variables, is_precise=True)
             fit = fit_initial_states(shown_comparison, shown.programs)
             if fit is not None:
                 return here, shown_comparison, fit
@@ -278,13 +278,13 @@ def _show_equations(
     """Return equations of these structures as they are shown, fitted for comparison with another model; None if that
     fails."""
     explicit, free = _fit_all_constants(comparison, near, programs, shared)
-    fitted = comparison.fit_beside(near, programs, shared=shared)
+    fitted = comparison.fit_from(near, programs, shared=shared)
     if free is None or fitted is None:
         return None
     errors, is_exact = estimate_errors_of_constants(comparison, free), comparison.score.is_exact(free)
     numbers = fitted.fit.system.columns[0].tolist()
 
-    def outside(rounded: RoundedEquations) -> frozenset[int]:
+    def numbers_outside_intervals(rounded: RoundedEquations) -> frozenset[int]:
         """Return the fitted numbers, by index, of constants whose shown value is outside their 95 % interval."""
         if is_exact:
             return frozenset()  # intervals would only reflect integration errors
@@ -293,7 +293,7 @@ def _show_equations(
         written = (constant for constants in sought for constant in constants.written)
         return frozenset(number for number, constant in zip(numbers, written, strict=True) if not constant.is_within)
 
-    rounded_fit = _round_to_fewest_digits(comparison, fitted, outside)
+    rounded_fit = _round_to_fewest_digits(comparison, fitted, numbers_outside_intervals)
     return None if rounded_fit is None else ShownEquations(*rounded_fit, explicit, free)
 
 
@@ -316,7 +316,7 @@ _Outside = Callable[[RoundedEquations], frozenset[int]]
 
 
 def _round_to_fewest_digits(
-    comparison: ModelComparison, fitted: FittedModel, outside: _Outside
+    comparison: ModelComparison, fitted: FittedModel, numbers_outside_intervals: _Outside
 ) -> tuple[RoundedEquations, FittedModel] | None:
     """Return a system with rounded constants, with the fewest digits that do not change simulations.
 
@@ -327,26 +327,30 @@ def _round_to_fewest_digits(
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None
     constants = attach_estimates(comparison, fitted)
     for digits in few:
-        rounded = _round_to_digits(comparison, fitted, constants, digits, outside)
+        rounded = _round_to_digits(comparison, fitted, constants, digits, numbers_outside_intervals)
         if rounded is None:
             continue
         if rounded[1].misfit > limit and exact is None:
-            exact = _round_to_digits(comparison, fitted, constants, most, outside)
+            exact = _round_to_digits(comparison, fitted, constants, most, numbers_outside_intervals)
             limit = np.inf if exact is None else exact[1].misfit + SETTINGS.selection.least_gain
-        if rounded[1].misfit <= limit and not outside(rounded[0]):
+        if rounded[1].misfit <= limit and not numbers_outside_intervals(rounded[0]):
             return rounded
-    return exact or _round_to_digits(comparison, fitted, constants, most, outside)
+    return exact or _round_to_digits(comparison, fitted, constants, most, numbers_outside_intervals)
 
 
 def _round_to_digits(
-    comparison: ModelComparison, fitted: FittedModel, constants: FittedEquations, digits: int, outside: _Outside
+    comparison: ModelComparison,
+    fitted: FittedModel,
+    constants: FittedEquations,
+    digits: int,
+    numbers_outside_intervals: _Outside,
 ) -> tuple[RoundedEquations, FittedModel] | None:
     rounded, estimates = constants.round_constants(digits), frozenset[int]()
-    while not (further := outside(rounded)) <= estimates:
+    while not (further := numbers_outside_intervals(rounded)) <= estimates:
         estimates |= further
         rounded = constants.round_constants(digits, estimates)
     fit = fit_initial_states(comparison, rounded.programs, fitted.fit)
-    return None if fit is None else (rounded, comparison.measure(fit))
+    return None if fit is None else (rounded, comparison.score_fit(fit))
 
 
 def _fit_all_constants(
@@ -364,10 +368,10 @@ def _fit_all_constants(
             if origin is not None:
                 nodes[equation, before[origin]] = (equation, node)
     shared_there = [tuple((nodes[place], multiple) for place, multiple in number) for number in shared]
-    free = comparison.fit_beside(best, [coefficients.program for coefficients in explicit], shared=shared_there)
+    free = comparison.fit_from(best, [coefficients.program for coefficients in explicit], shared=shared_there)
     if free is not None:
         return explicit, free
-    return tuple(map(as_written, shown)), comparison.fit_beside(best, shown, shared=shared)
+    return tuple(map(as_written, shown)), comparison.fit_from(best, shown, shared=shared)
 
 
 def attach_estimates(comparison: ModelComparison, model: FittedModel) -> FittedEquations:

@@ -39,7 +39,7 @@ def choose_shared_constants(whole: SelectedModel, write: Writer) -> FittedModel:
             programs = [*best.programs]
             programs[equation] = program
             kept = [place for place in _find_shared_constants(comparison, best) if place[0] != equation]
-            fitted = comparison.fit_beside(best, programs, shared=_shared_numbers(kept))
+            fitted = comparison.fit_from(best, programs, shared=_shared_numbers(kept))
             if fitted is not None:
                 best = min(best, _share_similar_constants(comparison, fitted), key=lambda candidate: candidate.nats)
     return best
@@ -57,33 +57,33 @@ def _shared_numbers(shared: Collection[system.Place]) -> frozenset[system.Shared
     return frozenset(((place, 1.0),) for place in shared)
 
 
-def _share_similar_constants(comparison: ModelComparison, begun: FittedModel) -> FittedModel:
-    """Return `begun` with constants shared one by one, as long as the description gets shorter."""
+def _share_similar_constants(comparison: ModelComparison, start: FittedModel) -> FittedModel:
+    """Return `start` with constants shared one by one, as long as the description gets shorter."""
     while True:
         following = None
-        shared = _find_shared_constants(comparison, begun)
-        for place in _rank_by_difference(comparison, begun)[:2]:
-            fitted = comparison.fit_beside(begun, begun.programs, shared=_shared_numbers([*shared, place]))
-            if fitted is not None and fitted.nats < begun.nats:
+        shared = _find_shared_constants(comparison, start)
+        for place in _rank_by_difference(comparison, start)[:2]:
+            fitted = comparison.fit_from(start, start.programs, shared=_shared_numbers([*shared, place]))
+            if fitted is not None and fitted.nats < start.nats:
                 following = fitted
                 break
         if following is None:
-            return begun
-        begun = following
+            return start
+        start = following
 
 
-def _rank_by_difference(comparison: ModelComparison, begun: FittedModel) -> list[system.Place]:
+def _rank_by_difference(comparison: ModelComparison, start: FittedModel) -> list[system.Place]:
     """Return the constants that differ between groups, the least significant differences first.
 
     The statistic is the sum of squared deviations from the weighted mean over the variances (Cochran's Q).
     """
-    fit = begun.fit
+    fit = start.fit
     values, variances = fit.system.by_place(fit.system.values), fit.system.by_place(np.diag(covariance(fit)), 2)
     weights = 1.0 / np.maximum(variances, 1e-300)
     with np.errstate(all="ignore"):
         means = (weights * values).sum(axis=0) / weights.sum(axis=0)
         statistics = np.nan_to_num((weights * (values - means) ** 2).sum(axis=0))
-    places, shared = comparison.places(fit.system), _find_shared_constants(comparison, begun)
+    places, shared = comparison.places(fit.system), _find_shared_constants(comparison, start)
     order = sorted(range(len(places)), key=lambda number: float(statistics[number]))
     return [places[number] for number in order if places[number] not in shared]
 

@@ -93,7 +93,7 @@ def _whole_trajectory_r2(final: FinalModel) -> list[float | None] | None:
     measurements = task.measurements(task.variables)
     if not len(measurements.inputs):
         measurements = measurements.strided(-(-measurements.rows // SETTINGS.rows.most))
-    comparison = task.compare(measurements, task.variables, is_precise=True, measured_rows=measurements.rows)
+    comparison = task.make_comparison(measurements, task.variables, is_precise=True, measured_rows=measurements.rows)
     fit = final.simulate_along(comparison)
     if fit is None:
         return None if task.is_over else [-math.inf for _ in measurements.observed]
@@ -127,11 +127,11 @@ def _fits_in_whole(final: FinalModel) -> bool | None:
     if stride > 1 and len(final.comparison.estimator.measurements.inputs):
         return None
     while task.piece < task.longest:
-        begun = max(task.piece // stride, SETTINGS.shooting.lengths[1])
+        start_length = max(task.piece // stride, SETTINGS.shooting.lengths[1])
         task = replace(task, piece=min(task.piece * SETTINGS.shooting.segment_growth, task.longest))
         measurements = task.measurements(task.variables).strided(stride)
-        comparison = task.compare(measurements, task.variables, is_precise=True, measured_rows=rows)
-        model = comparison.fit_model(programs, lengths=(begun, None))
+        comparison = task.make_comparison(measurements, task.variables, is_precise=True, measured_rows=rows)
+        model = comparison.fit_model(programs, lengths=(start_length, None))
         if deadline.is_over:
             return None
         if model is None or not comparison.score.excess(model) <= limit:
@@ -202,7 +202,7 @@ def make_simulator(
     """
     rows, count = len(times), len(measurements.observed)
     low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
-    made = replace(
+    without_measurements = replace(
         measurements,
         bounds=np.array([[0, rows]], dtype=np.int64),
         owners=np.array([owner], dtype=np.int64),
@@ -217,7 +217,7 @@ def make_simulator(
         resting=None,
         consistency=None,
     )
-    return MultipleShooting(made, tolerance, measured_rows=measured_rows)
+    return MultipleShooting(without_measurements, tolerance, measured_rows=measured_rows)
 
 
 def _block_means(values: FloatArray, block: int) -> FloatArray:

@@ -28,11 +28,11 @@ _TAIL: Final = 60.0
 """The integral ends this far beyond the knee of the integrand, which decreases there at least as exp(-t/2)."""
 _LEAVES: Final = 4.0
 """Number of possible leaves that the price of a structure assumes."""
-_LEAST_LEFT: Final = 1e-30
+_LEAST_UNEXPLAINED: Final = 1e-30
 """Smallest share of a variance, to avoid the logarithm of zero."""
 
 
-def log_bayes_factor(rows: float, constants: float, left: float) -> float:
+def log_bayes_factor(rows: float, constants: float, unexplained: float) -> float:
     """Return the log Bayes factor in nats of a regression with k constants against the mean, n rows; 0 if k >= n - 1.
 
     A model without constants fits only the variance of its errors.
@@ -45,17 +45,17 @@ def log_bayes_factor(rows: float, constants: float, left: float) -> float:
     Args:
         rows: n.
         constants: k.
-        left: 1 - R2: the sum of squared residuals over the sum of squared differences from the mean, or over the sum of
-            squared steps of a random walk. Both denominators have n - 1 degrees of freedom.
+        unexplained: 1 - R2: the sum of squared residuals over the sum of squared differences from the mean, or over the
+            sum of squared steps of a random walk. Both denominators have n - 1 degrees of freedom.
     """
     if rows - 1.0 <= constants:
         return 0.0
-    left = max(left, _LEAST_LEFT)
+    unexplained = max(unexplained, _LEAST_UNEXPLAINED)
     if constants <= 0.0:
-        return -0.5 * (rows - 1.0) * math.log(left)
-    left = min(left, 1.0)
-    places = np.linspace(0.0, -math.log(left) + _TAIL, _POINTS)  # t = ln(1 + g)
-    exponents = 0.5 * (rows - 2.0 - constants) * places - 0.5 * (rows - 1.0) * np.log1p(np.expm1(places) * left)
+        return -0.5 * (rows - 1.0) * math.log(unexplained)
+    unexplained = min(unexplained, 1.0)
+    places = np.linspace(0.0, -math.log(unexplained) + _TAIL, _POINTS)  # t = ln(1 + g)
+    exponents = 0.5 * (rows - 2.0 - constants) * places - 0.5 * (rows - 1.0) * np.log1p(np.expm1(places) * unexplained)
     top = float(exponents.max())
     values = np.exp(exponents - top)
     step = float(places[1] - places[0])

@@ -30,7 +30,7 @@ from atoll_coordinator.model.inference.long_run import make_simulator
 from atoll_coordinator.model.shooting.integration import Unsimulated
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
-from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between, without_kept
+from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between, remove_conserved_directions
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.result.equations import Prediction
@@ -100,7 +100,7 @@ def compare_predictions(
     farthest = int(np.argmax([course_distances.max() for course_distances in distances_from_measured]))
     novelty = float(np.median(np.concatenate(distances_from_measured)))
 
-    def predicted(state: int) -> Prediction:
+    def describe_state(state: int) -> Prediction:
         reached = other_states.farthest_value(courses, state)
         probability, disputed = misses.agreement(state), misses.most_disputed_place(state)
         if reached is not None and misses_of_data.agreement(state) < probability:
@@ -113,10 +113,10 @@ def compare_predictions(
             novelty=novelty,
             reached=reached,
             is_disputed=disputed is not None,
-            measure_from=other_states.named_state(followed[farthest if disputed is None else disputed]),
+            measure_from=other_states.initial_state(followed[farthest if disputed is None else disputed]),
         )
 
-    return [predicted(state) for state in states]
+    return [describe_state(state) for state in states]
 
 
 _DRAWN: Final = -1
@@ -164,8 +164,10 @@ class _OtherInitialStates:
         points = points_between(measurements.smoothed) if groups is None else self._starts_of_groups(groups)
         if not measurements.has_smoothed_inputs:
             return points
-        begun = np.array([self._estimator(place).measurements.smoothed[:, 0] for place in range(len(points))])
-        return np.asarray(begun + SETTINGS.inference.part * (points - begun))
+        trajectory_starts = np.array(
+            [self._estimator(place).measurements.smoothed[:, 0] for place in range(len(points))]
+        )
+        return np.asarray(trajectory_starts + SETTINGS.inference.part * (points - trajectory_starts))
 
     def _starts_of_groups(self, groups: Ints) -> FloatArray:
         """Return initial states (G, D), each between two measured states of the group whose constants apply."""
@@ -185,13 +187,13 @@ class _OtherInitialStates:
         measurements, noise = self._measurements, np.zeros(len(self._measurements.smoothed))
         noise[measurements.observed] = measurements.noise
         shift = SETTINGS.common.negligible * measurements.scales
-        return np.asarray(without_kept(shift[None], measurements.smoothed, noise)[0])
+        return np.asarray(remove_conserved_directions(shift[None], measurements.smoothed, noise)[0])
 
     def simulate_model(self, model: System) -> list[Course]:
         """Return the model's simulations from all initial states; other systems are then simulated for as many rows."""
         courses = []
         for place, start in enumerate(self.starts):
-            simulated, why = self._estimator(place).simulate_as_far(model, start)
+            simulated, why = self._estimator(place).simulate_until_blow_up(model, start)
             if why == "ran away" and self._leaves_as_measured(simulated[:, np.isfinite(simulated).all(axis=0)]):
                 self._rows[place] = self._rows_measured_from(start, place)
             courses.append(self._select_rows(simulated, why, self._rows.get(place)))
@@ -245,7 +247,7 @@ class _OtherInitialStates:
             return None
         return highest if above >= below else lowest
 
-    def named_state(self, place: int) -> dict[str, float]:
+    def initial_state(self, place: int) -> dict[str, float]:
         """Return the values of one initial state by the names of the states."""
         names = self._measurements.variables[: len(self._low)]
         return dict(zip(names, self.starts[place].tolist(), strict=True))
@@ -255,7 +257,7 @@ class _OtherInitialStates:
         return self._estimators[place % len(self._estimators)]
 
     def _simulate(self, system: System, place: int, start: FloatArray, rows: int | None = None) -> Course:
-        return self._select_rows(*self._estimator(place).simulate_as_far(system, start), rows)
+        return self._select_rows(*self._estimator(place).simulate_until_blow_up(system, start), rows)
 
     def _select_rows(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
         """Return the measured states in the first `rows` rows (default: all), or why the simulation ended earlier."""

@@ -51,7 +51,7 @@ def warn_of_random_walk(
     named = ", ".join(f"'{state}'" for state in walking)
     what = "The residuals" if simulated else "The measurements"
     return [
-        f"{what} of {named} grow like a random walk, as where noise moves the system itself: with --stochastic, drift "
+        f"{what} of {named} grow like a random walk. Noise may act on the system itself: with --stochastic, drift "
         "and diffusion are sought."
     ]
 
@@ -147,19 +147,19 @@ def warn_of_residual_pattern(recording: Recording, equations: Mapping[str, Refin
     runs, forcing, hidden = (" and ".join(found.get(kind, ())) for kind in ("runs", "forcing", "hidden"))
     if runs:
         yield (
-            f"Most of the residuals of the rate of {runs} is a constant of each trajectory, as where the trajectories "
-            "differ in a constant of the law; to let them, add --per-trajectory."
+            f"Most of the residual of the rate of {runs} is a constant for each trajectory. The trajectories may "
+            "differ in a constant of the law; to allow this, add --per-trajectory."
         )
     if forcing:
         yield (
-            f"Most of the residuals of the rate of {forcing} is a wave in time of period {period:.3g} that the states "
-            f"do not follow, as of a forcing; to seek laws that depend on the time, add --inputs {time}."
+            f"Most of the residual of the rate of {forcing} is a wave in time of period {period:.3g} that the states "
+            f"do not explain. There may be a forcing; to search for laws that depend on time, add --inputs {time}."
         )
     if hidden:
         advice = "measure another quantity" if recording.order == 2 else "measure another quantity, or add --order 2"
         yield (
-            f"The same measured states go on with different rates of {hidden}, far beyond noise, as where a state is "
-            f"hidden or acts with a delay; {advice}."
+            f"Equal measured states have different rates of {hidden}, far beyond the noise. A state may be hidden or "
+            f"act with a delay; {advice}."
         )
 
 

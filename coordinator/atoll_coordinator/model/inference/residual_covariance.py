@@ -1,4 +1,4 @@
-"""For few rows: the covariance of residuals, and larger standard errors as errors may be correlated. Pure.
+"""For few rows: the covariance of residuals, and the effect of possible correlations on standard errors. Pure.
 
 *Covariance.* Fitting correlates residuals. Their covariance is I - H, with the projection H on the derivatives by all
 fitted numbers. `residual_covariances` returns it, so that the test for a pattern is exact in few rows.

@@ -64,11 +64,14 @@ def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequ
     programs = [
         expansion.program if expansion is not None else shown[equation] for equation, expansion in enumerate(expansions)
     ]
-    free, unshared = comparison.fit_beside(near, programs), comparison.fit_beside(near, shown)
+    free, unshared = comparison.fit_from(near, programs), comparison.fit_from(near, shown)
     if free is None or unshared is None:
         return None
     savings = {shape: _price_of_repetition(shape, sums) for shape in common}
-    costs = [structure_length(made) - structure_length(program) for made, program in zip(programs, shown, strict=True)]
+    costs = [
+        structure_length(expanded) - structure_length(program)
+        for expanded, program in zip(programs, shown, strict=True)
+    ]
     terms = _drop_costly_terms(_find_fluxes(comparison, free, common, savings), costs)
     if not terms:
         return None
@@ -78,7 +81,7 @@ def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequ
         for equation in range(len(shown))
     ]
     numbers = [number for term in terms for number in term.numbers]
-    together = comparison.fit_beside(free, chosen, shared=numbers)
+    together = comparison.fit_from(free, chosen, shared=numbers)
     if together is None or together.nats - sum(term.saving for term in terms) >= unshared.nats:
         return None
     return SharedTermsFit(together, terms, numbers)
@@ -122,8 +125,8 @@ def _price_of_repetition(shape: Shape, sums: Sequence[Sum | None]) -> float:
     A repeated term then costs as little as a part that a program uses again within one equation.
     """
     monomials = (monomial for summands in sums for monomial, _ in summands or () if shape_of(monomial) == shape)
-    made = write_expansion(((next(monomials), 1.0),))
-    return 0.0 if made is None else structure_length(made.program) - SETTINGS.criterion.common
+    expansion = write_expansion(((next(monomials), 1.0),))
+    return 0.0 if expansion is None else structure_length(expansion.program) - SETTINGS.criterion.common
 
 
 def _expand_equation(comparison: ModelComparison, equation: int, program: Program) -> Sum | None:

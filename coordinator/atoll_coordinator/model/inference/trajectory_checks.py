@@ -96,7 +96,7 @@ class TrajectoryChecks(EquationChecks):
         if sensor is not None:
             noise = float(sensor.sigmas[index])
             self.innovations = _split_into_pieces(
-                final.shown_comparison.estimator.whitened(residuals, sensor), measurements, index
+                final.shown_comparison.estimator.whiten(residuals, sensor), measurements, index
             )
         if smoothing.method == "interpolation" and np.bincount(measurements.owners_of_rows).max() <= 2 * HALF_WIDTHS:
             # With so few rows, no row has all the neighbours for its estimate, and interpolation hides noise: it takes
@@ -422,13 +422,13 @@ class TrajectoryChecks(EquationChecks):
                 "alternative models that fit about as well predict something different from other initial states "
                 f"within the measured range ({format_percent(probability)} of the odds agree)"
             )
-            return Finding("failed", reason, probability, 1.0 - wrong, advice=self._where_to_decide)
+            return Finding("failed", reason, probability, 1.0 - wrong, advice=self._advice_where_to_measure)
         where = " near the measured ones" if self.measurements.has_smoothed_inputs else ""
         reason = f"{format_percent(probability)} of the odds agree from {starts} other initial states{where}"
         return Finding("passed", reason, probability, 1.0 - wrong)
 
     @property
-    def _where_to_decide(self) -> str:
+    def _advice_where_to_measure(self) -> str:
         """The advice where to measure; empty without a prediction."""
         return "" if self.prediction is None else f"measure from {describe_initial_state(self.prediction)} to decide"
 
@@ -450,7 +450,7 @@ class TrajectoryChecks(EquationChecks):
         finding = super().check_alternative_equations()
         if finding is None or finding.outcome != "failed" or not self._are_alternatives_likely:
             return finding
-        return finding._replace(advice=self._where_to_decide)
+        return finding._replace(advice=self._advice_where_to_measure)
 
     def check_other_laws(self) -> Finding:
         """Check that the odds of all other equations are small for a table without noise."""
@@ -462,7 +462,7 @@ class TrajectoryChecks(EquationChecks):
             "the data do not distinguish it from other equations that agree on the measured trajectories and differ "
             f"elsewhere ({format_percent(share)} of the odds)"
         )
-        return Finding("failed", reason, self.odds_of_alternatives, limit, advice=self._where_to_decide)
+        return Finding("failed", reason, self.odds_of_alternatives, limit, advice=self._advice_where_to_measure)
 
     # ----------------------------------------------------------------------------------------------------------- inputs
 

@@ -161,10 +161,10 @@ def list_failures(findings: Iterable[Finding]) -> list[Finding]:
     """Return the findings against an equation: failed checks, then checks that were not made."""
     listed = [*findings]
     failed = [finding for finding in listed if finding.outcome == "failed"]
-    default_finding = {finding.clause: finding for finding in listed if finding.outcome == "not made"}
+    not_made = {finding.clause: finding for finding in listed if finding.outcome == "not made"}
     if failed:
-        default_finding.pop(UNSIMULATED.clause, None)  # the failed check of the simulation has this reason
-    return [*failed, *default_finding.values()]
+        not_made.pop(UNSIMULATED.clause, None)  # the failed check of the simulation has this reason
+    return [*failed, *not_made.values()]
 
 
 def format_sentence(findings: Sequence[Finding]) -> str:

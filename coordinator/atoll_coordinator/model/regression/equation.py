@@ -119,25 +119,25 @@ def fit_equation(
     least_squares = LeastSquares(spread.problem, spread.weights, restrictions)
     criterion = RegressionCriterion.of(spread.problem.target)
     shortening = make_target_shortening(least_squares, criterion, operators, allowed, deadline)
-    begun = [shortest(front[index].program) for index in kept]
-    candidates = shortening.find_candidates(begun, tries_neighbours=not has_converged)
+    start_programs = [shortest(front[index].program) for index in kept]
+    candidates = shortening.find_candidates(start_programs, tries_neighbours=not has_converged)
     all_rows = LeastSquares(counted.problem, counted.weights, restrictions)
 
-    def may_stand(program: Program) -> bool:
+    def is_allowed(program: Program) -> bool:
         return restrictions.are_kept(program) and may_be_shown(program, config.space.max_size)
 
     for candidate, place in candidates:
         refined = _finish_equation(problem, counted, candidate, config, all_rows, has_intervals=has_intervals)
-        is_member = structure(begun[place]) == structure(shortest(candidate.program))
+        is_member = structure(start_programs[place]) == structure(shortest(candidate.program))
         refined = replace(refined, member=kept[place], origin="front" if is_member else "descent")
-        if refined.error <= limit and may_stand(refined.program):
+        if refined.error <= limit and is_allowed(refined.program):
             for index, same in enumerate(front):  # a program equal to a member has the errors that the search measured
                 if same.program == refined.program:
                     refined = replace(refined, member=index, error=same.error, mse=same.mse, origin="front")
                     break
             if not has_intervals:
                 return refined
-            others = [other for other, _ in candidates if may_stand(other.program)]
+            others = [other for other, _ in candidates if is_allowed(other.program)]
             return replace(refined, alternatives=_describe_alternatives(refined, candidate, others, all_rows))
     return None
 
@@ -193,7 +193,9 @@ def _finish_equation(
         rounded = _attach_estimates(fitted, criterion, restrictions).round_constants()
         (program,), (simple,), (together,) = rounded.programs, rounded.simple, rounded.together
     error, mse = measure_errors(problem, program, config.evolution.loss)
-    known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).with_simple(simple or ())
+    known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).with_simple_numbers(
+        simple or ()
+    )
     return Refined(None, program, error, mse, known.written, known.unit_coefficients, simple_together=together)
 
 

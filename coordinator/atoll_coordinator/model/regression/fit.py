@@ -139,7 +139,7 @@ class _TargetFit(Fitter[FittedProgram, FloatArray, FittedProgram]):
         moved = self._rows.linearise(replace(self._program, constants=constants), self._places, point.mse)
         return moved, self._rows.half_count * (point.mse - moved.mse)
 
-    def settled(self, point: FittedProgram) -> float:
+    def least_gain(self, point: FittedProgram) -> float:
         return SETTLED * self._rows.half_count * point.mse
 
     def done(self, point: FittedProgram, promise: float, taken: int) -> bool:

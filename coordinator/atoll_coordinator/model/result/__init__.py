@@ -1,5 +1,7 @@
-"""The result of a job is made here; what it consists of is in `atoll_coordinator.result`.
+"""Builds the result of a job. The classes that a result consists of are in `atoll_coordinator.result`.
 
-`result` has the whole, and turns programs into text; `tables` says what a result has of the data, `shared_terms` what
-equations have in common, `known` how given equations do on the data.
+- `building`: `build_result` builds the whole result and turns programs into text
+- `tables`: the parts of a result about the data
+- `shared_terms`: terms that several equations have in common
+- `known_equations`: errors and warnings of given equations on the data
 """

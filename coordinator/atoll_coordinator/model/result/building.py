@@ -1,6 +1,11 @@
-"""The result of a job, made of what the search and refining have found; docs/result.md says what its keys mean.
+"""Builds the result of a job from the outcome of the search and of refining; docs/result.md explains its keys.
 
-Here programs become text, with the names and units of the columns.
+`build_result` decides everything in result.json: `select_equation` chooses the equation that is shown (the refined one,
+or a member of the front), `_judge_equation` its grade and reason, and `_list_front` the members that are listed.
+Programs become text with the names and units of the columns.
+
+Doubtful: an equation that refining did not judge is judged here, by its error on the target alone, when a client asks
+for the result. `result_digest` covers the search only: results with equal digests can differ in refined equations.
 """
 
 import hashlib
@@ -62,15 +67,15 @@ if TYPE_CHECKING:
     from atoll_coordinator.model.inference.verdict import Verdict
 
 KNOWN: Final = "known"
-"""Why there was no search: the equation was given."""
+"""The value of `VariableOutcome.why` if there was no search: the equation was given."""
 _ADVICE_AFTER_STOP: Final = {
     "max-time": "the time limit stopped the search before it converged or stagnated: give more time with --max-time",
     "max-epochs": "the search ended with its last epoch before it converged or stagnated: allow more with --max-epochs",
     "cancelled": "the search was cancelled before it converged or stagnated: let it run on",
 }
-"""What stops a search before it has looked at all that it would have, by why it ended."""
+"""The sentence about a search that was stopped early, by the reason why it ended."""
 MOST_STEPS: Final = 40
-"""Improvements of one island that are listed."""
+"""Most listed improvements of one island."""
 MOST_CANDIDATES: Final = 20
 NOT_BY_GROUP: Final = (
     "Constants by group were not fitted; those shown are of all groups of trajectories together, and --group cannot "
@@ -84,12 +89,13 @@ _PACKAGES: Final = ("eclipse-zenoh", "numpy", "numba", "scipy", "sympy", "msgpac
 
 @dataclass(frozen=True)
 class VariableOutcome:
-    """How the search for one equation stands or ended.
+    """The state of the search for one equation, or how it ended.
 
-    `front` is the merged front up to the cut, by rising complexity; `epoch` the number of completely reported epochs up
-    to the cut (0: none yet); `generation` the one that met the target, counted from the search's beginning, or None
-    when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
-    the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
+    The search counts up to its last completely reported epoch, or up to the slice in which it stopped. `front` is the
+    merged front, by rising complexity. `epoch` is the number of completely reported epochs (0: none yet). `generation`
+    is the generation that reached the target, counted from the start of the search, or None. `evaluations` are the
+    cumulative point evaluations by part, for all islands together. `seconds` is the time from the start of the first
+    epoch to the end of the last counted one. `why` is how the search ended (None: it has not), as in
     `atoll_core.wire.messages.views.VariableView`; `runners_up` are the next best programs; `convergence` has, for each
     island, the generations in which it found a lower error, with that error. A known equation is the only member of its
     front, and `why` is `KNOWN`.
@@ -102,17 +108,17 @@ class VariableOutcome:
     evaluations: Mapping[str, int] = field(default_factory=dict)
     seconds: float = 0.0
     why: str | None = None
-    refined: None = None  # a part of the bytes in which tasks are given this, without a value
+    refined: None = None  # kept since it is part of the serialised task; always None
     runners_up: tuple[FrontEntry, ...] = ()
     convergence: Mapping[int, Sequence[tuple[int, float]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Account:
-    """What a result says of the job as a whole.
+    """State and times of the job as a whole.
 
-    `seconds` is the time since the job was submitted, `search_seconds` from the first epoch's start to the last needed
-    epoch's end; `reason` says why a job failed.
+    `seconds` is the time since the job was submitted. `search_seconds` is the time from the start of the first epoch to
+    the end of the last epoch that counts. `reason` says why a job failed.
     """
 
     state: JobState
@@ -129,15 +135,15 @@ def build_result(
     account: Account,
     refinement: Refinement | None = None,
 ) -> Result:
-    """Return the result of `job`; also the best so far while it runs.
+    """Return the result of `job`; while it runs, this is the best result so far.
 
     Args:
         job: the job's id.
-        config: the configuration that was run.
+        config: the configuration of the job.
         preparation: its dataset supplies names, left-hand sides, scales and warnings.
-        outcomes: one for each equation, in the dataset's order.
-        account: state and times.
-        refinement: the equations made of the fronts, and what belongs to the model as a whole.
+        outcomes: one outcome for each equation, in the order of the dataset.
+        account: state and times of the job.
+        refinement: the refined equations, and the findings on the model as a whole; None if there are none yet.
     """
     dataset, model, recording = preparation.dataset, refinement or Refinement(), preparation.recording
     is_final = account.state in FINAL_STATES
@@ -195,7 +201,7 @@ def build_result(
 
 
 def versions() -> dict[str, str | int]:
-    """Return the versions of everything that can matter to a result."""
+    """Return the versions of all programs and packages that can affect a result."""
     version_by_name: dict[str, str | int] = {
         "atoll": VERSION,
         "engine": ENGINE_REVISION,
@@ -207,7 +213,7 @@ def versions() -> dict[str, str | int]:
 
 @cache
 def _version(package: str) -> str:
-    """Return the version of an installed package; it stays as it is while we run."""
+    """Return the version of an installed package; it is read once per process."""
     try:
         return version(package)
     except PackageNotFoundError:
@@ -292,10 +298,10 @@ def _judge_equation(
 ) -> "Verdict":
     """Return the verdict on an equation of a job that has ended.
 
-    Where refining did not judge it, its error on the target decides. Where there are trajectories, it is doubtful at
-    best then: it could not be simulated along them, or there was no time.
+    If refining did not judge the equation, its error on the target decides. With trajectories, its grade is then at
+    best `doubtful`: it could not be simulated along them, or there was no time.
     """
-    # loads kernels, which the process that serves needs for the results of jobs that were not refined alone
+    # imported here since they load kernels: the server needs them only for results of jobs that were not refined
     from atoll_coordinator.model.inference.target_checks import TargetChecks
     from atoll_coordinator.model.inference.trajectory_checks import UnsimulatedChecks
     from atoll_coordinator.model.inference.verdict import Verdict, add_objection, judge
@@ -328,9 +334,9 @@ def _judge_equation(
 def select_equation(
     outcome: VariableOutcome, refined: Refined | None, dataset: Dataset, config: JobConfig
 ) -> Refined | None:
-    """Return the equation that is shown: the `refined` one, without it the selected member of the front as it stands.
+    """Return the equation that is shown: the `refined` one if there is one, or else the selected member of the front.
 
-    None when there is no member that can be printed.
+    None if no member can be printed.
     """
     if refined is not None:
         return refined
@@ -348,9 +354,9 @@ def select_equation(
 def _describe_constants(
     program: Program, known: Sequence[Constant] = (), shown: Refined | None = None
 ) -> tuple[Constant, ...]:
-    """Return the constants in node order with the values that the program has, and the units of the one `shown`.
+    """Return the constants in node order with the values of the program and the units of the equation `shown`.
 
-    `known` is what refinement knows of them, if there was any.
+    `known` are the constants with errors from refining, empty without refining.
     """
     values = program.constants[constant_places(program)].tolist()
     units = shown.units.constants if shown is not None and shown.units is not None else ()
@@ -361,7 +367,7 @@ def _describe_constants(
 
 
 def _describe_units(shown: Refined) -> Units | None:
-    """Return what units say of an equation, but for the units of its constants; None where no unit is known."""
+    """Return the implied units and contradictions of units of an equation; None if no unit is known."""
     if shown.units is None:
         return None
     implied = tuple(ImpliedUnit(of=term, unit=str(unit)) for term, unit in shown.units.implied)
@@ -369,7 +375,7 @@ def _describe_units(shown: Refined) -> Units | None:
 
 
 def _list_candidates(alternatives: Sequence[Alternative], names: Sequence[str]) -> tuple[Candidate, ...]:
-    """Return the equations that were compared with the one shown, itself first, then the best, and all guesses."""
+    """Return the shown equation, then the best alternatives, and all guesses."""
     printable = [alternative for alternative in alternatives if tree_size(alternative.program) <= PRINTABLE_SIZE]
     ordered = sorted(printable, key=lambda alternative: (not alternative.is_shown, alternative.nats))
     return tuple(
@@ -394,9 +400,9 @@ def _list_candidates(alternatives: Sequence[Alternative], names: Sequence[str]) 
 def _list_front(
     config: JobConfig, preparation: Preparation, outcome: VariableOutcome, selected: int | None
 ) -> tuple[Member, ...]:
-    """Return the members that can be printed in their shortest writing, by rising complexity and falling error.
+    """Return the printable members in their shortest form, by rising complexity and falling error.
 
-    Of members of one structure the most accurate stays, and is the selected one if any of them is.
+    Of several members with one structure, only the most accurate is kept. It is the selected one if any of them is.
     """
     dataset = preparation.dataset
     best: dict[bytes, tuple[FrontEntry, Program, bool]] = {}
@@ -428,13 +434,13 @@ def _list_front(
 
 
 def _write_member(entry: FrontEntry, outcome: VariableOutcome, dataset: Dataset) -> Program:
-    """Return the shortest writing of a member; a known equation as it was given."""
+    """Return the shortest form of a member; a known equation is not changed."""
     program = Program.from_bytes(entry.program, len(dataset.names))
     return program if outcome.why == KNOWN else shortest_at(program, lambda: _sampled_points(dataset))
 
 
 def _sampled_points(dataset: Dataset) -> FloatArray:
-    """Return points of the box of a dataset; they are looked for in all its rows once."""
+    """Return points of the box of a dataset, computed once from all its rows."""
     points = _POINTS.get(dataset)
     if points is None:
         points = _POINTS[dataset] = points_of(dataset.inputs)
@@ -443,12 +449,12 @@ def _sampled_points(dataset: Dataset) -> FloatArray:
 
 @lru_cache(maxsize=4096)
 def is_printable(program: bytes, inputs: int) -> bool:
-    """Tell whether an equation, written out, has a length that can be read."""
+    """Tell whether an equation, written out, is short enough to be read."""
     return tree_size(Program.from_bytes(program, inputs)) <= PRINTABLE_SIZE
 
 
 def _describe_convergence(outcome: VariableOutcome, target: Target) -> tuple[Convergence, ...]:
-    """Return by island the generations in which its error fell, at most `MOST_STEPS`, and the normalized errors."""
+    """Return for each island the generations in which its error fell (at most `MOST_STEPS`), and normalized errors."""
     courses = []
     for island, steps in sorted(outcome.convergence.items()):
         chosen = [steps[index] for index in spread_places(len(steps), MOST_STEPS)]
@@ -466,11 +472,11 @@ def _total_evaluations(outcome: VariableOutcome) -> int:
 
 
 def result_digest(outcomes: Sequence[VariableOutcome]) -> str:
-    """Return the hex digest (sha256) of what was found, in the order given: two runs found the same if it is equal.
+    """Return the hex digest (sha256) of the outcomes, in this order: equal digests mean that searches found the same.
 
-    It covers what the search found (fronts and runners-up with every bit of constants and errors, epochs, counters) and
-    not how long that took, on how many workers, nor what is made of them afterwards. Of a job without a search it
-    covers the known equations with their errors on the data.
+    The digest covers fronts and runners-up with every bit of constants and errors, epochs, and counters. It does not
+    cover times, the number of workers, or refining. For a job without a search it covers the known equations with their
+    errors on the data.
     """
     digest = hashlib.sha256()
     for outcome in outcomes:
@@ -496,6 +502,6 @@ def _entry_bytes(entry: FrontEntry) -> bytes:
 
 
 def _update(digest: "hashlib._Hash", data: bytes) -> None:
-    """Add `data` with its length before it, so that no two lists of parts look alike."""
+    """Add the length of `data` and then `data`, so that different lists of parts never give the same bytes."""
     digest.update(struct.pack("<q", len(data)))
     digest.update(data)

@@ -1,4 +1,4 @@
-"""Known equations, measured on the data, next to the equations found. Pure."""
+"""Known equations (given by the user): their errors and missing values on the data. Pure."""
 
 from dataclasses import replace
 
@@ -14,9 +14,10 @@ from atoll_core.search.pareto import FrontEntry
 
 
 def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:
-    """Return each known equation as the only member of its front, in the dataset's order; `config` is resolved.
+    """Return each known equation as the only member of its front, in the order of the dataset; `config` is resolved.
 
-    Its errors are errors on all rows, infinite if it is not finite on all of them; no island found it.
+    Errors are measured on all rows, and are infinite if the equation has no finite value on some row. Epoch, generation
+    and island are 0.
     """
     entries = {}
     for name, program in known_programs(dataset, config).items():
@@ -28,7 +29,7 @@ def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:
 def warn_of_missing_values(preparation: Preparation, config: JobConfig) -> Preparation:
     """Return `preparation` with a warning for each known equation without a value on some rows; `config` is resolved.
 
-    Its error is not finite, then, and not known to anybody who looks at the job.
+    The error of such an equation is infinite, so that without the warning a user would not know the reason.
     """
     dataset = preparation.dataset
     remarks = []

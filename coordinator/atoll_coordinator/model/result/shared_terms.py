@@ -1,7 +1,11 @@
 """Terms that several equations have in common, such as a flux that leaves one state and enters another.
 
-Two terms are one if they differ only in their factors: numbers inside agree within two standard errors of their
-difference. Terms that were fitted together have the same numbers inside.
+`find_shared_terms` compares the terms of all equations with brackets expanded. Two terms are the same if they differ
+only in their factors: the numbers inside agree within two standard errors of their difference. Terms that were fitted
+together have the same numbers inside.
+
+Doubtful: standard errors of both numbers are treated as independent. Equations with too many terms share nothing. The
+comparison is for display and changes no equation; `inference.shared_terms` decides which terms are fitted together.
 """
 
 import math
@@ -20,20 +24,20 @@ from atoll_core.expression.writing.sums_of_products import ONE, Monomial, Undefi
 
 Flux = tuple[Shape, Mapping[str, float | None]]
 _SAME_NUMBER: Final = 1e-9
-"""Share by which a number in a term may differ from the constant that it is."""
+"""Relative tolerance when a number in a term is matched with a constant of the equation."""
 
 
 def find_shared_terms(
     equations: Mapping[str, Refined], names: Sequence[str], together: Sequence[Flux] = ()
 ) -> tuple[SharedTerm, ...]:
-    """Return the terms that two equations or more have, as `term`, with the `factors` that they have there.
+    """Return the terms that occur in at least two equations, with their `factors` in each.
 
-    Numbers are not shared terms, nor are single variables that were not fitted together. Numbers inside come from the
-    first equation. For terms fitted together, `multiples` has how many times the flux stands in each equation.
+    Numbers are not shared terms, and neither are single variables that were not fitted together. Numbers inside are
+    taken from the first equation. For terms fitted together, `multiples` has the multiple of the flux in each equation.
 
     Args:
-        equations: by variable.
-        names: of all variables.
+        equations: the shown equations, by variable.
+        names: the names of all variables.
         together: the terms that were fitted together.
     """
     terms: list[tuple[Monomial, Refined, dict[str, float]]] = []
@@ -57,7 +61,7 @@ def find_shared_terms(
 
 
 def _terms(equation: Refined) -> list[tuple[Monomial, float]]:
-    """Return the terms of an equation with their factors; none where it has too many."""
+    """Return the terms of an equation with their factors; an empty list if there are too many terms."""
     try:
         terms = terms_of(equation.program)
     except UndefinedError:
@@ -84,7 +88,7 @@ def _are_same_term(left: Monomial, left_equation: Refined, right: Monomial, righ
 
 
 def _standard_error(number: float, equation: Refined) -> float:
-    """Return the standard error of a number in a term, a thousandth of it where none is known."""
+    """Return the standard error of a number in a term; 0.001 of the number if no error is known."""
     for constant in equation.constants:
         if abs((constant.value or 0.0) - number) <= _SAME_NUMBER * abs(number):
             if constant.std_error is not None:

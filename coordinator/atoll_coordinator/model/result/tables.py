@@ -1,5 +1,4 @@
-"""The parts of a result about the data: their source, columns, noise, smoothed trajectories, and the rows of a
-regression."""
+"""The parts of a result about the data: source, columns, noise, smoothed trajectories, and rows of a regression."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,14 +24,14 @@ from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 
 MOST_ROWS: Final = 2_000
-"""Rows listed of each state, all trajectories together; of more, rows spread evenly. As many excluded rows are."""
+"""Most listed rows of each state, for all trajectories together, spread evenly; also most listed excluded rows."""
 MOST_NUMBERS: Final = 100_000
-"""Numbers listed in all, about 1 MB as text."""
+"""Most listed numbers in all, about 1 MB as text."""
 MOST_REGRESSION_ROWS: Final = 1_000
 LEAST_ROWS: Final = 8
-"""Measured rows listed of each trajectory at least."""
+"""Fewest listed measured rows of each trajectory."""
 DIGITS: Final = 12
-"""Significant digits of measured values: errors of less than 1e-11 of a value do not count."""
+"""Significant digits of measured values: relative errors below 1e-11 do not matter."""
 
 
 # ---------------------------------------------------------------------------------------------------- measured rows
@@ -41,7 +40,7 @@ DIGITS: Final = 12
 def describe_data(preparation: Preparation, *, has_trajectories: bool = True) -> Data | None:
     """Return digest, files and number of rows of the table, how it was read, and the measured rows of each trajectory.
 
-    None where the source is not known. `trajectories` is null where states were not measured in time, or not wanted.
+    None if the source is not known. `trajectories` is null if states were not measured in time, or not requested.
     """
     source, recording = preparation.source, preparation.recording
     if source is None:
@@ -58,11 +57,11 @@ def describe_data(preparation: Preparation, *, has_trajectories: bool = True) ->
 
 
 def _thin_trajectory(recording: Recording, part: Trajectory, share: float) -> Recorded:
-    """Return one trajectory as it was measured, a `share` of its rows; weights are null where all are 1."""
+    """Return a `share` of the measured rows of one trajectory; weights are null if all are 1."""
     count = len(part.times)
     rows = spread_places(count, max(LEAST_ROWS, int(share * count)))
     if len(rows) < count:
-        # Also the rows at which a held input changes: without them the value before would last too long.
+        # Include the rows at which a held input changes: without them the previous value would last too long.
         held = part.inputs[np.isnan(part.input_slopes).any(axis=1)]
         switches = (np.flatnonzero((held[:, 1:] != held[:, :-1]).any(axis=0)) + 1).tolist()
         rows = sorted({*rows, *switches[:MOST_ROWS]})
@@ -84,7 +83,7 @@ def _thin_trajectory(recording: Recording, part: Trajectory, share: float) -> Re
 def describe_system(preparation: Preparation) -> System | None:
     """Return the roles of the columns, their units, and the range of each variable in the rows that count.
 
-    All by column name; angles are in radians there. None where the source is not known.
+    Everything is by column name; angles are in radians. None if the source is not known.
     """
     source, recording = preparation.source, preparation.recording
     if source is None:
@@ -109,7 +108,7 @@ def describe_system(preparation: Preparation) -> System | None:
 
 
 def describe_regression(preparation: Preparation, program: Program | None) -> Regression | None:
-    """Return some of the rows with the fitted values of `program`; None where no target was given, or no equation."""
+    """Return some of the rows with the fitted values of `program`; None without a target or an equation."""
     if preparation.source is None or preparation.source.target is None or program is None:
         return None
     dataset = preparation.dataset
@@ -163,7 +162,7 @@ def _describe_noise_of_state(
 
 
 def _measure_residuals(recording: Recording, index: int) -> tuple[float | None, LargestResidual | None]:
-    """Return the root mean square of measured minus smoothed values of one state, and where it is largest."""
+    """Return the root mean square of measured minus smoothed values of one state, and the largest difference."""
     residuals = [
         (residual, part.name, time)
         for part in recording.trajectories
@@ -186,7 +185,7 @@ def _round_time(time: float) -> float:
 
 
 def _list_excluded_rows(recording: Recording, rows: Sequence[ExcludedRow]) -> tuple[ExcludedRows, ...]:
-    """Return the times of excluded rows by trajectory and reason, each list in order."""
+    """Return the times of excluded rows by trajectory and reason, in the order of the rows."""
     lists: dict[tuple[int, str], list[float]] = {}
     for row in rows[:MOST_ROWS]:
         time = float(recording.trajectories[row.trajectory].times[row.row])
@@ -198,9 +197,10 @@ def _list_excluded_rows(recording: Recording, rows: Sequence[ExcludedRow]) -> tu
 
 
 def describe_smoothing(recording: Recording | None) -> Smoothing | None:
-    """Return smoothed and measured values of the states that were smoothed; None when none was.
+    """Return smoothed and measured values of the states that were smoothed; None if no state was smoothed.
 
-    `rows` counts all rows, `listed` the rows included: all, or evenly spread rows of each trajectory.
+    `rows` is the number of all rows. `listed` is the number of listed rows: all, or evenly spread rows of each
+    trajectory.
     """
     if recording is None:
         return None

@@ -1,7 +1,12 @@
 """The closest alternatives to the chosen equations, and how well each predicts trajectories that were left out. Pure.
 
-The shortest description stays the model. Alternatives that are nearly as short make its verdict doubtful, whichever of
-them predicts better.
+How it works. For each equation, the programs that were already fitted in its place and programs that agree with it
+along the measured curves are fitted again. Equivalent equations are dropped. If an alternative is shorter than the
+model, it becomes the model, and its alternatives are ranked. The shortest description always stays the model;
+alternatives that are nearly as short make its verdict doubtful, even if they predict worse.
+
+Doubts. Only equations that a search has proposed can appear. Two equations are compared at the points of the dataset
+and at a few points off the curves; a difference elsewhere is not seen.
 """
 
 import math
@@ -15,7 +20,7 @@ from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison, differ
 from atoll_coordinator.model.selection.cross_validation import R2, Validation
 from atoll_coordinator.model.selection.local_search import LocalSearch
-from atoll_coordinator.model.selection.proposals import rates_of
+from atoll_coordinator.model.selection.proposals import with_target_values_of
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.sparse.atoms import libraries, sum_of
@@ -31,7 +36,7 @@ from atoll_core.expression.writing.shortest import shortest
 
 @dataclass(frozen=True, eq=False)
 class RankedAlternative:
-    """A system with another equation for one variable, and how well it predicts, if it is nearly as short."""
+    """A system with another equation for one variable; if it is nearly as short, its R2 on trajectories left out."""
 
     model: FittedModel
     validated: R2 | None = None
@@ -39,7 +44,7 @@ class RankedAlternative:
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """The best system, how well it predicts, and its closest alternatives by equation."""
+    """The best system, its R2 on trajectories left out, and its closest alternatives by equation."""
 
     selection: SelectedModel
     validated: R2 | None
@@ -53,7 +58,7 @@ def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
         selection: the shortest description so far.
         inputs: points (V, R) at which equations are compared.
     """
-    selection, alternatives = _shortest(selection, inputs)
+    selection, alternatives = _select_shortest(selection, inputs)
     is_held_out = any(trajectory.held_out for trajectory in selection.task.recording.trajectories)
     validation = Validation(selection.comparison)
     own = validation.of(selection.model) if validation.is_possible and not is_held_out else None
@@ -65,14 +70,14 @@ def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
     return Ranking(selection, own, tuple(tuple(map(ranked, models)) for models in alternatives))
 
 
-def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedModel, list[list[FittedModel]]]:
-    """Return the selection and its alternatives, none of which is shorter: one that lost before may win now.
+def _select_shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedModel, list[list[FittedModel]]]:
+    """Return the selection and its alternatives; a shorter alternative replaces the selection.
 
-    If the work of a part of the selection is used up, an alternative may stay shorter; the result reports this.
+    If the work budget is used up, an alternative may stay shorter than the selection; the result reports this.
     """
     until = selection.comparison.estimator.work + SETTINGS.effort.work
     while True:
-        alternatives = _all_alternatives(selection, inputs)
+        alternatives = _find_all_alternatives(selection, inputs)
         best = min(
             (model for models in alternatives for model in models[:1]),
             key=lambda model: model.nats,
@@ -84,28 +89,31 @@ def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedMod
         selection = replace(selection, model=best)
 
 
-def _all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list[FittedModel]]:
+def _find_all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list[FittedModel]]:
     fixed = selection.comparison.fixed
     return [
-        [] if index in fixed else _alternatives(selection, index, inputs)
+        [] if index in fixed else _find_alternatives(selection, index, inputs)
         for index in range(len(selection.model.programs))
     ]
 
 
-def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
+def _find_alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
     """Return the closest alternatives for the equation of one variable, distinct as functions, the closest first.
 
-    The user's guesses are among them, however far behind they are.
+    The user's guesses are always among them, whatever their length.
 
-    Programs of the same misfit count as one function unless they differ off the measured curves, also if groups have
-    their own constants. The same form with other constants is the same equation, unless they fit better.
+    Programs with the same misfit count as one function unless they differ off the measured curves. The same form with
+    other constants counts as the same equation, unless the other constants fit better.
     """
     comparison, best = selection.comparison, selection.model
-    tried = sorted(
-        (model for (equation, _), model in comparison.tried.items() if equation == index), key=lambda model: model.nats
+    known_models = sorted(
+        (model for (equation, _), model in comparison.fitted_models.items() if equation == index),
+        key=lambda model: model.nats,
     )
-    agreeing = _agreeing(selection, index)
-    programs = {structure(program): program for program in [*agreeing, *(model.programs[index] for model in tried)]}
+    agreeing = _find_agreeing_programs(selection, index)
+    programs = {
+        structure(program): program for program in [*agreeing, *(model.programs[index] for model in known_models)]
+    }
     near = comparison.narrow_down(
         best,
         index,
@@ -117,13 +125,13 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
     distinct_models, functions = [best], [values_of(best.programs[index], inputs)]
     forms = {form_of(best.programs[index])}
     shorter = best.nats - SETTINGS.selection.least_gain
-    for model in comparison.distinct([best, *guesses, *near], index)[1:]:
+    for model in comparison.distinct_models([best, *guesses, *near], index)[1:]:
         form = form_of(model.programs[index])
         if form in forms and model.nats > shorter:
             continue
         values = values_of(model.programs[index], inputs)
         if all(
-            differ(values, function) or comparison.differ_beside(model, other, index)
+            differ(values, function) or comparison.differ_off_trajectories(model, other, index)
             for other, function in zip(distinct_models, functions, strict=True)
         ):
             forms.add(form)
@@ -139,7 +147,7 @@ def _without_needless_constants(
 ) -> list[FittedModel]:
     """Return alternatives about as short as the best system, without their unnecessary constants.
 
-    Without such a constant an alternative may be the law, and shorter than the best system.
+    Without such a constant, an alternative may be the true law and shorter than the best system.
     """
     limit = best.nats + SETTINGS.inference.distinct_nats
     search = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
@@ -149,35 +157,37 @@ def _without_needless_constants(
 
 
 def fit_guesses(selection: SelectedModel, index: int) -> list[FittedModel]:
-    """Return the user's guesses for one equation, each fitted along the trajectories, all other equations as they are.
+    """Return the user's guesses for one equation, each fitted along the trajectories.
 
-    Every guess begins from the fit of the selection, and once more from its own constants and the smoothed states: far
-    from the selection the one may fail, in long pieces the other. One that fails twice cannot be simulated.
+    All other equations are unchanged. Each guess is fitted twice: from the initial states of the selection, and from
+    the smoothed states. The first fit may fail far from the selection, the second in long pieces. A guess is left out
+    if both fail.
     """
     comparison, best, steps = selection.comparison, selection.model, SETTINGS.effort.steps
     fitted = []
     for guess in selection.task.candidates[selection.task.variables[index]].fitted_guesses:
         programs = [*best.programs[:index], guess, *best.programs[index + 1 :]]
-        models = [comparison.fit_beside(best, programs, steps), comparison.fit_model(programs, steps)]
+        models = [comparison.fit_from(best, programs, steps), comparison.fit_model(programs, steps)]
         known = [model for model in models if model is not None and math.isfinite(model.nats)]
         if known:
             model = min(known, key=lambda model: model.nats)
-            comparison.tried[index, structure(guess)] = model
+            comparison.fitted_models[index, structure(guess)] = model
             fitted.append(model)
     return fitted
 
 
-def _agreeing(selection: SelectedModel, index: int) -> list[Program]:
-    """Return other possible equations of one variable without noise, which agree along the measured curves.
+def _find_agreeing_programs(selection: SelectedModel, index: int) -> list[Program]:
+    """Return other possible equations of one noise-free variable, which agree along the measured curves.
 
-    These are candidates, its neighbours if terms are dependent along the curves, and sums that a pursuit of its values
-    finds. Only equations about as short are returned: the odds of others are too small to count.
+    They come from the candidates; if terms are linearly dependent along the curves, also from the neighbours of the
+    equation and from sums that a pursuit of its values finds. Only equations about as short are returned: the odds of
+    longer equations are too small to count.
     """
     task, comparison, own = selection.task, selection.comparison, selection.model.programs[index]
     if not task.is_nearly_clean or task.recording.groups or task.is_over:
         return []
     name = task.variables[index]
-    problem = rates_of(own, task.dataset.problem(name), EXACT_ERROR)
+    problem = with_target_values_of(own, task.dataset.problem(name), EXACT_ERROR)
     if problem is None:
         return []
     columns, operators, candidates = task.columns(name), task.operators(name), task.candidates[name].programs

@@ -1,6 +1,11 @@
 """Candidates for one variable's equation: where they come from, and which are the best.
 
-They are ranked by the variable's trajectories alone, the other states as smoothed.
+How it works. Programs come from the front and the runners-up of the search, from the user's guesses, and from libraries
+of terms. Each is written shorter, its constants are fitted to the derivatives, and it is then fitted to the
+trajectories of its variable alone. In these fits the smoothed values of all other states are inputs.
+
+Doubts. With smoothed inputs a right equation can be ranked low. So programs that fit badly are kept at the end of the
+list, and not dropped.
 """
 
 import math
@@ -26,10 +31,10 @@ from atoll_core.expression.writing.shortest import collected, shortened, shortes
 
 @dataclass(frozen=True, eq=False)
 class CandidateSet:
-    """The programs that one variable's equation may be made of, by where they come from.
+    """The candidate programs for one variable's equation, by origin.
 
-    `front` and `runners_up` are the programs passed from the search to refining, `guesses` its first programs; a
-    `known` equation is given.
+    `front` and `runners_up` are the programs passed from the search to refining; `guesses` are the user's programs,
+    with which the search begins; `known` is an equation that the user has fixed.
     """
 
     front: tuple[Member, ...] = ()
@@ -39,12 +44,12 @@ class CandidateSet:
 
     @property
     def programs(self) -> list[Program]:
-        """All programs but a known one: front, runners-up, guesses."""
+        """All programs except a known equation: front, runners-up, guesses."""
         return [*(member.program for member in self.front), *self.runners_up, *self.guesses]
 
     @cached_property
     def fitted_guesses(self) -> tuple[Program, ...]:
-        """The guesses in their shortest writing, which has no constants that stand in for one another."""
+        """The guesses in their shortest form, which has no redundant constants."""
         return tuple(map(shortest, self.guesses))
 
     @property
@@ -53,11 +58,10 @@ class CandidateSet:
         return [*(member.program for member in self.front), *self.guesses, *self.runners_up[: 2 * len(self.front)]]
 
     def origins(self, compared: Sequence[Program]) -> dict[bytes, Origin]:
-        """Return by structure where programs come from, the first origin counts; `compared` are all candidates.
+        """Return the origin of each structure; `compared` are all candidates. The first origin counts.
 
-        A guess is one also where the search, which begins with it, has it on its front.
-
-        A program of none of these structures was made of them by leaving out, adding or changing parts.
+        A guess that is also on the front has the origin "guess". A program of no listed structure was derived from
+        these programs by removing, adding or changing parts.
         """
         programs: dict[Origin, Sequence[Program]] = {
             "guess": self.guesses,
@@ -68,25 +72,25 @@ class CandidateSet:
         origins: dict[bytes, Origin] = {structure(guess): "guess" for guess in self.fitted_guesses}
         for origin, members in programs.items():
             for program in members:
-                origins.setdefault(form(program), origin)
+                origins.setdefault(form_key(program), origin)
         return origins
 
     def member_of(self, program: Program) -> int | None:
         """Return the index of the front member of this structure, None without one; a known equation is member 0."""
         if self.known is not None:
             return 0
-        key = form(program)
-        same = (index for index, member in enumerate(self.front) if form(member.program) == key)
+        key = form_key(program)
+        same = (index for index, member in enumerate(self.front) if form_key(member.program) == key)
         return next(same, None)
 
 
-def form(program: Program) -> bytes:
-    """Return the form of a program: its structure, regardless of the values of constants."""
+def form_key(program: Program) -> bytes:
+    """Return the structure of a program as a sum of products, regardless of the values of constants, as a key."""
     return structure(collected(program))
 
 
 def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dict[str, CandidateSet]:
-    """Return the candidates of each variable that was searched or is known, in the dataset's order, decoded."""
+    """Return the decoded candidates of each variable that was searched or is known, in the order of the dataset."""
     known, guesses = known_programs(dataset, config), guessed_programs(dataset, config)
     inputs = len(dataset.names)
     return {
@@ -112,27 +116,28 @@ def _least_squares(rows: _Rows) -> LeastSquares:
     return LeastSquares(rows[0], restrictions=rows[1])
 
 
-def _started(least_squares: LeastSquares, start: _Start) -> tuple[Program, ...]:
-    """Return the program with its constants fitted; nothing where it has no finite value somewhere."""
+def _fit_start(least_squares: LeastSquares, start: _Start) -> tuple[Program, ...]:
+    """Return the program with its constants fitted; an empty tuple if it is not finite on all rows."""
     fitted = least_squares.fit(start[0], steps=start[1])
     return (fitted.program,) if math.isfinite(fitted.mse) else ()
 
 
 _STARTS_OF_A_BATCH: Final = 16
-"""Candidates whose constants are fitted to rows: each takes a millisecond or two."""
+"""Most candidates of a batch whose constants are fitted to rows: each takes a millisecond or two."""
 _STARTS: Final[BatchFunction[LeastSquares, _Start, tuple[Program, ...]]] = BatchFunction(
-    "starts", _Rows, _Start, tuple[Program, ...], _started, _least_squares
+    "starts", _Rows, _Start, tuple[Program, ...], _fit_start, _least_squares
 )
 
 
-def _written(comparison: ModelComparison, programs: Sequence[Program], *, is_shortest: bool) -> Iterator[Program]:
-    """Yield programs in a short writing, or in the shortest; as they are where time is over before."""
-    made = comparison.spread.map(_WRITINGS, lambda: is_shortest, programs, _WRITINGS_OF_A_BATCH[is_shortest])
-    yield from (program if brief is None else brief for program, brief in zip(programs, made, strict=True))
+def _rewrite(comparison: ModelComparison, programs: Sequence[Program], *, is_shortest: bool) -> Iterator[Program]:
+    """Yield programs in a short form, or in the shortest; unchanged if the time is over."""
+    rewritten = comparison.spread.map(_WRITINGS, lambda: is_shortest, programs, _WRITINGS_OF_A_BATCH[is_shortest])
+    yield from (program if brief is None else brief for program, brief in zip(programs, rewritten, strict=True))
 
 
 _WRITINGS_OF_A_BATCH: Final = (32, 4)
-"""Most programs that are rewritten: a short writing takes about a millisecond, the shortest ten, some a hundred."""
+"""Most programs of a batch, for short and for shortest forms: a short form takes about a millisecond, the shortest ten,
+for some programs a hundred."""
 _WRITINGS: Final[BatchFunction[bool, Program, Program]] = BatchFunction(
     "writings", bool, Program, Program,
     lambda is_shortest, program: shortest(program) if is_shortest else shortened(program),
@@ -143,9 +148,9 @@ class RankedCandidates:
     """Candidates for the equation of one variable, ranked by its trajectories alone."""
 
     def __init__(self, comparison: ModelComparison, problem: Problem, whole: ModelComparison | None = None) -> None:
-        """`comparison` is for this variable alone; by the `problem` constants are fitted first.
+        """`comparison` fits this variable alone; before, constants are fitted to the rows of `problem`.
 
-        The comparison of the `whole` system says which programs are too long.
+        The comparison of the `whole` system decides which programs are too long.
         """
         self._whole = whole or comparison
         self._comparison = comparison
@@ -155,43 +160,43 @@ class RankedCandidates:
         self._started: list[Program] = []
 
     def add(self, programs: Iterable[Program], most: float = math.inf) -> None:
-        """Rank `programs`, of equal structures the first; none of `most` nats or more."""
+        """Fit and rank `programs` shorter than `most` nats; of equal structures only the first."""
         comparison, effort = self._comparison, SETTINGS.effort
         new: dict[bytes, Program] = {}
-        for program in self._brief(programs, most):
+        for program in self._shorten(programs, most):
             if program is not None and structure(program) not in self._known:
                 new.setdefault(structure(program), program)
         self._known |= new.keys()
         rows = self._problem, comparison.restrictions(0)
         is_fitted = comparison.groups is None and not comparison.estimator.deadline.is_over  # else group by group
         starts = [(program, effort.steps if is_fitted else 0) for program in new.values()]
-        made = comparison.spread.map(_STARTS, lambda: _least_squares(rows), starts, _STARTS_OF_A_BATCH, lambda: rows)
-        started = [program for programs in made for program in programs or ()]
+        fitted = comparison.spread.map(_STARTS, lambda: _least_squares(rows), starts, _STARTS_OF_A_BATCH, lambda: rows)
+        started = [program for programs in fitted for program in programs or ()]
         steps, (short, longer, _) = effort.brief_steps, SETTINGS.shooting.lengths
         models = comparison.fit_all([(program,) for program in started], steps, (short,))
         models = models[: effort.kept]
         chosen = {structure(model.programs[0]): model.programs[0] for model in models}
         models = comparison.fit_all([(program,) for program in chosen.values()], steps, (longer,))
-        self._models = comparison.distinct(sorted([*self._models, *models], key=lambda model: model.nats), 0)
+        self._models = comparison.distinct_models(sorted([*self._models, *models], key=lambda model: model.nats), 0)
         self._started += started
 
-    def _brief(self, programs: Iterable[Program], most: float) -> list[Program | None]:
-        """Return programs in a short writing; None for programs of `most` nats or more, often by their constants
-        alone."""
-        given, price = list(programs), self._whole.score.constant_nats
-        are_few = [price * len(constant_places(program)) < most for program in given]
-        written = iter(_written(self._comparison, list(compress(given, are_few)), is_shortest=False))
+    def _shorten(self, programs: Iterable[Program], most: float) -> list[Program | None]:
+        """Return programs in a short form; None for programs of `most` nats or more. Often their constants alone exceed
+        it."""
+        all_programs, price = list(programs), self._whole.score.constant_nats
+        are_few = [price * len(constant_places(program)) < most for program in all_programs]
+        written = iter(_rewrite(self._comparison, list(compress(all_programs, are_few)), is_shortest=False))
         briefs = [next(written) if is_few else None for is_few in are_few]
         return [None if brief is None or not self._whole.score.length(brief) < most else brief for brief in briefs]
 
     @property
     def programs(self) -> list[Program]:
-        """All of them, the most promising first.
+        """All ranked programs, the most promising first.
 
-        Programs that fit badly with the other states as smoothed come last, in the order of addition: they may fit well
-        with the right equations for these states.
+        Programs that fit badly with smoothed values of the other states come last, in the order of addition. They may
+        fit well together with the right equations for these states.
         """
         best, first = [model.programs[0] for model in self._models], SETTINGS.effort.kept
-        best = [*_written(self._comparison, best[:first], is_shortest=True), *best[first:]]
+        best = [*_rewrite(self._comparison, best[:first], is_shortest=True), *best[first:]]
         known = {structure(program) for program in best}
         return [*best, *(program for program in self._started if structure(program) not in known)]

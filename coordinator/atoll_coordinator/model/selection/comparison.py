@@ -1,7 +1,18 @@
-"""Which equations together describe the measured states in the fewest nats (Rissanen 1978), trajectories simulated.
+"""Comparison of systems: each is fitted to the trajectories, and the shortest description wins (Rissanen 1978).
 
-By derivative error a wrong equation often beats the true one, because smoothing errors are large and coloured; by the
-misfit of simulated trajectories to the raw states hardly ever.
+How it works. A `ModelComparison` has measurements, constraints and one `Score`. It builds a `System` from one program
+for each equation, fits constants and initial states by multiple shooting (`fit_model`: in stages of growing segments;
+`fit_from`: whole pieces from the initial states of a similar system), and returns a `FittedModel` with its nats. Many
+systems are fitted in threads or on workers; a worker returns a small `FitSummary`, and one integration here restores
+the complete fit when it is needed. `narrow_down` is a tournament: many programs with few steps, then fewer programs
+with more steps. `calibrate` returns a new comparison whose errors come from the residuals of a model. Lengths of two
+comparisons must not be compared.
+
+Trajectories decide, and not derivatives: smoothing errors are large and correlated, so that a wrong equation often has
+the smaller derivative error. It hardly ever has the smaller misfit to the raw states.
+
+Doubts. A tournament can drop the right program early if its fit needs many steps. Budgets count work and not seconds,
+so results are reproducible but depend on the constants in the settings.
 """
 
 import math
@@ -20,7 +31,7 @@ from atoll_coordinator.model.selection.score import FittedModel, Score, Summariz
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
-from atoll_coordinator.model.shooting.points_between import points_beside
+from atoll_coordinator.model.shooting.points_between import points_in_boxes
 from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
@@ -32,14 +43,16 @@ from atoll_core.wire.values import encode_value
 
 Programs = tuple[Program, ...]
 STAGES: Final[tuple[int | None, ...]] = (*SETTINGS.shooting.lengths[:2], None)
-"""Rows of the segments that a system is fitted to, one after another; None: whole trajectories."""
+"""Segment lengths, in rows, of the successive stages of a fit; None: whole trajectories."""
 _REPEATED: Final = 10.0 * SETTLED
-"""Misfits that differ by less, relative to their size, are of the same function in other words: fits settle so far."""
+"""Relative difference of misfits below which two programs count as the same function: fits converge only to this
+accuracy."""
 
 
 @dataclass(frozen=True, eq=False)
-class Beginning:
-    """Where a fit begins: initial states, errors, whether it is stiff; with groups, the system whose constants are."""
+class FitStart:
+    """The start of a fit: initial states, error model, stiffness; with groups also a system with constants of each
+    group."""
 
     starts: FloatArray
     errors: ErrorModel
@@ -48,23 +61,23 @@ class Beginning:
 
 
 @dataclass(frozen=True, eq=False)
-class FitOrder:
-    """How systems are to be fitted: in stages of growing `lengths`, or in whole from a beginning `near`.
+class FitPlan:
+    """How systems are fitted: in stages of segments of growing `lengths`, or in whole pieces from the start `near`.
 
     A fit takes at most `steps` steps.
     """
 
     steps: int
     lengths: tuple[int | None, ...] = ()
-    near: Beginning | None = None
+    near: FitStart | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class FitSummary:
-    """The numbers of a fit: `constants` of all nodes, by group if there are any, and the rest that decides it.
+    """The numbers that determine a fit: `constants` of all nodes (with groups, also by group), and initial states.
 
     `length` is the length of its segments (rows; None: whole trajectories); `squares` are mean squares of residuals.
-    One integration makes the whole fit of these again: states, residuals and normal equations are hundreds of times as
+    One integration restores the complete fit from them. States, residuals and normal equations are hundreds of times as
     large, and most candidates do not need them.
     """
 
@@ -79,17 +92,17 @@ class FitSummary:
     nats: float
 
 
-OrderedFit = tuple[FitOrder, Programs]
-"""A system to be fitted."""
+PlannedFit = tuple[FitPlan, Programs]
+"""A plan, and the programs of the system to be fitted."""
 FitOutcome = tuple[FitSummary | None, int]
-"""The fit of a system, None if it could not be fitted, and its work."""
+"""The summary of a fit (None if the system could not be fitted), and its work."""
 _FITS_OF_A_BATCH: Final = 12
-"""Most fits of a batch: one takes from a millisecond to some seconds."""
+"""Most fits of a batch: one fit takes from a millisecond to some seconds."""
 
 
 @dataclass(frozen=True, eq=False)
-class Foreseen:
-    """The models of one equation's programs, all other equations as they are, and the work that they took."""
+class PrefetchedModels:
+    """Models fitted in advance with other programs for one equation, and the work of these fits."""
 
     models: Sequence[FittedModel]
     work: int
@@ -111,18 +124,19 @@ def differ(first: FloatArray, second: FloatArray, share: float = SETTINGS.common
         return not difference <= share * max(float(np.std(second)), size)
 
 
-def _exchanged(near: FittedModel, equation: int, programs: Iterable[Program]) -> list[Programs]:
+def _replace_program(near: FittedModel, equation: int, programs: Iterable[Program]) -> list[Programs]:
     """Return the systems of `near` with each of these programs for one equation."""
     return [(*near.programs[:equation], program, *near.programs[equation + 1 :]) for program in programs]
 
 
-def _work(outcomes: Iterable[FitOutcome | None]) -> int:
+def _total_work(outcomes: Iterable[FitOutcome | None]) -> int:
     return sum(outcome[1] for outcome in outcomes if outcome is not None)
 
 
 @dataclass(frozen=True, eq=False)
 class ComparisonParts:
-    """The parts of a `ModelComparison` that travel; `roughness`, `rows` and `errors` are of its score."""
+    """The parts of a `ModelComparison` that are sent to workers; `roughness`, `rows` and `errors` belong to its
+    score."""
 
     measurements: Measurements
     tolerance: float
@@ -140,17 +154,17 @@ class ComparisonParts:
 class ModelComparison:
     """Fits systems to the same measurements and compares them by one score.
 
-    The score never changes: a calibrated comparison is another one, in which nothing was tried yet.
+    The score never changes: `calibrate` returns another comparison, without fitted models.
 
     Attributes:
         estimator: fits systems to the measurements.
         names: the variables of the programs.
         fixed: equations, by index, whose constants are given.
-        leading: with order 2 the equations of the positions, which come before the equations that are sought.
-        spread: lets threads or workers fit systems; one after another unless given.
+        leading: with order 2 the equations of the positions, which come before the other equations.
+        spread: fits systems in threads or on workers; by default one after another.
         constraints: restrictions of the equations.
         calibration: the score by earlier residuals; None: the score by the smoother's noise.
-        tried: the best model of each program that was fitted for an equation, by (equation, structure).
+        fitted_models: the best model of each program that was fitted for an equation, by (equation, structure).
     """
 
     estimator: MultipleShooting
@@ -160,84 +174,89 @@ class ModelComparison:
     spread: Spread = field(default_factory=Spread)
     constraints: Constraints = field(default_factory=Constraints)
     calibration: Score | None = None
-    tried: dict[tuple[int, bytes], FittedModel] = field(default_factory=dict, init=False)
+    fitted_models: dict[tuple[int, bytes], FittedModel] = field(default_factory=dict, init=False)
 
     @cached_property
     def score(self) -> Score:
         """The score by which systems are compared."""
         count = 1 if self.groups is None else self.groups.count
-        return self.calibration or Score.of_smoother(self.estimator, len(self.leading), self.fixed, count)
+        return self.calibration or Score.from_smoother(self.estimator, len(self.leading), self.fixed, count)
 
     @property
     def groups(self) -> GroupedRows | None:
         """Rows by group, where groups of trajectories may have constants of their own."""
         return self.constraints.groups
 
-    def calibrated(self, model: FittedModel) -> tuple["ModelComparison", FittedModel]:
-        """Return the comparison by the errors that the residuals of a model show, and the model fitted by these."""
-        score, fit = self.score.calibrated(model.fit)
+    def calibrate(self, model: FittedModel) -> tuple["ModelComparison", FittedModel]:
+        """Return a comparison whose errors are estimated from the residuals of a model, and the model fitted with
+        them."""
+        score, fit = self.score.calibrate(model.fit)
         comparison = replace(self, calibration=score)
-        return comparison, comparison.measure(fit)
+        return comparison, comparison.score_fit(fit)
 
     def fit_all(
         self, systems: Sequence[Sequence[Program]], steps: int = SETTINGS.effort.steps,
         lengths: Sequence[int | None] = STAGES,
     ) -> list[FittedModel]:  # fmt: skip
-        """Return the models of systems by `fit_model`, the shortest description first; without failed fits.
+        """Return the models of systems by `fit_model`, the shortest description first; failed fits are left out.
 
-        After the deadline no more are fitted.
+        After the deadline no more systems are fitted.
         """
-        return self._fitted(FitOrder(steps, tuple(lengths)), list(map(tuple, systems)))
+        return self._fit_systems(FitPlan(steps, tuple(lengths)), list(map(tuple, systems)))
 
-    def _fitted(self, order: FitOrder, systems: Sequence[Programs], until: float = math.inf) -> list[FittedModel]:
-        """Return the models of systems, the shortest description first; without failed fits.
+    def _fit_systems(self, order: FitPlan, systems: Sequence[Programs], until: float = math.inf) -> list[FittedModel]:
+        """Return the models of systems, the shortest description first; failed fits are left out.
 
-        Systems are fitted in order as long as the estimator's work is less than `until`, none after the deadline. With
-        other workers, more may be fitted than count: the others are dropped, and so is their work.
+        Systems are fitted in order as long as the estimator's work is less than `until`, and none after the deadline.
+        Workers may fit more systems than this limit allows; these results and their work are then dropped.
         """
         bounded = SETTINGS.effort.kept if until < math.inf else max(len(systems), 1)
-        ahead = self._fitted_elsewhere(order, systems) if self.spread.is_shared and len(systems) > 1 else None
+        ahead = self._fit_on_workers(order, systems) if self.spread.is_shared and len(systems) > 1 else None
         models: list[FittedModel] = []
         for first in range(0, len(systems), bounded):
             if first and self.estimator.work >= until:
                 break
             part = systems[first : first + bounded]
             if ahead is None:
-                fits = self.spread.here(partial(self.fit_ordered, order), part)
+                fits = self.spread.map_threads(partial(self.fit_by_plan, order), part)
                 models += [model for model in fits if model is not None]
             else:
                 outcomes = ahead[first : first + bounded]
-                self.estimator.count(_work(outcomes))
-                models += self._models(order, part, outcomes)
+                self.estimator.add_work(_total_work(outcomes))
+                models += self._models_from_summaries(order, part, outcomes)
         return sorted(models, key=lambda model: model.nats)
 
-    def fit_ordered(self, order: FitOrder, programs: Programs) -> FittedModel | None:
-        """Return the fitted system, None where it cannot be simulated or may not stand, or time is over."""
+    def fit_by_plan(self, order: FitPlan, programs: Programs) -> FittedModel | None:
+        """Return the fitted system; None if it cannot be simulated, violates restrictions, or the time is over."""
         if self.estimator.deadline.is_over:
             return None
         if order.near is None:
             model = self.fit_model(programs, order.steps, order.lengths)
         else:
-            model = self._fit_from(order.near, programs, order.steps)
+            model = self._fit_from_start(order.near, programs, order.steps)
         return model if model is not None and math.isfinite(model.nats) else None
 
-    def _fitted_elsewhere(self, order: FitOrder, systems: Sequence[Programs]) -> list[FitOutcome | None]:
-        """Return the fits of systems, by other workers; None for fits that the deadline stopped."""
+    def _fit_on_workers(self, order: FitPlan, systems: Sequence[Programs]) -> list[FitOutcome | None]:
+        """Return the outcomes of fits on workers; None for fits that the deadline stopped."""
         fits = [(order, programs) for programs in systems]
-        outcomes = self.spread.share(FITS, self.encoded, fits, _FITS_OF_A_BATCH)
+        outcomes = self.spread.map_workers(FITS, self.encoded_parts, fits, _FITS_OF_A_BATCH)
         self.spread.note(sum(outcome is not None and outcome[0] is not None for outcome in outcomes))
         return outcomes
 
-    def _models(
-        self, order: FitOrder, systems: Sequence[Programs], outcomes: Sequence[FitOutcome | None]
+    def _models_from_summaries(
+        self, order: FitPlan, systems: Sequence[Programs], outcomes: Sequence[FitOutcome | None]
     ) -> list[FittedModel]:
-        """Return the models of systems that were fitted elsewhere."""
+        """Return the models of systems that workers have fitted."""
         pairs = zip(systems, outcomes, strict=True)
-        return [self.summarized(order, programs, made[0]) for programs, made in pairs if made and made[0]]
+        return [
+            self.model_from_summary(order, programs, outcome[0])
+            for programs, outcome in pairs
+            if outcome and outcome[0]
+        ]
 
-    def summarized(self, order: FitOrder, programs: Programs, summary: FitSummary) -> FittedModel:
-        """Return the model of a system that was fitted elsewhere."""
-        admitted = self.admitted(programs)
+    def model_from_summary(self, order: FitPlan, programs: Programs, summary: FitSummary) -> FittedModel:
+        """Return the model of a system that a worker has fitted."""
+        admitted = self.admissible_programs(programs)
         assert admitted is not None, "what was fitted may stand"
         ends = np.cumsum([len(program) for program in (*self.leading, *admitted)])
         parts = np.split(summary.constants, ends[:-1])[len(self.leading) :]
@@ -253,14 +272,14 @@ class ModelComparison:
         fitted = tuple(replace(one, constants=part) for one, part in zip(admitted, parts, strict=True))
         return FittedModel(fitted, SummarizedFit(summary.squares, complete), summary.misfit, summary.nats)
 
-    def outcome(self, ordered: OrderedFit) -> FitOutcome:
-        """Return the summary of a fit, as it is sent."""
-        order, before = ordered[0], self.estimator.counted
-        model = self.fit_ordered(*ordered)
-        return None if model is None else self.summary(order, model), self.estimator.counted - before
+    def fit_and_summarize(self, ordered: PlannedFit) -> FitOutcome:
+        """Fit a system and return its summary and work, as a worker sends them."""
+        order, before = ordered[0], self.estimator.work_of_thread
+        model = self.fit_by_plan(*ordered)
+        return None if model is None else self.summarize(order, model), self.estimator.work_of_thread - before
 
-    def summary(self, order: FitOrder, model: FittedModel) -> FitSummary:
-        """Return the summary, as it is sent, of the model of a system."""
+    def summarize(self, order: FitPlan, model: FittedModel) -> FitSummary:
+        """Return the summary of a model, as a worker sends it."""
         fit, sharing = model.fit, model.fit.system.sharing
         in_whole = order.near is not None or self.score.errors is not None
         return FitSummary(
@@ -278,24 +297,24 @@ class ModelComparison:
         )  # fmt: skip
 
     @cached_property
-    def encoded(self) -> bytes:
-        """The bytes of its parts."""
+    def encoded_parts(self) -> bytes:
+        """The encoded parts of this comparison."""
         return encode_value(self.parts)
 
     @classmethod
-    def of_parts(cls, parts: ComparisonParts) -> "ModelComparison":
-        """Return the comparison of these parts, which can do everything except calibrate."""
+    def from_parts(cls, parts: ComparisonParts) -> "ModelComparison":
+        """Return the comparison with these parts; it cannot calibrate."""
         estimator = MultipleShooting(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
-        made = cls(estimator, parts.names, parts.fixed, parts.leading, constraints=parts.constraints)
-        score = replace(made.score, roughness=parts.roughness, rows=parts.rows, errors=parts.errors)
-        return replace(made, calibration=score)
+        comparison = cls(estimator, parts.names, parts.fixed, parts.leading, constraints=parts.constraints)
+        score = replace(comparison.score, roughness=parts.roughness, rows=parts.rows, errors=parts.errors)
+        return replace(comparison, calibration=score)
 
     def restrictions(self, equation: int) -> Restrictions:
-        """Return the restrictions of an equation; a given equation has none."""
+        """Return the restrictions of an equation; a known equation has none."""
         return NONE if equation in self.fixed else self.constraints.restrictions.get(equation, NONE)
 
-    def admitted(self, programs: Sequence[Program]) -> list[Program] | None:
-        """Return `programs` as they may be fitted; None when one of them may not stand for its equation."""
+    def admissible_programs(self, programs: Sequence[Program]) -> list[Program] | None:
+        """Return `programs` in a form that meets the restrictions; None if one of them cannot meet them."""
         if not self.constraints.restrictions:
             return list(programs)
         admissible_programs = [self.restrictions(index).admitted(program) for index, program in enumerate(programs)]
@@ -313,10 +332,11 @@ class ModelComparison:
 
         Args:
             programs: one for each equation.
-            fixed_nodes: nodes of each whose constants stay as they are.
-            near: where groups of trajectories have constants of their own, a system whose equations, if they are the
-                same, say which; for others constants are fitted to each group's rows.
-            shared: numbers that all groups, or several constants, have in common all the same.
+            fixed_nodes: for each program, the nodes whose constants are not fitted.
+            near: used if groups of trajectories have their own constants. Equations that are equal in this system start
+                with its constants of each group; constants of other equations are first fitted to the rows of each
+                group.
+            shared: numbers that are nevertheless common to all groups, or to several constants.
         """
         fixed = [
             set(constant_places(program)) if index in self.fixed else set(fixed_nodes[index]) if fixed_nodes else set()
@@ -344,7 +364,7 @@ class ModelComparison:
     def _ranges(
         self, programs: Sequence[Program], fixed: Sequence[Collection[int]]
     ) -> tuple[FloatArray | None, FloatArray | None]:
-        """Return bounds (P,) on the constants that are fitted, None without any."""
+        """Return bounds (P,) on the fitted constants; None without bounds."""
         restrictions = [self.restrictions(index) for index in range(len(programs))]
         if all(one.bounds is None for one in restrictions):
             return None, None
@@ -358,43 +378,44 @@ class ModelComparison:
         steps: int = SETTINGS.effort.steps,
         lengths: Sequence[int | None] = STAGES,
     ) -> FittedModel | None:
-        """Return the fitted system of `programs`, None when it cannot be simulated or may not stand."""
-        admitted = self.admitted(programs)
+        """Return the system of `programs`, fitted in stages; None if it cannot be simulated or violates
+        restrictions."""
+        admitted = self.admissible_programs(programs)
         if admitted is None:
             return None
         fit = fit_in_stages(self.estimator, self.system(admitted), lengths, steps)
         if fit is not None and self.score.errors is not None:
-            fit = self.score.with_errors(fit, self.score.errors)
-        return None if fit is None else self.measure(fit)
+            fit = self.score.refit_with_errors(fit, self.score.errors)
+        return None if fit is None else self.score_fit(fit)
 
-    def fit_beside(
+    def fit_from(
         self, near: FittedModel, programs: Sequence[Program], steps: int = SETTINGS.effort.steps,
         shared: Collection[SharedNumber] = (),
     ) -> FittedModel | None:  # fmt: skip
-        """Return the fitted `system` of `programs` and the rest, begun with the initial states of `near`.
+        """Return the system of `programs`, fitted from the initial states of `near`.
 
-        None when it cannot be simulated or may not stand.
+        None if it cannot be simulated or violates restrictions.
         """
-        return self._fit_from(self._beginning(near), programs, steps, shared)
+        return self._fit_from_start(self._start_of(near), programs, steps, shared)
 
-    def _beginning(self, near: FittedModel) -> Beginning:
-        """Return where the fits of systems near one begin."""
+    def _start_of(self, near: FittedModel) -> FitStart:
+        """Return the start of fits of systems that are similar to `near`."""
         fit = near.fit
-        return Beginning(fit.starts, fit.errors, fit.is_stiff, None if self.groups is None else fit.system)
+        return FitStart(fit.starts, fit.errors, fit.is_stiff, None if self.groups is None else fit.system)
 
-    def _fit_from(
-        self, near: Beginning, programs: Sequence[Program], steps: int, shared: Collection[SharedNumber] = (),
+    def _fit_from_start(
+        self, near: FitStart, programs: Sequence[Program], steps: int, shared: Collection[SharedNumber] = (),
     ) -> FittedModel | None:  # fmt: skip
-        admitted = self.admitted(programs)
+        admitted = self.admissible_programs(programs)
         if admitted is None:
             return None
         system = self.system(admitted, near=near.system, shared=shared)
         fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff)
-        return None if fit is None else self.measure(fit)
+        return None if fit is None else self.score_fit(fit)
 
-    def fit_exchanged(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
-        """Return `near` with another program for one equation, see `fit_beside`."""
-        return self.fit_beside(near, _exchanged(near, equation, [program])[0], steps)
+    def fit_replacement(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
+        """Return `near` with another program for one equation, see `fit_from`."""
+        return self.fit_from(near, _replace_program(near, equation, [program])[0], steps)
 
     def narrow_down(
         self, near: FittedModel, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
@@ -402,121 +423,124 @@ class ModelComparison:
     ) -> list[FittedModel]:  # fmt: skip
         """Return models of the best of `programs` for one equation, fewer of them after each of the `rounds`.
 
-        Each round is a number of steps and the number of programs that are kept. Of equivalent programs only the one
-        with the shortest description is kept, see `distinct`. Once the estimator's work is `until`, no more are taken
-        in than the next few.
+        Each round is a number of steps and the number of programs that are kept. Of equivalent programs only the
+        program with the shortest description is kept, see `distinct_models`. When the estimator's work has reached
+        `until`, at most one more block of programs is fitted.
         """
         models: list[FittedModel] = []
         waiting = list(programs)
-        beginning = self._beginning(near) if waiting else None
+        beginning = self._start_of(near) if waiting else None
         for steps, kept in rounds:
-            order = FitOrder(steps, near=beginning)
-            models = self._fitted(order, _exchanged(near, equation, waiting), until)
-            models = self.distinct(models, equation)[:kept]
+            order = FitPlan(steps, near=beginning)
+            models = self._fit_systems(order, _replace_program(near, equation, waiting), until)
+            models = self.distinct_models(models, equation)[:kept]
             waiting = [model.programs[equation] for model in models]
-        return self._remembered(equation, models)
+        return self._remember(equation, models)
 
-    def foresee(
+    def prefetch_models(
         self, near: FittedModel, lists: Mapping[int, Sequence[Program]], rounds: Sequence[tuple[int, int]]
-    ) -> dict[int, Foreseen]:
+    ) -> dict[int, PrefetchedModels]:
         """Return the results of `narrow_down` for several equations, valid as long as `near` is the best model.
 
-        They are fitted at the same time by other workers; empty without other workers or with a single equation.
-        No work is counted, see `take_in`.
+        Workers fit them at the same time. Empty without workers or with a single equation. The work is not counted
+        until `accept_prefetched`.
         """
         if len(lists) < 2 or not self.spread.is_shared:
             return {}
-        foreseen = {equation: Foreseen([], 0) for equation in lists}
-        waiting, beginning = dict(lists), self._beginning(near)
+        prefetched = {equation: PrefetchedModels([], 0) for equation in lists}
+        waiting, beginning = dict(lists), self._start_of(near)
         for steps, kept in rounds:
-            order = FitOrder(steps, near=beginning)
-            systems = {equation: _exchanged(near, equation, programs) for equation, programs in waiting.items()}
-            made = iter(self._fitted_elsewhere(order, [one for part in systems.values() for one in part]))
+            order = FitPlan(steps, near=beginning)
+            systems = {equation: _replace_program(near, equation, programs) for equation, programs in waiting.items()}
+            outcomes_by_system = iter(self._fit_on_workers(order, [one for part in systems.values() for one in part]))
             for equation, part in systems.items():
-                outcomes = [next(made) for _ in part]
-                models = sorted(self._models(order, part, outcomes), key=lambda model: model.nats)
-                models = self.distinct(models, equation)[:kept]
-                foreseen[equation] = Foreseen(models, foreseen[equation].work + _work(outcomes))
+                outcomes = [next(outcomes_by_system) for _ in part]
+                models = sorted(self._models_from_summaries(order, part, outcomes), key=lambda model: model.nats)
+                models = self.distinct_models(models, equation)[:kept]
+                prefetched[equation] = PrefetchedModels(models, prefetched[equation].work + _total_work(outcomes))
                 waiting[equation] = [model.programs[equation] for model in models]
-        return foreseen
+        return prefetched
 
-    def take_in(self, equation: int, foreseen: Foreseen) -> list[FittedModel]:
-        """Return the models that were foreseen, their work counted as in `narrow_down`."""
-        self.estimator.count(foreseen.work)
-        return self._remembered(equation, foreseen.models)
+    def accept_prefetched(self, equation: int, prefetched: PrefetchedModels) -> list[FittedModel]:
+        """Return the models that were prefetched, their work counted as in `narrow_down`."""
+        self.estimator.add_work(prefetched.work)
+        return self._remember(equation, prefetched.models)
 
-    def measure(self, fit: TrajectoryFit) -> FittedModel:
-        """Return the model that a fit of one of this comparison's systems gives."""
+    def score_fit(self, fit: TrajectoryFit) -> FittedModel:
+        """Return the model of a fit, with its misfit and nats by the score."""
         self.spread.note(1)
-        return self.score.model_of(fit)
+        return self.score.score_fit(fit)
 
-    def _remembered(self, equation: int, models: Sequence[FittedModel]) -> list[FittedModel]:
+    def _remember(self, equation: int, models: Sequence[FittedModel]) -> list[FittedModel]:
         for model in models:
             key = (equation, structure(model.programs[equation]))
-            known = self.tried.get(key)
+            known = self.fitted_models.get(key)
             if known is None or model.nats < known.nats:
-                self.tried[key] = model
+                self.fitted_models[key] = model
         return list(models)
 
-    def distinct(self, models: Iterable[FittedModel], equation: int) -> list[FittedModel]:
-        """Return the models, sorted by nats, without models whose `equation` is equivalent to one before.
+    def distinct_models(self, models: Iterable[FittedModel], equation: int) -> list[FittedModel]:
+        """Return the models, which are sorted by nats, without models whose `equation` is equivalent to an earlier one.
 
-        Equations are equivalent if the misfits are equal, unless they differ off the measured curves: integration
-        errors are the same for all equations that agree along the curves.
+        Equations are equivalent if their misfits are equal and they agree off the measured curves. Equal misfits alone
+        are not enough: all equations that agree along the curves have the same integration errors.
         """
         kept: list[FittedModel] = []
         misfits: list[tuple[float, int]] = []
         for model in models:
             misfit = model.misfit
-            reach = 2.0 * _REPEATED * (1.0 + abs(misfit))  # no other one can be near enough
+            reach = 2.0 * _REPEATED * (1.0 + abs(misfit))  # no other misfit is close enough
             near = misfits[bisect_left(misfits, (misfit - reach,)) : bisect_right(misfits, (misfit + reach, len(kept)))]
             if all(
-                abs(misfit - other) > _REPEATED * (1.0 + abs(other)) or self.differ_beside(model, kept[place], equation)
+                abs(misfit - other) > _REPEATED * (1.0 + abs(other))
+                or self.differ_off_trajectories(model, kept[place], equation)
                 for other, place in near
             ):
                 insort(misfits, (misfit, len(kept)))
                 kept.append(model)
         return kept
 
-    def differ_beside(self, model: FittedModel, other: FittedModel, equation: int) -> bool:
+    def differ_off_trajectories(self, model: FittedModel, other: FittedModel, equation: int) -> bool:
         """Tell whether the equations of two models differ off the measured curves by more than their errors.
 
-        Without noise constants are known, and a thousandth counts; with noise, a difference that matters for
+        Without noise a relative difference of a thousandth counts; with noise, a difference that matters for
         predictions.
         """
-        first, second = (values_of(one.programs[equation], self._beside) for one in (model, other))
+        first, second = (values_of(one.programs[equation], self._points_off_trajectories) for one in (model, other))
         either = np.isfinite(first) | np.isfinite(second)
         share = math.sqrt(SETTINGS.inference.part) if self.score.is_noisy.any() else SETTINGS.common.negligible
         return bool(either.any()) and differ(first[either], second[either], share)
 
     def disputed_state(self, model: FittedModel, others: Sequence[FittedModel], equation: int) -> dict[str, float]:
-        """Return the state off the measured curves, by name, where one equation differs most from the `others`.
+        """Return the state off the measured curves, by name, at which one equation differs most from the `others`.
 
-        Each counts by its odds against `model`.
+        The difference to each is weighted by its odds against `model`.
         """
-        own = values_of(model.programs[equation], self._beside)
-        apart = np.zeros_like(own)
+        own = values_of(model.programs[equation], self._points_off_trajectories)
+        differences = np.zeros_like(own)
         for other in others:
             odds = math.exp(-max(other.nats - model.nats, 0.0))
-            apart += odds * np.nan_to_num(np.abs(values_of(other.programs[equation], self._beside) - own), posinf=0.0)
-        place, states = int(np.argmax(apart)), len(self.estimator.measurements.smoothed)
+            differences += odds * np.nan_to_num(
+                np.abs(values_of(other.programs[equation], self._points_off_trajectories) - own), posinf=0.0
+            )
+        place, states = int(np.argmax(differences)), len(self.estimator.measurements.smoothed)
         return {
             name: float(value)
-            for name, value in zip(self.names, self._beside[:, place], strict=True)
+            for name, value in zip(self.names, self._points_off_trajectories[:, place], strict=True)
             if name in self.estimator.measurements.variables[:states]
         }
 
     @cached_property
-    def _beside(self) -> FloatArray:
-        """Points (V, G) off the measured curves; none if groups have their own constants."""
+    def _points_off_trajectories(self) -> FloatArray:
+        """Points (V, G) off the measured curves; G is 0 if groups have their own constants."""
         measurements = self.estimator.measurements
         points = np.concatenate([measurements.smoothed, measurements.inputs])
         moved = len(points if measurements.has_smoothed_inputs else measurements.smoothed)
-        beside = points_beside(points, moved).T if self.groups is None else points[:, :0]
-        return np.ascontiguousarray(beside[[measurements.variables.index(name) for name in self.names]])
+        points_off = points_in_boxes(points, moved).T if self.groups is None else points[:, :0]
+        return np.ascontiguousarray(points_off[[measurements.variables.index(name) for name in self.names]])
 
 
-FITS: Final[BatchFunction[ModelComparison, OrderedFit, FitOutcome]] = BatchFunction(
-    "fits", ComparisonParts, OrderedFit, FitOutcome, ModelComparison.outcome, ModelComparison.of_parts
+FITS: Final[BatchFunction[ModelComparison, PlannedFit, FitOutcome]] = BatchFunction(
+    "fits", ComparisonParts, PlannedFit, FitOutcome, ModelComparison.fit_and_summarize, ModelComparison.from_parts
 )
 """Systems fitted to the measurements of a comparison."""

@@ -1,7 +1,8 @@
-"""How well a system predicts a trajectory that its constants were not fitted to: one left out at a time.
+"""Cross-validation: how well a system predicts trajectories that its constants were not fitted to.
 
-The constants are fitted to the other trajectories, begun where the fit to all ended; along the one left out only the
-initial state is fitted (cross-validation, Stone 1974).
+Each fold leaves out one trajectory (Stone 1974), or several if there are many trajectories. The constants are fitted to
+the other trajectories, starting from the fit to all. Along the trajectories left out only the initial state is fitted.
+Doubt: the equations were chosen on all trajectories, so that only the constants are validated, and not the structure.
 """
 
 from dataclasses import dataclass
@@ -20,15 +21,16 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program
 
 R2 = tuple[float | None, ...]
-"""R2 of each measured state along trajectories left out: minus infinity where they could not be simulated."""
+"""R2 of each measured state along trajectories left out; minus infinity if they could not be simulated, None if the
+state is constant there."""
 
 _LEAST_FOLDS: Final = 3
-"""Fewest trajectories for leaving one out: with fewer, too few rows remain to fit constants to."""
+"""Fewest trajectories for cross-validation: with fewer, too few rows remain for fitting constants."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """The `programs` of a fit to all trajectories, its `starts` and `errors`, and which ones are to be left out."""
+    """The `programs`, `starts` and `errors` of a fit to all trajectories, and the trajectories to leave out."""
 
     programs: tuple[Program, ...]
     starts: FloatArray
@@ -49,7 +51,7 @@ class Validation:
         """Whether there are enough trajectories, and all have the same constants."""
 
     def of(self, model: FittedModel) -> R2 | None:
-        """Return how well the system of `model` predicts; None where time is over: fits that end early do not count."""
+        """Return the R2 of the system of `model`; None if the time is over, since fits that end early do not count."""
         comparison, fit = self._comparison, model.fit
         measurements = comparison.estimator.measurements
         squares, total = np.zeros((2, len(measurements.observed)))
@@ -85,7 +87,7 @@ def _shooter(whole: MultipleShooting, measurements: Measurements) -> MultipleSho
 
 
 FOLDS: Final[BatchFunction[ModelComparison, Fold, FloatArray]] = BatchFunction(
-    "folds", ComparisonParts, Fold, FloatArray, squared_errors, ModelComparison.of_parts
+    "folds", ComparisonParts, Fold, FloatArray, squared_errors, ModelComparison.from_parts
 )
 """Systems fitted without some trajectories, and their residuals on these."""
 

@@ -1,6 +1,7 @@
-"""One structure whose constants differ between groups of trajectories: where the fits of its constants begin.
+"""Start values of the constants of one structure, where constants differ between groups of trajectories.
 
-Letters: G groups, P constants that are fitted, Q numbers that these are in all groups together, N nodes.
+Constants are fitted to the rows of each group before trajectories are simulated, or taken from a similar system.
+Letters: G groups, P fitted constants, Q fitted numbers of all groups together, N nodes.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -23,7 +24,7 @@ class GroupedRows:
 
     Attributes:
         count: number of groups.
-        problems: of each equation, one of each group; none for an equation that is given.
+        problems: for each equation the problem of each group; empty for a known equation.
         restrictions: of equations, by index.
     """
 
@@ -74,10 +75,11 @@ class GroupedRows:
                     if program.constants[node] != near.constants[first + node]:
                         constants[:, node] = program.constants[node]
                 return constants
-        return self._fitted(index, program, fixed)
+        return self._fit_by_group(index, program, fixed)
 
-    def _fitted(self, index: int, program: Program, fixed: Collection[int]) -> FloatArray:
-        """Return the constants (G, N) of a program fitted to the rows of each group; as they are where they cannot."""
+    def _fit_by_group(self, index: int, program: Program, fixed: Collection[int]) -> FloatArray:
+        """Return the constants (G, N) of a program fitted to the rows of each group; unchanged if they cannot be
+        fitted."""
         places = [place for place in constant_places(program) if place not in fixed]
         if not places or not self._fits[index]:
             return np.repeat(program.constants[None], self.count, axis=0)

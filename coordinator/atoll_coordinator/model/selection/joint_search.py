@@ -1,7 +1,13 @@
-"""The best system of all candidates, one equation exchanged at a time, and shorter descriptions nearby (ADR 0021).
+"""The best system of all candidates: programs are exchanged, then shorter descriptions are searched nearby (ADR 0021).
 
-From the best systems the descent looks for shorter descriptions nearby; unnecessary parts are left out. All
-work is bounded by counts, never by the clock.
+How it works. `find_starting_system` fits a few combinations of the best candidates. `exchange_programs` then tries the
+candidates of each equation in turn, with all other equations unchanged, until no exchange shortens the description.
+`search_locally` changes equations at single nodes, restarts from other candidates, and removes unnecessary parts.
+`search_terms` adds or removes single terms along the trajectories. The errors are calibrated by the residuals of the
+best system between these steps. All work is bounded by counts, never by the clock.
+
+Doubts. An exchange of one equation at a time does not reach a system of which two equations must change together.
+A used-up budget ends the search early.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,40 +29,40 @@ from atoll_core.expression.writing.expansion import expand_program
 
 
 def fit_jointly(
-    task: ModellingTask, lists: Sequence[Sequence[Program]], begun: Sequence[Program] | None = None, *,
+    task: ModellingTask, lists: Sequence[Sequence[Program]], start: Sequence[Program] | None = None, *,
     are_laws: bool = False,
 ) -> SelectedModel | None:  # fmt: skip
-    """Return the best system of these candidates, None when none can be simulated.
+    """Return the best system of these candidates; None if no system can be simulated.
 
     Args:
-        task: what is modelled.
+        task: the measurements and candidates.
         lists: candidates of each variable, the best first.
-        begun: a system to begin with; the best of a few unless given.
-        are_laws: whether no terms are sought beyond the terms of the candidates, so that no term can describe errors
-            of coarse integration steps.
+        start: programs of the first system; None: the best of a few combinations.
+        are_laws: whether no terms are searched beyond the terms of the candidates. Then no term can describe errors of
+            coarse integration steps.
     """
     comparison = task.comparison
-    best = combine(comparison, lists) if begun is None else comparison.fit_model(begun)
+    best = find_starting_system(comparison, lists) if start is None else comparison.fit_model(start)
     if best is None:
         return None
     if not are_laws:
-        comparison, best = _without_noise(task, comparison, best)
-    comparison, best = comparison.calibrated(best)
-    comparison, best = comparison.calibrated(exchange(comparison, best, lists))
+        comparison, best = _treat_as_noise_free(task, comparison, best)
+    comparison, best = comparison.calibrate(best)
+    comparison, best = comparison.calibrate(exchange_programs(comparison, best, lists))
     return SelectedModel(task, comparison, best, lists)
 
 
 def search_jointly(
     task: ModellingTask,
     lists: Sequence[Sequence[Program]],
-    begun: Sequence[Program] | None = None,
+    start: Sequence[Program] | None = None,
     is_hopeless: Callable[[SelectedModel], bool] = lambda _: False,
 ) -> SelectedModel | None:
     """Return the best system of these candidates and their neighbourhood, see `fit_jointly`.
 
-    `is_hopeless` tells of the best of the candidates when its neighbours need not be looked at.
+    If `is_hopeless` returns True for the best system of the candidates, its neighbours are not searched.
     """
-    selection = fit_jointly(task, lists, begun)
+    selection = fit_jointly(task, lists, start)
     if selection is None:
         return None
     comparison, best = selection.comparison, selection.model
@@ -64,13 +70,13 @@ def search_jointly(
         best = reduce_all(comparison, best)
     elif not is_hopeless(selection):
         best = search_locally(task, comparison, best, lists)
-    return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
+    return replace(selection, model=comparison.fit_from(best, best.programs) or best)
 
 
-def _without_noise(
+def _treat_as_noise_free(
     task: ModellingTask, comparison: ModelComparison, best: FittedModel
 ) -> tuple[ModelComparison, FittedModel]:
-    """Return comparison and system treated as noise-free if that system shows that there is no noise, else unchanged.
+    """Return comparison and system for noise-free data if the residuals show that there is no noise, else unchanged.
 
     With few rows, or few rows in a period, a smoother treats motion that it cannot follow as noise. Integration steps
     with errors relative to such noise would be so coarse that unnecessary terms describe the integration errors.
@@ -79,13 +85,13 @@ def _without_noise(
     observed = comparison.estimator.measurements.observed
     if task.is_nearly_clean or np.any(best.fit.squares > limit[observed] ** 2):
         return comparison, best
-    precise = task.compare(comparison.estimator.measurements, task.variables, has_noise=False)
-    model = precise.fit_beside(best, best.programs)
+    precise = task.make_comparison(comparison.estimator.measurements, task.variables, has_noise=False)
+    model = precise.fit_from(best, best.programs)
     return (comparison, best) if model is None else (precise, model)
 
 
-def combine(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -> FittedModel | None:
-    """Return the best of a few systems to begin with: the best of each list, one variable's next ones at a time."""
+def find_starting_system(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -> FittedModel | None:
+    """Return the best of a few systems made of the first programs of the lists; None if no system can be simulated."""
     first = [programs[0] for programs in lists]
     systems = [first] + [
         [*first[:index], program, *first[index + 1 :]]
@@ -98,19 +104,19 @@ def combine(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -> 
     ]
     models = comparison.fit_all(systems)
     if not models and comparison.estimator.deadline.is_over:
-        return comparison.fit_model(first)  # as it is, without a step
+        return comparison.fit_model(first)  # without a step, since the time is over
     return models[0] if models else None
 
 
-def exchange(
+def exchange_programs(
     comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]],
     rounds: Rounds = SETTINGS.effort.rounds,
 ) -> FittedModel:  # fmt: skip
-    """Return the best system found by exchanging the program of one variable at a time; at first of all variables.
+    """Return the best system found by exchanging the program of one variable at a time.
 
-    If the residuals are integration errors, no longer program could make the description shorter. Candidates are
-    narrowed down in `rounds`. With other workers, the candidates for all equations are fitted at the same time, as if
-    the best system stayed the same: after an exchange the later results are dropped.
+    If the residuals are integration errors, only shorter programs are tried. Candidates are narrowed down in `rounds`.
+    Workers fit the candidates for all equations at the same time, as if the best system stayed the same; after an
+    exchange the later results are dropped.
     """
     until = comparison.estimator.work + SETTINGS.effort.work
     if comparison.score.is_exact(best):
@@ -119,24 +125,26 @@ def exchange(
             [program for program in programs if comparison.score.length(program) < length] or [own]
             for programs, length, own in zip(lists, lengths, best.programs, strict=True)
         ]
-    tried: Sequence[Sequence[Program]] = lists
+    candidates: Sequence[Sequence[Program]] = lists
     while True:
-        begun, promising_lists = best, _exchangeable(comparison, best, tried)
-        foreseen = comparison.foresee(begun, promising_lists, rounds)
-        for equation in range(len(tried)):
-            ahead = foreseen.get(equation) if best is begun else None
+        before, promising_lists = best, _promising_programs(comparison, best, candidates)
+        prefetched = comparison.prefetch_models(before, promising_lists, rounds)
+        for equation in range(len(candidates)):
+            ahead = prefetched.get(equation) if best is before else None
             if ahead is not None and comparison.estimator.work + ahead.work < until:
-                models = comparison.take_in(equation, ahead)
+                models = comparison.accept_prefetched(equation, ahead)
             else:
-                promising_lists = promising_lists if best is begun else _exchangeable(comparison, best, tried)
+                promising_lists = (
+                    promising_lists if best is before else _promising_programs(comparison, best, candidates)
+                )
                 models = comparison.narrow_down(best, equation, promising_lists.get(equation, ()), rounds, until)
             if models and models[0].nats < best.nats - SETTINGS.selection.least_gain:
                 best = models[0]
-        if best.nats > begun.nats - SETTINGS.selection.least_gain:
+        if best.nats > before.nats - SETTINGS.selection.least_gain:
             best = _exchange_two(comparison, best)
-        if best.nats > begun.nats - SETTINGS.selection.least_gain or comparison.estimator.work >= until:
+        if best.nats > before.nats - SETTINGS.selection.least_gain or comparison.estimator.work >= until:
             return best
-        tried = [programs[: SETTINGS.effort.kept] for programs in lists]
+        candidates = [programs[: SETTINGS.effort.kept] for programs in lists]
 
 
 def _exchange_two(comparison: ModelComparison, best: FittedModel) -> FittedModel:
@@ -147,7 +155,7 @@ def _exchange_two(comparison: ModelComparison, best: FittedModel) -> FittedModel
     was 2 nats shorter. The pairs whose alternatives are closest are fitted.
     """
     alternatives: list[list[tuple[float, Program]]] = [[] for _ in best.programs]
-    for (equation, _), model in comparison.tried.items():
+    for (equation, _), model in comparison.fitted_models.items():
         excess = model.nats - best.nats
         if excess < SETTINGS.inference.distinct_nats and equation not in comparison.fixed:
             alternatives[equation].append((excess, model.programs[equation]))
@@ -165,12 +173,13 @@ def _exchange_two(comparison: ModelComparison, best: FittedModel) -> FittedModel
     return models[0] if models and models[0].nats < best.nats - SETTINGS.selection.least_gain else best
 
 
-def _exchangeable(
+def _promising_programs(
     comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]
 ) -> dict[int, list[Program]]:
-    """Return by equation the programs that may be better; equations without such programs are left out."""
-    room = comparison.score.room(best)
-    lengths = [comparison.score.affordable(best, equation, room) for equation in range(len(lists))]
+    """Return, by equation, the programs that may shorten the description; equations without such programs are left
+    out."""
+    room = comparison.score.possible_gain(best)
+    lengths = [comparison.score.length_limit(best, equation, room) for equation in range(len(lists))]
     shorter = [
         [program for program in others if comparison.score.length(program) < most]
         for others, most in zip(lists, lengths, strict=True)
@@ -187,10 +196,11 @@ def search_locally(
 ) -> FittedModel:
     """Return the end of the descent from the best system.
 
-    If the residuals of the system are noise, programs so long that no misfit could make them better are not tried.
+    If the residuals of the system are noise, programs are not tried if they are so long that no misfit could compensate
+    their length.
     """
-    room = comparison.score.room(best)
-    has_room = comparison.score.has_room(best)
+    room = comparison.score.possible_gain(best)
+    has_room = comparison.score.may_be_improved(best)
 
     def around(equation: int, program: Program) -> Iterator[Program]:
         name = task.variables[equation]
@@ -203,15 +213,15 @@ def search_locally(
 
     def promising(program: Program, others: Iterable[Program]) -> Iterator[Program]:
         most = comparison.score.length(program) + room
-        affordable = (candidate for candidate in others if comparison.score.length(candidate) < most)
-        return filter(task.may_be_shown, affordable)
+        length_limit = (candidate for candidate in others if comparison.score.length(candidate) < most)
+        return filter(task.may_be_shown, length_limit)
 
     descent = LocalSearch(comparison, around, comparison.estimator.work + SETTINGS.effort.work, beyond)
     equations = [index for index, _ in enumerate(lists) if index not in comparison.fixed]
     best = descent.improve(best, equations)
     for equation in equations if has_room else ():
-        best = _restarted(comparison, descent, best, equation, lists[equation])
-    best = exchange(comparison, best, lists)
+        best = _restart(comparison, descent, best, equation, lists[equation])
+    best = exchange_programs(comparison, best, lists)
     return reduce_all(comparison, best)
 
 
@@ -219,14 +229,13 @@ def search_terms(
     task: ModellingTask, comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]],
     pairs: Sequence[Sequence[Program]], until: int,
 ) -> FittedModel:  # fmt: skip
-    """Return the end of the descent from the best system by one term more or less in one equation.
+    """Return the end of a descent from the best system; each step adds or removes one term of one equation.
 
-    Each is fitted along the trajectories, begun from the system as it is, until the estimator's work is `until`. All
-    terms are tried, however small the residuals are: the other constants of a system partly compensate for a
-    missing term, so that noise hides the remaining pattern. The expanded sum itself is tried as
-    well: each of its terms can go, or lose its coefficient. Where an equation has functions, the
-    best of its candidates (`lists`) without any is another beginning, and so is the best of some sums of two terms
-    (`pairs`): adding one term to the equation does not reach these.
+    Each changed system is fitted along the trajectories from the current one, until the estimator's work is `until`.
+    All terms are tried, however small the residuals are: other constants partly compensate for a missing term, so that
+    noise hides the remaining pattern. The expanded sum is tried as well: then each of its terms, or its coefficient,
+    can be removed. Two further start points cannot be reached by adding one term: if an equation has functions, the
+    best candidate in `lists` without functions; and the best sum of two terms in `pairs`.
     """
 
     def around(equation: int, program: Program) -> Iterator[Program]:
@@ -242,46 +251,46 @@ def search_terms(
     descent = LocalSearch(comparison, around, until, is_thorough=False)
     end = descent.improve(best, equations)
     for equation in equations:
-        if lists and _kind(end.programs[equation]):
-            end = _restarted(comparison, descent, end, equation, lists[equation])
-        end = _restarted(comparison, descent, end, equation, pairs[equation])
+        if lists and _has_functions(end.programs[equation]):
+            end = _restart(comparison, descent, end, equation, lists[equation])
+        end = _restart(comparison, descent, end, equation, pairs[equation])
     return end if end is best else reduce_all(comparison, end)
 
 
-def recalibrated(
+def recalibrate(
     comparison: ModelComparison, best: FittedModel, others: Sequence[FittedModel]
 ) -> tuple[ModelComparison, FittedModel]:
-    """Return the comparison by the errors that the residuals of the best system show, and that system.
+    """Return a comparison whose errors are estimated from the residuals of the best system, and that system.
 
-    The closest alternatives, and those of `others`, are compared again.
+    The closest alternatives, and the equations of `others`, are compared again.
     """
-    tried = sorted(comparison.tried.items(), key=lambda item: item[1].nats)
-    comparison, best = comparison.calibrated(comparison.fit_beside(best, best.programs) or best)
+    known_models = sorted(comparison.fitted_models.items(), key=lambda item: item[1].nats)
+    comparison, best = comparison.calibrate(comparison.fit_from(best, best.programs) or best)
     for equation, own in enumerate(best.programs):
         if equation in comparison.fixed:
             continue
         programs = [other.programs[equation] for other in others]
-        programs += [model.programs[equation] for (changed, _), model in tried if changed == equation]
+        programs += [model.programs[equation] for (changed, _), model in known_models if changed == equation]
         distinct = {structure(program): program for program in reversed(programs)}
         distinct.pop(structure(own), None)
         nearest = list(reversed(distinct.values()))[: SETTINGS.effort.kept]
-        compare_rivals(comparison, best, equation, nearest)
+        compare_alternatives(comparison, best, equation, nearest)
     return comparison, best
 
 
-def compare_rivals(
+def compare_alternatives(
     comparison: ModelComparison, best: FittedModel, equation: int, programs: Sequence[Program]
 ) -> None:  # fmt: skip
-    """Fit programs in the place of one equation, and remember the best; the first without needless constants.
+    """Fit programs in the place of one equation, and remember the best; the first few without unnecessary constants.
 
-    With unnecessary constants, an alternative counts as an elaboration of the equation.
+    With unnecessary constants, an alternative would count as an elaboration of the equation.
     """
     effort = SETTINGS.effort
     rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
     for rival in comparison.narrow_down(best, equation, programs, rounds)[: effort.rounds[1][1]]:
         pruned = descent.prune(rival, equation)
-        comparison.tried[equation, structure(pruned.programs[equation])] = pruned
+        comparison.fitted_models[equation, structure(pruned.programs[equation])] = pruned
 
 
 def reduce_all(comparison: ModelComparison, best: FittedModel) -> FittedModel:
@@ -293,14 +302,15 @@ def reduce_all(comparison: ModelComparison, best: FittedModel) -> FittedModel:
     return best
 
 
-def _restarted(
+def _restart(
     comparison: ModelComparison, descent: LocalSearch, best: FittedModel, equation: int, programs: Sequence[Program]
 ) -> FittedModel:
-    """Return the best end of descents that begin with other programs for one equation, all others as they are."""
+    """Return the best end of descents that begin with other programs for one equation, all other equations
+    unchanged."""
     effort = SETTINGS.effort
     rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
     others = comparison.narrow_down(best, equation, programs[: effort.kept], rounds)
-    by_kind = {_kind(model.programs[equation]): model for model in reversed(others)}
+    by_kind = {_has_functions(model.programs[equation]): model for model in reversed(others)}
     for start in sorted(by_kind.values(), key=lambda model: model.nats):
         if descent.is_exhausted:
             break
@@ -312,6 +322,7 @@ def _restarted(
     return best
 
 
-def _kind(program: Program) -> bool:
-    """Return whether a program has functions: descents from other kinds end elsewhere."""
+def _has_functions(program: Program) -> bool:
+    """Tell whether a program has functions, such as a sine; descents with and without functions end at different
+    systems."""
     return any(is_function(code) for code in program.operators.tolist())

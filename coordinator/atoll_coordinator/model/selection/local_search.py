@@ -1,4 +1,11 @@
-"""From one system to a shorter description: its equations reduced, extended, changed in one place, again and again."""
+"""Local search: shortens the description of a system by changes of one equation at one node.
+
+How it works. `improve` takes one equation after another. It removes unnecessary parts, fits the programs nearby
+(`narrow_down`: many with few steps, the best with more), removes unnecessary parts of each that is about as short, and
+goes on from the shortest. The search ends when no equation changes, or when the work budget is used up.
+
+Doubts. Only one equation changes at a time, at one node. `prune` uses standard errors from the normal equations, which
+are too small if the residuals have a pattern; each removal is therefore confirmed by a fit."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -17,23 +24,24 @@ from atoll_core.expression.writing.shortest import collected
 
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
 
-Around = Callable[[int, Program], Iterator[Program]]
-"""Programs near one of an equation that may take its place."""
+ProgramsNearby = Callable[[int, Program], Iterator[Program]]
+"""Returns programs near a program of an equation (index, program) that may replace it."""
 
 
 class LocalSearch:
-    """Shortens systems until nothing near is shorter, or the estimator's `budget` of work is used up.
+    """Shortens systems until no system nearby is shorter, or the estimator's `budget` of work is used up.
 
-    A step that has begun is finished, unless it takes more than the overdraft. A descent ends at a system that was
-    tried before. Unless it `is_thorough`, systems on the way lose unnecessary constants only.
+    A step that has begun is finished, if it does not exceed the budget by more than `SETTINGS.effort.work`. A descent
+    ends at a system that was tried before. Unless the search `is_thorough`, only unnecessary constants are removed from
+    systems on the way, and no other parts.
     """
 
     def __init__(
-        self, comparison: ModelComparison, around: Around, budget: int, leaps: Around = lambda *_: iter(()),
-        *, is_thorough: bool = True,
+        self, comparison: ModelComparison, around: ProgramsNearby, budget: int,
+        leaps: ProgramsNearby = lambda *_: iter(()), *, is_thorough: bool = True,
     ) -> None:  # fmt: skip
         self._comparison = comparison
-        self._around = around
+        self._neighbours = around
         self._leaps = leaps
         self._shorten = self.reduce if is_thorough else self.prune
         self._budget = budget
@@ -43,7 +51,7 @@ class LocalSearch:
 
     @property
     def is_exhausted(self) -> bool:
-        """Whether nothing more is tried."""
+        """Whether the budget or the time is used up."""
         estimator = self._comparison.estimator
         return estimator.deadline.is_over or estimator.work > self._budget
 
@@ -52,7 +60,7 @@ class LocalSearch:
         waiting = list(equations)
         while waiting and not self.is_exhausted:
             equation = waiting.pop(0)
-            following = self._improved(model, equation)
+            following = self._improve_equation(model, equation)
             if following is not model:
                 waiting = [*(index for index in equations if index != equation), equation]
                 model = following
@@ -72,15 +80,15 @@ class LocalSearch:
         return model
 
     def prune(self, model: FittedModel, equation: int) -> FittedModel:
-        """Make constants of one equation neutral as long as that shortens the description, the least needed first.
+        """Set constants of one equation to 0, 1 or -1 as long as that shortens the description.
 
-        Whether a constant is needed follows from its distance from 0, 1 or -1 in standard errors (Wald's test), so that
-        each step takes one or two fits. This is done even when the budget is used up, since constants are few.
+        Candidates follow from the distance of a constant from 0, 1 or -1 in standard errors (Wald's test). So each step
+        takes one or two fits. There are few constants, so this is done even if the budget is used up.
         """
         while True:
             following = None
-            for program in self._needless(model, equation)[:2]:
-                following = self._comparison.fit_exchanged(model, equation, program, SETTINGS.effort.brief_steps)
+            for program in self._with_one_neutral_constant(model, equation)[:2]:
+                following = self._comparison.fit_replacement(model, equation, program, SETTINGS.effort.brief_steps)
                 if following is not None and following.nats < model.nats - SETTINGS.selection.least_gain:
                     break
                 following = None
@@ -89,16 +97,17 @@ class LocalSearch:
             model = following
         return model
 
-    def _needless(self, model: FittedModel, equation: int) -> list[Program]:
-        """Return programs with one constant neutral that promise shorter descriptions, the most promising first.
+    def _with_one_neutral_constant(self, model: FittedModel, equation: int) -> list[Program]:
+        """Return programs with one constant set to 0, 1 or -1, the most promising first.
 
-        Constants that the data do not determine, of infinite variance, are the first; the others by their distance.
-        Integration errors do not show how well constants are known: such residuals count at their upper limit.
+        Constants of infinite variance, which the data do not determine, come first; the others by their distance. If
+        residuals are integration errors, they do not show the uncertainty of constants, so they count at their upper
+        limit.
         """
         program = model.programs[equation]
         fit = model.fit
         own = np.flatnonzero(fit.system.owners == equation + len(self._comparison.leading))
-        inflation = self._comparison.score.inflation(model) * self._comparison.score.hidden_errors(model)
+        inflation = self._comparison.score.inflation(model) * self._comparison.score.integration_error_factor(model)
         variances = fit.system.by_place(inflation * np.diag(covariance(fit)), 2)[:, own]
         values = fit.system.by_place(fit.system.values)[:, own]
         priced: list[tuple[float, float, int, float]] = []
@@ -114,19 +123,21 @@ class LocalSearch:
             programs += [one for one in shorter if nats < length - self._comparison.score.length(one)]
         return programs
 
-    def _is_new(self, tried: dict[tuple[int, tuple[bytes, ...]], float], model: FittedModel, equation: int) -> bool:
-        """Tell whether an equation of a system has not been `tried`, or only with worse constants."""
+    def _is_new(
+        self, known_lengths: dict[tuple[int, tuple[bytes, ...]], float], model: FittedModel, equation: int
+    ) -> bool:
+        """Tell whether an equation of a system is not in `known_lengths`, or only with worse constants; adds it."""
         system = equation, tuple(map(structure, model.programs))
-        if model.nats > tried.get(system, math.inf) - SETTINGS.selection.least_gain:
+        if model.nats > known_lengths.get(system, math.inf) - SETTINGS.selection.least_gain:
             return False
-        tried[system] = model.nats
+        known_lengths[system] = model.nats
         return True
 
-    def _improved(self, model: FittedModel, equation: int) -> FittedModel:
+    def _improve_equation(self, model: FittedModel, equation: int) -> FittedModel:
         best = self._shorten(model, equation)
         if not self._is_new(self._explored, best, equation):
             return best
-        programs = self._around(equation, best.programs[equation])
+        programs = self._neighbours(equation, best.programs[equation])
         models = self._comparison.narrow_down(best, equation, programs, SETTINGS.effort.rounds, self._until)
         near = [
             neighbour

@@ -1,8 +1,10 @@
-"""The rows of a trajectory that are simulated without a break: all, or if that cannot be fitted, shorter pieces.
+"""Piece length: the number of rows of a trajectory that are simulated without a break.
 
-Errors of an initial state grow along a trajectory; in a chaotic system, its prediction is lost after some
-hundred rows. Shorter pieces, each from its own initial state, can still be fitted. They test a model less, hence the
-longest pieces that can be fitted are used.
+Errors of an initial state grow along a trajectory; in a chaotic system, its prediction is lost after some hundred rows.
+If whole trajectories cannot be fitted, shorter pieces, each from its own initial state, often can. They are a weaker
+test of a model. So `search_in_pieces` begins with the longest pieces, and takes shorter pieces only if the system fits
+these well. Doubt: a wrong system can fit short pieces, and the test of this system is then weak; a remark in the result
+says so.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,42 +16,42 @@ import numpy as np
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import fit_jointly, reduce_all, search_jointly
 from atoll_coordinator.model.selection.score import FittedModel
-from atoll_coordinator.model.selection.solver_errors import without_solver_errors
+from atoll_coordinator.model.selection.solver_errors import subtract_solver_errors
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
 
 
 def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
-    """Return the best system of these candidates and their neighbourhood, None where none can be simulated."""
+    """Return the best system of these candidates and their neighbourhood; None if no system can be simulated."""
     if not all(lists):
         return None
     first = [programs[0] for programs in lists]
     if task.is_nearly_clean:
-        selection = search_jointly(in_stretches(task, first), lists)
+        selection = search_jointly(choose_piece_length(task, first), lists)
         if selection is None or selection.comparison.score.is_exact(selection.model):
             return selection
-        return _without_solver_errors(task, selection) or selection
-    longest, tasks = None, _tasks(task)
+        return _fit_without_solver_errors(task, selection) or selection
+    longest, tasks = None, _tasks_by_piece_length(task)
     for index, here in enumerate(tasks):
-        fits_shorter = partial(_fits_in, tasks[index + 1 :])
+        fits_shorter = partial(_fits_in_shorter_pieces, tasks[index + 1 :])
         selection = search_jointly(here, lists, is_hopeless=fits_shorter)
         if selection is None:
             continue
         longest = longest or selection
         if selection.is_like_noise:
-            return _lengthened(task, selection, lists)
+            return _lengthen_pieces(task, selection, lists)
         if not fits_shorter(selection):
             break
     return longest
 
 
-def _without_solver_errors(task: ModellingTask, selection: SelectedModel) -> SelectedModel | None:
-    """Return the system from which a solver computed the rows, without unnecessary parts; None without such a solver.
+def _fit_without_solver_errors(task: ModellingTask, selection: SelectedModel) -> SelectedModel | None:
+    """Return the system, fitted to rows without solver errors; None if no solver reproduces the rows.
 
-    Nothing else is tried: a solver gives the rows from the law only.
+    Unnecessary parts are removed. No other programs are tried: a solver reproduces the rows only from the true law.
     """
-    exact = without_solver_errors(task, selection.model.fit)
+    exact = subtract_solver_errors(task, selection.model.fit)
     if exact is None:
         return None
     programs = selection.model.programs
@@ -59,42 +61,44 @@ def _without_solver_errors(task: ModellingTask, selection: SelectedModel) -> Sel
     return replace(solved, model=reduce_all(solved.comparison, solved.model), lists=selection.lists)
 
 
-def in_whole(task: ModellingTask) -> ModellingTask:
-    """Return the task with trajectories simulated in whole, or in the longest pieces that are ever fitted."""
+def with_longest_pieces(task: ModellingTask) -> ModellingTask:
+    """Return the task with the longest pieces that are ever fitted, for nearly noise-free data; else unchanged."""
     return replace(task, piece=SETTINGS.shooting.piece) if task.is_nearly_clean else task
 
 
-def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
-    """Return the chosen system fitted to all rows, in shorter pieces if it must be; None when it cannot be.
+def refit_on_all_rows(selection: SelectedModel) -> SelectedModel | None:
+    """Return the chosen system fitted to all rows, if necessary in shorter pieces; None if this fails.
 
-    Of dozens of states it is fitted to fewer. It is integrated so precisely that its constants do not show it.
+    With dozens of states it is fitted to fewer rows. The integration is so precise that its errors do not affect the
+    constants.
     """
     task, chosen = selection.task, selection.comparison.estimator
     measurements = task.measurements(task.variables)
-    measurements = measurements.thinned(SETTINGS.effort.fitted_sensitivities // len(task.variables) ** 2)
+    measurements = measurements.thin(SETTINGS.effort.fitted_sensitivities // len(task.variables) ** 2)
     if measurements.rows == chosen.measurements.rows:
-        comparison = task.compare(measurements, task.variables, is_precise=True)
+        comparison = task.make_comparison(measurements, task.variables, is_precise=True)
         if comparison.estimator.tolerance >= chosen.tolerance:
             return selection
-        model = comparison.fit_beside(selection.model, selection.model.programs)
-        return selection if model is None else _calibrated(replace(selection, comparison=comparison, model=model))
+        model = comparison.fit_from(selection.model, selection.model.programs)
+        return selection if model is None else _calibrate(replace(selection, comparison=comparison, model=model))
     selections: list[SelectedModel] = []
-    for here in _tasks(task):
-        fitted = _fitted(here, selection.model.programs, measurements.rows, is_precise=True)
+    for here in _tasks_by_piece_length(task):
+        fitted = _fit_task(here, selection.model.programs, measurements.rows, is_precise=True)
         if fitted is not None:
-            selections.append(_calibrated(fitted))
+            selections.append(_calibrate(fitted))
             if selections[-1].is_like_noise:
                 return selections[-1]
     return selections[0] if selections else None
 
 
-def _calibrated(selection: SelectedModel) -> SelectedModel:
-    comparison, model = selection.comparison.calibrated(selection.model)
+def _calibrate(selection: SelectedModel) -> SelectedModel:
+    comparison, model = selection.comparison.calibrate(selection.model)
     return replace(selection, comparison=comparison, model=model)
 
 
-def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:
-    """Yield sentences for the user: trajectories were not simulated in whole, states are without an equation."""
+def piece_remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:
+    """Yield remarks for the user: subtracted solver errors, trajectories simulated in pieces, states without an
+    equation."""
     if task.solver is not None:
         yield f"{task.solver}, reproduces the rows from these equations; its errors were subtracted from them."
     whole = task.longest
@@ -111,53 +115,57 @@ def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterato
     others = [state for state in task.recording.states if state not in task.variables]
     if others:
         yield (
-            f"Simulations take {', '.join(others)}, without an equation, as smoothed; errors of smoothed values add to "
-            "the residuals."
+            f"Simulations use the smoothed values of {', '.join(others)}, which have no equation; errors of these "
+            "values add to the residuals."
         )
 
 
-def _fits_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
-    """Tell whether a system that does not fit well fits well in shorter pieces."""
+def _fits_in_shorter_pieces(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
+    """Tell whether a system fits badly in its pieces, but well in shorter pieces."""
     if selection.is_like_noise:
         return False
     rows = selection.comparison.estimator.measurements.rows
-    fits = (_fitted(task, selection.model.programs, rows) for task in tasks)
+    fits = (_fit_task(task, selection.model.programs, rows) for task in tasks)
     return any(fit is not None and fit.is_like_noise for fit in fits)
 
 
-def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[Sequence[Program]]) -> SelectedModel:
-    """Return a system for short pieces fitted to longer pieces if it describes these, else the system itself."""
+def _lengthen_pieces(
+    task: ModellingTask, selection: SelectedModel, lists: Sequence[Sequence[Program]]
+) -> SelectedModel:
+    """Return the system fitted to longer pieces if it describes these, else the system for short pieces."""
     rows = selection.comparison.estimator.measurements.rows
-    for longer in _tasks(task):
+    for longer in _tasks_by_piece_length(task):
         if longer.piece <= selection.task.piece:
             break
-        fit = _fitted(longer, selection.model.programs, rows)
+        fit = _fit_task(longer, selection.model.programs, rows)
         if fit is not None and fit.is_like_noise:
             return search_jointly(longer, lists, selection.model.programs) or selection
     return selection
 
 
-def _fitted(
+def _fit_task(
     task: ModellingTask, programs: Sequence[Program], rows: int, *, is_precise: bool = False
 ) -> SelectedModel | None:
-    """Return a system fitted to at most about this many rows, None when it cannot be simulated."""
-    measurements = task.measurements(task.variables).thinned(rows)
-    comparison = task.compare(measurements, task.variables, is_precise=is_precise)
+    """Return a system fitted to at most about `rows` rows; None if it cannot be simulated."""
+    measurements = task.measurements(task.variables).thin(rows)
+    comparison = task.make_comparison(measurements, task.variables, is_precise=is_precise)
     model = comparison.fit_model(programs, lengths=(SETTINGS.shooting.lengths[0], None))
     return None if model is None else SelectedModel(task, comparison, model)
 
 
-def _tasks(task: ModellingTask) -> list[ModellingTask]:
-    """Return the task with its own pieces, and with shorter ones that are at most half of the longest trajectory."""
+def _tasks_by_piece_length(task: ModellingTask) -> list[ModellingTask]:
+    """Return the task with its own piece length, and with shorter piece lengths, at most half of the longest
+    trajectory."""
     most = min(task.piece, task.longest)
     return [task, *(replace(task, piece=rows) for rows in reversed(SETTINGS.shooting.lengths[1:]) if 2 * rows <= most)]
 
 
-def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingTask:
-    """Return the task with pieces so long that a system describes nearly clean trajectories in the fewest nats.
+def choose_piece_length(task: ModellingTask, programs: Sequence[Program]) -> ModellingTask:
+    """Return the task with the piece length at which a system describes nearly noise-free rows in the fewest nats.
 
-    Errors of a solver add up along a trajectory; an initial state for each piece, which costs 1/2 ln N for each number,
-    ends the sum. In a whole trajectory, terms outside of the law would describe the sum of such errors.
+    Errors of a solver add up along a trajectory. A new initial state for each piece, which costs 1/2 ln N for each
+    number, restarts the sum. In a whole trajectory, terms that are not in the law would describe the accumulated
+    errors.
     """
     lengths: dict[int, float] = {}
     tasks = {task.piece: task}
@@ -166,12 +174,12 @@ def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingT
         comparison = here.comparison
         model = comparison.fit_model(programs)
         if model is not None:
-            lengths[piece] = _stretch_length(comparison, model) / comparison.estimator.measurements.rows
+            lengths[piece] = _description_length(comparison, model) / comparison.estimator.measurements.rows
     best = min(lengths, key=lambda piece: (lengths[piece], -piece), default=task.piece)
     return tasks[best]
 
 
-def _stretch_length(comparison: ModelComparison, model: FittedModel) -> float:
+def _description_length(comparison: ModelComparison, model: FittedModel) -> float:
     """Return the nats of all errors, independent within pieces, and of all initial states."""
     counts, starts = comparison.score.counts, model.fit.starts.size
     free = np.maximum(counts - starts / len(counts), 1.0)

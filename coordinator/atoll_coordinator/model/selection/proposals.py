@@ -1,7 +1,9 @@
-"""Proposers: functions that return candidate programs for an equation; the choice is made elsewhere.
+"""Proposers: functions that return candidate programs for an equation. They do not choose among them.
 
-Each takes the modelling task, a variable, and the nats from which on a program is too long to matter (infinite if not
-known).
+Each takes the modelling task, the name of a variable, and a length limit in nats: longer programs cannot win (infinite
+if no limit is known). Sources are the search, sparse regression, matching pursuit of derivatives, pairs of terms, and
+candidates with one part removed. Doubt: most proposals are selected by their error on smoothed derivatives, where the
+right program may be far behind.
 """
 
 import math
@@ -38,14 +40,14 @@ def propose_nearest(task: ModellingTask, name: str, most: float) -> Iterable[Pro
 
 def propose_sums(task: ModellingTask, name: str, most: float) -> Iterable[Program]:
     """Return sums of a polynomial and of functions, see `pursue`."""
-    return _pursued(task, name, most)
+    return _pursue_by_group(task, name, most)
 
 
 def propose_reduced(
     model: FittedModel, comparison: ModelComparison, task: ModellingTask, equation: int, candidates: Sequence[Program]
 ) -> list[Program]:
-    """Return candidates that are too long to matter, with one part removed, by their error."""
-    most, own = comparison.score.affordable(model, equation), model.programs[equation]
+    """Return candidates above the length limit with one part removed, sorted by their error on the derivatives."""
+    most, own = comparison.score.length_limit(model, equation), model.programs[equation]
     long = [program for program in candidates if comparison.score.length(program) >= most][: SETTINGS.effort.beam]
     known = {structure(own), *map(structure, candidates)}
     smaller = (shortened(reduced) for program in long if not task.is_over for reduced in reductions(program))
@@ -65,7 +67,7 @@ def propose_reduced(
 
 
 def _with_whole_powers(program: Program) -> Iterator[Program]:
-    """Yield the program with each constant exponent, and with all of them, as the whole number that is nearest."""
+    """Yield the program with each constant exponent rounded to a whole number, and with all of them rounded."""
     nodes = program.nodes()
     exponents = {right: nodes[right][3] for code, _, right, _ in nodes if code == POW and nodes[right][0] == CONSTANT}
     whole = {place: float(round(value)) for place, value in exponents.items() if math.isfinite(value) and round(value)}
@@ -74,10 +76,10 @@ def _with_whole_powers(program: Program) -> Iterator[Program]:
         yield shortened(with_constants(program, choice))
 
 
-def rates_of(program: Program, problem: Problem, uncertainty: float) -> Problem | None:
-    """Return the problem whose target has the values of a program, uncertain by a share of their standard deviation.
+def with_target_values_of(program: Program, problem: Problem, uncertainty: float) -> Problem | None:
+    """Return the problem with the values of a program as target; `uncertainty` is a share of their standard deviation.
 
-    None if they are constant, or not finite.
+    None if the values are constant or not finite.
     """
     values = values_of(program, problem.inputs)
     deviation = float(values.std())
@@ -94,7 +96,7 @@ def propose_all(task: ModellingTask, name: str, most: float) -> Iterable[Program
 
 
 def propose_pairs(task: ModellingTask, name: str) -> list[Program]:
-    """Return the sums of two products up to the second degree, by their residuals on the derivatives.
+    """Return the sums of two products up to the second degree, sorted by their residuals on the derivatives.
 
     In logistic growth, for example, each term alone describes less than a constant does, so that adding or changing one
     term at a time does not reach the sum of both.
@@ -114,24 +116,29 @@ def propose_pairs(task: ModellingTask, name: str) -> list[Program]:
 
 
 def propose_further_sums(task: ModellingTask, name: str, most: float) -> Iterable[Program]:
-    """Return sums with operators with which no search begins."""
-    return _pursued(task, name, most, task.further_operators(name)) if may_be_widened(task, name) else ()
+    """Return sums with the further operators, which a search does not use at first."""
+    return (
+        _pursue_by_group(task, name, most, task.further_operators(name))
+        if may_use_further_operators(task, name)
+        else ()
+    )
 
 
-def may_be_widened(task: ModellingTask, name: str) -> bool:
-    """Tell whether further operators may be tried for an equation: one with a law by derivatives among many variables
-    has no other candidates."""
-    return bool(task.further_operators(name)) and name not in task.lawful and name not in task.known
+def may_use_further_operators(task: ModellingTask, name: str) -> bool:
+    """Tell whether further operators may be tried for an equation.
+
+    Not if it is known, or has a law by derivatives among many variables: then it has no other candidates."""
+    return bool(task.further_operators(name)) and name not in task.rate_law_variables and name not in task.known
 
 
-def _pursued(task: ModellingTask, name: str, most: float, needed: Collection[int] = ()) -> list[Program]:
+def _pursue_by_group(task: ModellingTask, name: str, most: float, needed: Collection[int] = ()) -> list[Program]:
     problem = task.dataset.problem(name)
     parts = [problem.of_group(group) for group in range(len(task.recording.groups))] or [problem]
     operators = task.operators(name) | set(needed)
     sought = Pursuit(task.columns(name), frozenset(operators), frozenset(needed), most)
-    return [program for part in parts for program in _sums(task, part, sought)]
+    return [program for part in parts for program in _pursue(task, part, sought)]
 
 
-def _sums(task: ModellingTask, problem: Problem, sought: Pursuit) -> tuple[Program, ...]:
-    """Return the sums with the smallest residuals on a target; none if time is over before they are found."""
+def _pursue(task: ModellingTask, problem: Problem, sought: Pursuit) -> tuple[Program, ...]:
+    """Return the sums with the smallest residuals on a target; empty if the time is over."""
     return task.spread.map(PURSUED, lambda: problem, [sought])[0] or ()

@@ -1,13 +1,14 @@
 """The score by which systems of equations are compared: the length of their description in nats (Rissanen 1978).
 
-A description consists of the errors of the simulated states, minus their log-likelihood, of the structures of the
-equations, and of 1/2 ln N for each fitted constant (`model.description_length`). The error model (the size of the
-independent errors, correlated errors of a sensor) comes from the smoother at first, later from the residuals of the
-best system. A score never changes: `Score.calibrated` returns another one, and lengths by two scores are never
-compared.
+How it works. A description consists of three parts: the residuals of the simulated states (minus their log-likelihood),
+the structures of the equations, and 1/2 ln N for each fitted constant (`model.description_length`). The error model
+consists of the size of the independent errors and of correlated errors of a sensor. At first it comes from the
+smoother, later from the residuals of the best system. A score never changes: `Score.calibrate` returns another one, and
+lengths by two scores are never compared.
 
 Doubts: the calibration treats the residuals of the best system so far as errors of measurement. If this system is
-wrong, its score is too lenient to others; hence models are calibrated again after each stage that found a better one.
+    wrong, the score is too lenient for other systems. So the errors are calibrated again after each stage that found a
+    better system.
 """
 
 import math
@@ -38,7 +39,8 @@ from atoll_core.expression.program import Program, constant_places
 
 @dataclass(frozen=True, eq=False)
 class SummarizedFit:
-    """A fit of which the summary is known; `complete` integrates it once more for the rest."""
+    """The mean squares (O,) of a fit that a worker has made; `complete` integrates the system again and returns the
+    fit."""
 
     squares: FloatArray
     complete: Callable[[], TrajectoryFit] = field(repr=False)
@@ -48,27 +50,28 @@ class SummarizedFit:
 class FittedModel:
     """A system fitted to trajectories: its `programs` with fitted constants, the fit, its misfit and length in nats.
 
-    The states and residuals of a fit that was made elsewhere are computed when they are first needed.
+    The states and residuals of a fit from a worker are computed when they are first needed.
     """
 
     programs: tuple[Program, ...]
-    made: TrajectoryFit | SummarizedFit
+    fit_or_summary: TrajectoryFit | SummarizedFit
     misfit: float
     nats: float
 
     @cached_property
     def fit(self) -> TrajectoryFit:
         """The fit."""
-        return self.made.complete() if isinstance(self.made, SummarizedFit) else self.made
+        return self.fit_or_summary.complete() if isinstance(self.fit_or_summary, SummarizedFit) else self.fit_or_summary
 
     @property
     def squares(self) -> FloatArray:
         """Mean squares (O,) of the fit's residuals."""
-        return self.made.squares
+        return self.fit_or_summary.squares
 
 
-def _spread(rows: FloatArray) -> FloatArray:
-    """Return the factors (O,) by which variances estimated from the roughness of this many rows may be wrong."""
+def _variance_factors(rows: FloatArray) -> FloatArray:
+    """Return upper limits (O,) of the relative error of variances that are estimated from the roughness of `rows` rows
+    (O,)."""
     return np.asarray(1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(rows, 1.0)))
 
 
@@ -78,11 +81,11 @@ class Score:
 
     Attributes:
         estimator: fits systems to the measurements.
-        leading: how many equations of positions come before the equations that are sought (order 2); not scored.
+        leading: number of equations of positions that come before the other equations (order 2); not scored.
         fixed: equations, by index, whose constants are given.
         groups: groups of trajectories that may have their own constants; 1 without groups.
         roughness: standard deviations (O,) of independent errors.
-        rows: how many independent rows (O,) these were estimated from.
+        rows: number of independent rows (O,) from which `roughness` was estimated.
         errors: errors that are correlated between neighbouring rows; None if all are independent.
     """
 
@@ -95,14 +98,14 @@ class Score:
     errors: ErrorModel | None = None
 
     @classmethod
-    def of_smoother(cls, estimator: MultipleShooting, leading: int, fixed: frozenset[int], groups: int) -> "Score":
-        """Return the score whose errors have the size that the smoother found."""
+    def from_smoother(cls, estimator: MultipleShooting, leading: int, fixed: frozenset[int], groups: int) -> "Score":
+        """Return the score with the error sizes that the smoother estimated."""
         measurements = estimator.measurements
         return cls(estimator, leading, fixed, groups, measurements.noise, measurements.weights.sum(axis=1))
 
     @cached_property
     def counts(self) -> FloatArray:
-        """How many values were measured of each state (O,)."""
+        """Number of measured values of each state (O,), as the sum of weights."""
         return np.asarray(self.estimator.measurements.weights.sum(axis=1))
 
     @property
@@ -117,19 +120,20 @@ class Score:
 
     @cached_property
     def pieces(self) -> FloatArray:
-        """How many independent numbers systematic errors of each state (O,) consist of."""
+        """Number of independent numbers in the systematic errors of each state (O,)."""
         least = SETTINGS.selection.systematic_numbers
         return np.minimum(np.maximum(count_pieces(self.estimator.measurements), least), self.counts)
 
     @cached_property
     def is_noisy(self) -> npt.NDArray[np.bool_]:
-        """Which states (O,) the smoother found independent errors of, large enough to hide a term."""
+        """Which states (O,) have independent errors, by the smoother, that are large enough to hide a term."""
         return self.estimator.measurements.noise >= SETTINGS.selection.least_noise * self._scales
 
     @cached_property
     def misfit(self) -> TrajectoryMisfit:
-        """Turns mean squares of residuals into nats: their independent part has about the size of `roughness`."""
-        smallest, spread = SETTINGS.selection.least_noise * self._scales, _spread(self.rows)
+        """The misfit in nats for mean squares of residuals, whose independent part has about the size of
+        `roughness`."""
+        smallest, spread = SETTINGS.selection.least_noise * self._scales, _variance_factors(self.rows)
         is_noisy, variances = self.roughness >= smallest, np.maximum(self.roughness, smallest) ** 2
         return TrajectoryMisfit(
             np.where(is_noisy, variances / spread, variances),
@@ -143,7 +147,7 @@ class Score:
 
     @cached_property
     def constant_nats(self) -> float:
-        """Nats of a constant that each group has of its own, for all groups together."""
+        """Nats of a constant with a value for each group, for all groups together."""
         return self._own_nats * self.groups
 
     @cached_property
@@ -159,28 +163,28 @@ class Score:
         measurements = self.estimator.measurements
         return len(measurements.bounds) * (len(measurements.scales) + len(measurements.offset))
 
-    def model_of(self, fit: TrajectoryFit) -> FittedModel:
-        """Return the model that a fit gives."""
-        misfit = self._misfit_of(fit.system).total(self.squares(fit)) + self._drift(fit)
+    def score_fit(self, fit: TrajectoryFit) -> FittedModel:
+        """Return the model of a fit, with its misfit and length in nats."""
+        misfit = self._misfit_of(fit.system).total(self.squares(fit)) + self._resting_misfit(fit)
         return FittedModel(fit.system.programs[self.leading :], fit, misfit, self._length(misfit, fit.system))
 
-    def calibrated(self, fit: TrajectoryFit) -> tuple["Score", TrajectoryFit]:
-        """Return the score with the errors that the residuals of a fit show, and the fit made again with these.
+    def calibrate(self, fit: TrajectoryFit) -> tuple["Score", TrajectoryFit]:
+        """Return the score with errors estimated from the residuals of a fit, and the fit repeated with these errors.
 
         Errors that are correlated between neighbouring rows, such as errors of a sensor, are estimated first; the size
         of the independent errors follows from the roughness of the whitened residuals.
         """
         if fit.errors.shares.any():
-            fit = self.with_errors(fit, None) or fit
+            fit = self.refit_with_errors(fit, None) or fit
         free = self.counts - self._fitted_numbers(fit.system)
         score, residuals = replace(self, errors=None), fit.residuals
-        correlated = score._with_roughness(residuals, free)._with_sensor_errors(fit)
+        correlated = score._set_roughness(residuals, free)._refit_with_sensor_errors(fit)
         if correlated is not None:
             fit, score = correlated, replace(self, errors=correlated.errors)
-            residuals = score.whitened(fit)
-        return score._with_roughness(residuals, free), fit
+            residuals = score.whiten(fit)
+        return score._set_roughness(residuals, free), fit
 
-    def _with_roughness(self, residuals: FloatArray, free: FloatArray) -> "Score":
+    def _set_roughness(self, residuals: FloatArray, free: FloatArray) -> "Score":
         noise = self._independent_noise(roughness(self.estimator.measurements, residuals), free)
         return replace(self, roughness=noise, rows=free)
 
@@ -189,24 +193,26 @@ class Score:
         return system_length(misfit, system.programs[self.leading :], 1, self._constants_length(system))
 
     def _misfit_of(self, system: System) -> TrajectoryMisfit:
-        """Return the misfit of systems with as many fitted numbers."""
+        """Return the misfit function for systems with as many fitted numbers as this system."""
         return self.misfit.with_fitted(self._fitted_numbers(system))
 
     def _fitted_numbers(self, system: System) -> float:
-        """Return how many numbers are fitted for each measured state: constants, also where they are held for a while,
-        and initial states."""
+        """Return the number of fitted numbers per measured state: constants, also temporarily fixed ones, and initial
+        states."""
         programs = system.programs[self.leading :]
         sought = (program for index, program in enumerate(programs) if index not in self.fixed)
         constants = max(system.count, sum(len(constant_places(program)) for program in sought))
         return (constants + self._initial_values) / len(self.counts)
 
     def _constants_length(self, system: System) -> float:
-        """Return the nats of all fitted numbers: constants of one group are known from its rows alone."""
+        """Return the nats of all fitted constants; a constant of one group is determined by the rows of this group
+        only."""
         own = 0 if system.sharing is None else system.sharing.own_numbers
         return self._own_nats * own + self._shared_nats * (system.count - own)
 
-    def _drift(self, fit: TrajectoryFit) -> float:
-        """Return the misfit of states that rest at 0, n/2 ln(s / least^2): only integration may err there."""
+    def _resting_misfit(self, fit: TrajectoryFit) -> float:
+        """Return the misfit of states that rest at 0, n/2 ln(s / least^2): only integration errors are expected
+        there."""
         measurements = self.estimator.measurements
         total = 0.0
         for resting, state, least in zip(
@@ -223,36 +229,36 @@ class Score:
     def _independent_noise(self, deviations: FloatArray, free: FloatArray) -> FloatArray:
         """Return the standard deviations (O,) of independent errors, by the roughness of residuals.
 
-        Only `free` rows count, since numbers were fitted to the rows, and the smoother's noise counts as one row more:
-        residuals of a system with as many numbers as rows have no information.
+        Only `free` rows (O,) count: rows minus fitted numbers. The smoother's noise counts as one more row, because
+        residuals of a system with as many fitted numbers as rows have no information.
         """
         squares, smoother = self.counts * deviations**2, self.estimator.measurements.noise**2
         return np.asarray(np.sqrt((squares * (free > 0.0) + smoother) / (np.maximum(free, 0.0) + 1.0)))
 
-    def with_errors(self, fit: TrajectoryFit, errors: ErrorModel | None) -> TrajectoryFit | None:
-        """Return a fit begun again with these errors, independent ones unless given."""
+    def refit_with_errors(self, fit: TrajectoryFit, errors: ErrorModel | None) -> TrajectoryFit | None:
+        """Return the fit repeated with these errors; None: with independent errors."""
         errors = errors or ErrorModel.independent(np.sqrt(fit.squares))
         return self.estimator.fit(fit.system, None, SETTINGS.effort.steps, fit.starts, errors, is_stiff=fit.is_stiff)
 
-    def _with_sensor_errors(self, fit: TrajectoryFit) -> TrajectoryFit | None:
-        """Return a fit to independent errors refitted with errors of a sensor; None without such errors or if refuted.
+    def _refit_with_sensor_errors(self, fit: TrajectoryFit) -> TrajectoryFit | None:
+        """Return a fit repeated with correlated errors of a sensor; None without such errors, or if they are refuted.
 
-        See `Innovations.sensor_errors`, and `_is_refuted`. Nearly clean states have no errors of a sensor.
+        See `Innovations.sensor_errors` and `_is_refuted`. Nearly noise-free states have no errors of a sensor.
         """
         if not self.is_noisy.any():
             return None
         errors = self.estimator.sensor_errors(fit, self.counts / np.maximum(self.pieces, 1.0))
         shares = np.where(self.is_noisy, errors.shares, 0.0)
-        correlated = self.with_errors(fit, replace(errors, shares=shares)) if shares.any() else None
+        correlated = self.refit_with_errors(fit, replace(errors, shares=shares)) if shares.any() else None
         return None if correlated is None or self._is_refuted(fit, correlated) else correlated
 
-    def whitened(self, fit: TrajectoryFit) -> FloatArray:
+    def whiten(self, fit: TrajectoryFit) -> FloatArray:
         """Return the residuals (O, N) without the correlated part of the errors of measurement."""
-        return fit.residuals if self.errors is None else self.estimator.whitened(fit.residuals, self.errors)
+        return fit.residuals if self.errors is None else self.estimator.whiten(fit.residuals, self.errors)
 
     def squares(self, fit: TrajectoryFit) -> FloatArray:
-        """Return the mean squares (O,) of `whitened`."""
-        return fit.squares if self.errors is None else self.estimator.squares(self.whitened(fit))
+        """Return the mean squares (O,) of `whiten`."""
+        return fit.squares if self.errors is None else self.estimator.squares(self.whiten(fit))
 
     @property
     def has_independent_errors(self) -> npt.NDArray[np.bool_]:
@@ -261,32 +267,36 @@ class Score:
         return self.is_noisy & (self.errors is None)
 
     def inflation(self, model: FittedModel) -> float:
-        """Return how many rows count as one in the covariance of constants: 1 where errors are independent."""
+        """Return the variance inflation: the number of rows that count as one row in the covariance of constants.
+
+        It is 1 if errors are independent."""
         return self._inflation(model.fit)
 
     def _inflation(self, fit: TrajectoryFit) -> float:
         rows = self.misfit.effective_rows(self.squares(fit))
         return float(self.counts.sum() / min(rows.sum(), self.counts.sum()))
 
-    def hidden_errors(self, model: FittedModel) -> float:
-        """Return how many times the mean square of the residuals may be that the integration hides, at least 1."""
+    def integration_error_factor(self, model: FittedModel) -> float:
+        """Return the ratio, at least 1, of the mean square of integration errors to the mean square of the
+        residuals."""
         return float(max(1.0, (self.least_errors**2 / np.maximum(model.fit.squares, 1e-300)).max()))
 
     def length(self, program: Program) -> float:
         """Return the nats of a program, its constants fitted."""
         return structure_length(program) + self.constant_nats * len(constant_places(program))
 
-    def has_room(self, model: FittedModel) -> bool:
-        """Tell whether a longer system could be a shorter description than `model`, which calibrated the errors."""
-        return self.room(model) >= least_term_length(self.constant_nats)
+    def may_be_improved(self, model: FittedModel) -> bool:
+        """Tell whether a system with more terms could be a shorter description than `model`, which calibrated the
+        errors."""
+        return self.possible_gain(model) >= least_term_length(self.constant_nats)
 
-    def room(self, model: FittedModel) -> float:
-        """Return how many nats the misfit of `model`, by which the errors are calibrated, could be less.
+    def possible_gain(self, model: FittedModel) -> float:
+        """Return by how many nats the misfit of `model`, which calibrated the errors, could decrease.
 
-        The misfit of a nearly clean state could fall to the noise, or to the residuals of an exact model. If the
-        residuals of a state are as small as the smoother's noise, a longer system could at most explain their slow
-        part, as far as it exceeds the slow part of independent errors. If they are larger than the noise, there is no
-        limit.
+        The misfit of a nearly noise-free state could decrease to the noise, or to the residuals of an exact model. If
+        the residuals of a state are as small as the smoother's noise, a longer system could at most explain the excess
+        of their slow part over the slow part of independent errors. If they are larger than the noise, the result is
+        infinite.
         """
         measurements, squares = self.estimator.measurements, self.squares(model.fit)
         misfit = self._misfit_of(model.fit.system)
@@ -295,7 +305,7 @@ class Score:
             return math.inf
         noise = np.minimum(measurements.noise, self.roughness)
         least = np.minimum(np.maximum(noise, SETTINGS.inference.exact * self._scales) ** 2, squares)
-        shares, expected = slow_shares(measurements, self.whitened(model.fit), self.pieces)
+        shares, expected = slow_shares(measurements, self.whiten(model.fit), self.pieces)
         left = np.minimum((1.0 - shares) / np.maximum(1.0 - expected, 1e-12), 1.0)
         return misfit.total(squares) - misfit.total(np.where(is_clean, least, left * squares))
 
@@ -305,26 +315,26 @@ class Score:
         noise = self.estimator.measurements.noise
         return noise if errors is None else np.where(errors.shares > 0.0, np.maximum(errors.sigmas, noise), noise)
 
-    def affordable(self, model: FittedModel, equation: int, room: float | None = None) -> float:
-        """Return the length from which on no program in one equation's place is a description about as short.
+    def length_limit(self, model: FittedModel, equation: int, room: float | None = None) -> float:
+        """Return the length in nats above which no program for one equation can give a description about as short.
 
-        It gains at most the `room`, which is computed unless given.
+        The misfit decreases at most by `room` nats (None: `possible_gain`).
         """
-        room = self.room(model) if room is None else room
+        room = self.possible_gain(model) if room is None else room
         return self.length(model.programs[equation]) + room + SETTINGS.inference.distinct_nats
 
     def _is_like_noise(self, model: FittedModel) -> npt.NDArray[np.bool_]:
-        """Tell for which states (O,) the residuals are at most a sensor's errors, or the smoother's noise.
+        """Tell for which states (O,) the residuals are no larger than the errors of a sensor or the smoother's noise.
 
-        Independent errors may be of uneven size, such as outliers: n errors with the kurtosis k give their variance as
-        precisely as 2 n/(k - 1) normal ones.
+        Independent errors may have different sizes, such as outliers. The variance of n errors with the kurtosis k is
+        known as precisely as the variance of 2 n/(k - 1) normal errors.
         """
         measurements, rows, squares = self.estimator.measurements, self.counts, model.fit.squares
         errors = measurements.weights * model.fit.residuals**2
         kurtosis = rows * (errors**2).sum(axis=1) / np.maximum(errors.sum(axis=1) ** 2, 1e-300)
-        uneven = _spread(rows * 2.0 / np.maximum(kurtosis - 1.0, 2.0)) * measurements.noise**2
-        is_independent = squares <= _spread(rows) * self.roughness**2
-        is_noise = (squares <= _spread(rows) * measurements.noise**2) | (is_independent & (squares <= uneven))
+        uneven = _variance_factors(rows * 2.0 / np.maximum(kurtosis - 1.0, 2.0)) * measurements.noise**2
+        is_independent = squares <= _variance_factors(rows) * self.roughness**2
+        is_noise = (squares <= _variance_factors(rows) * measurements.noise**2) | (is_independent & (squares <= uneven))
         return is_noise if self.errors is None else is_noise | (self.errors.shares > 0.0)
 
     def is_exact(self, model: FittedModel) -> bool:
@@ -332,9 +342,9 @@ class Score:
         return bool(np.all(model.fit.squares <= self.least_errors * self.least_errors))
 
     def excess(self, model: FittedModel) -> float:
-        """Return how many times as large as the noise the residuals are, of the state that is fitted worst.
+        """Return the ratio of the residuals to the noise, for the state with the largest ratio.
 
-        Errors of smoothed states that are inputs are assumed to add residuals as large as the noise.
+        Smoothed states as inputs are assumed to add residuals as large as the noise.
         """
         measurements, residuals = self.estimator.measurements, np.sqrt(model.fit.squares)
         least = SETTINGS.common.negligible * self._scales
@@ -345,20 +355,22 @@ class Score:
             return float(np.max(residuals / allowed))
 
         if errors is None and ratio() > SETTINGS.inference.excess:
-            correlated = self._with_sensor_errors(model.fit)
+            correlated = self._refit_with_sensor_errors(model.fit)
             errors = None if correlated is None else correlated.errors
         return ratio()
 
-    def _is_refuted(self, begun: TrajectoryFit, fit: TrajectoryFit) -> bool:
-        """Tell whether constants differ by more than chance from the constants that the fit began with.
+    def _is_refuted(self, independent_fit: TrajectoryFit, fit: TrajectoryFit) -> bool:
+        """Tell whether the constants of `fit` differ by more than chance from the constants of `independent_fit`.
 
-        Then the correlated part of the residuals is not errors of measurement, but an error of the equations (Hausman
+        If so, the correlated part of the residuals is no error of measurement, but an error of the equations (Hausman
         1978, Econometrica 46:1251).
         """
         from scipy import special
 
-        moved = fit.system.values - begun.system.values
+        moved = fit.system.values - independent_fit.system.values
         if not moved.any():
             return False
-        distance = 2.0 * quadratic_misfit_increase(moved, self._inflation(begun) * bounded_covariance(begun))
+        distance = 2.0 * quadratic_misfit_increase(
+            moved, self._inflation(independent_fit) * bounded_covariance(independent_fit)
+        )
         return bool(special.chdtrc(len(moved), distance) < SETTINGS.inference.improbable)

@@ -1,11 +1,15 @@
-"""Errors of the solver that computed a table, found by computing the table again, and subtracted.
+"""Errors of the solver that computed a table: the table is computed again, and the errors are subtracted.
 
-The errors of a solver are a function of the equations, of the first row and of the solver (Zadunaisky 1976, Numerische
-Mathematik 27:21): the same solver makes the same errors again. So constants are sought with which it reproduces the
-rows. Its solutions depend on constants almost as exact solutions do, hence steps by exact sensitivities converge
-(defect correction, Stetter 1978, Numerische Mathematik 29:425); over few rows at first, since the solutions jump where
-the solver accepts a step for some constants and rejects it for others. With wrong equations, or another solver, the
-residuals stay as large as before, and no errors are subtracted.
+How it works. The errors of a solver are a function of the equations, of the first row and of the solver (Zadunaisky
+1976, Numerische Mathematik 27:21): the same solver makes the same errors again. So each common solver is tried, and
+constants are fitted with which it reproduces the rows. Its solutions depend on constants almost as exact solutions do,
+so Gauss-Newton steps with exact sensitivities converge (defect correction, Stetter 1978, Numerische Mathematik 29:425).
+The fit begins with few rows, because the solutions jump where the solver accepts a step for some constants and rejects
+it for others. With wrong equations, or another solver, the residuals stay as large as before, and no errors are
+subtracted.
+
+Doubt. Only the solvers and tolerances in `SOLVERS` are tried, and only tables that begin at the first row of the
+simulation.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,7 +40,7 @@ class Solver:
 
     @property
     def name(self) -> str:
-        """How a user would write it."""
+        """The name of the solver in remarks for the user."""
         return f"scipy.integrate.solve_ivp, {self.method}, rtol={self.rtol:g}, atol={self.atol:g}"
 
 
@@ -52,7 +56,8 @@ SOLVERS: Final = tuple(
 
 
 _PATIENCE: Final = 5
-"""Steps that a fit may take without halving the residuals: accepted and rejected solver steps change at first."""
+"""Most steps of a fit without halving the residuals: at first, accepted and rejected solver steps change between
+them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,18 +69,18 @@ class _Run:
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class _Reproduction:
     """The constants with which a solver reproduces the rows, as a system, and the residuals of each state (S,)."""
 
     solver: Solver
     system: System
-    left: FloatArray
+    residuals: FloatArray
 
 
-def without_solver_errors(task: ModellingTask, fit: TrajectoryFit) -> ModellingTask | None:
-    """Return the task with the errors of the solver taken off that computed the table by the equations of `fit`.
+def subtract_solver_errors(task: ModellingTask, fit: TrajectoryFit) -> ModellingTask | None:
+    """Return the task without the errors of the solver that computed the table from the equations of `fit`.
 
-    None where there is no such solver. The first row must be where it began.
+    None if no solver reproduces the table. The first row must be the initial state of the solver.
     """
     recording = task.recording
     if (
@@ -86,18 +91,19 @@ def without_solver_errors(task: ModellingTask, fit: TrajectoryFit) -> ModellingT
     whole = measurements_of(recording, range(len(task.variables)), piece=max(map(len, _times(recording))))
     if not np.isfinite(whole.measured[:, whole.bounds[:, 0]]).all():
         return None
-    found = next((found for solver in SOLVERS if (found := _fitted(task, whole, solver, fit.system))), None)
-    return None if found is None else _corrected(task, found)
+    found = next((found for solver in SOLVERS if (found := _reproduce_rows(task, whole, solver, fit.system))), None)
+    return None if found is None else _correct_task(task, found)
 
 
 def _times(recording: Recording) -> Iterator[FloatArray]:
     return (part.times for part in recording.trajectories if not part.held_out)
 
 
-def _fitted(task: ModellingTask, whole: Measurements, solver: Solver, system: System) -> _Found | None:
-    """Return the constants with which the solver gives all rows, None when there are none.
+def _reproduce_rows(task: ModellingTask, whole: Measurements, solver: Solver, system: System) -> _Reproduction | None:
+    """Return the constants with which the solver reproduces all rows; None if there are none.
 
-    Along chaotic trajectories their last digits decide: there it takes simple numbers, which are known exactly.
+    Along chaotic trajectories the last digits of constants decide. There simple numbers are tried, which are known
+    exactly.
     """
     at = whole.times + task.recording.offset  # LSODA's first step depends on the time
     runs = [_Run(at[first:end], whole.measured[:, first:end]) for first, end in whole.bounds.tolist()]
@@ -107,50 +113,56 @@ def _fitted(task: ModellingTask, whole: Measurements, solver: Solver, system: Sy
             (first, min(first + rows, end), owner)
             for (first, end), owner in zip(whole.bounds.tolist(), whole.owners.tolist(), strict=True)
         ]
-        begun, before, part = system, share, whole.pieces(ranges)
-        system, left, share = _settled(task, part, solver, begun, runs)
+        system_before, before, part = system, share, whole.pieces(ranges)
+        system, left, share = _fit_constants(task, part, solver, system_before, runs)
         if before <= SETTINGS.common.negligible < share and system.count <= SETTINGS.effort.beam:
             system, left, share = min(
-                (system, left, share), _settled(task, part, solver, _simplified(begun), runs), key=lambda end: end[2]
+                (system, left, share),
+                _fit_constants(task, part, solver, _round_to_simple_numbers(system_before), runs),
+                key=lambda end: end[2],
             )
         if share**2 > SETTINGS.inference.part:  # for the right solver 0.1 was observed, for others mostly more than 1
             return None
         if rows >= longest:
-            return _Found(solver, system, left) if share <= SETTINGS.common.negligible else None
+            return _Reproduction(solver, system, left) if share <= SETTINGS.common.negligible else None
         rows *= 2
 
 
-def _settled(
+def _fit_constants(
     task: ModellingTask, part: Measurements, solver: Solver, system: System, runs: Sequence[_Run]
 ) -> tuple[System, FloatArray, float]:
-    """Return the constants with the least residuals of a solver on the first rows, and these over its errors.
+    """Return the constants with the least residuals of a solver on the first rows, and the sizes of these residuals.
 
-    Between them: the residuals of each state (S,) over its standard deviation.
+    Sizes: for each state (S,) over its standard deviation; for all states together over the errors of the solver.
     """
-    estimator = task.compare(part, task.variables, has_noise=False).estimator
+    estimator = task.make_comparison(part, task.variables, has_noise=False).estimator
     scales, starts = part.scales[:, None], np.ascontiguousarray(part.measured[:, part.bounds[:, 0]].T)
     least, share, best, found = np.inf, np.inf, system, np.full(len(part.scales), np.inf)
     patience = _PATIENCE
     for _ in range(SETTINGS.effort.steps):
         fit = estimator.fit(system, None, 0, starts)
-        solved = None if fit is None else _solved(task, solver, system, part, runs)
+        solved = None if fit is None else _solve_rows(task, solver, system, part, runs)
         if fit is None or solved is None:
             break
         rest, errors = (part.measured - solved) / scales, (solved - fit.simulated) / scales
         is_known = np.isfinite(rest)
-        left, made = (float(np.sqrt((numbers[is_known] ** 2).mean())) for numbers in (rest, errors))
-        patience = _PATIENCE if left < 0.5 * least else patience - (1 if left < made else 2)
-        if left < least:
-            least, share, best = left, left / made if made > SETTINGS.shooting.exact else np.inf, system
+        residual_size, error_size = (float(np.sqrt((numbers[is_known] ** 2).mean())) for numbers in (rest, errors))
+        patience = _PATIENCE if residual_size < 0.5 * least else patience - (1 if residual_size < error_size else 2)
+        if residual_size < least:
+            least, share, best = (
+                residual_size,
+                residual_size / error_size if error_size > SETTINGS.shooting.exact else np.inf,
+                system,
+            )
             found = np.sqrt((np.nan_to_num(rest) ** 2).mean(axis=1))
         if least <= 0.1 * SETTINGS.shooting.exact or patience <= 0 or not system.count or task.is_over:
             break
         slopes = fit.integrated_sensitivities()[:, :, : system.count].transpose(1, 0, 2) / scales[:, :, None]
-        system = _moved(system, slopes[is_known], rest[is_known])
+        system = _step_constants(system, slopes[is_known], rest[is_known])
     return best, found, share
 
 
-def _simplified(system: System) -> System:
+def _round_to_simple_numbers(system: System) -> System:
     """Return the system with constants rounded to simple numbers within the errors of an exact model."""
     values = system.values.copy()
     simple = Estimates(values, np.diag((SETTINGS.inference.exact * values) ** 2)).accepted_numbers
@@ -158,10 +170,10 @@ def _simplified(system: System) -> System:
     return system.with_values(values)
 
 
-def _moved(system: System, slopes: FloatArray, residuals: FloatArray) -> System:
-    """Return the system after a step of least squares by residuals (M,) that depend on constants by `slopes` (M, P).
+def _step_constants(system: System, slopes: FloatArray, residuals: FloatArray) -> System:
+    """Return the system after a least-squares step for `residuals` (M,) with the sensitivities `slopes` (M, P).
 
-    In directions about which the rows say little, constants keep the precision of the fit that they come from.
+    In directions that the rows hardly determine, constants keep the values of the fit that they come from.
     """
     sizes = np.abs(system.values)
     left, singular, right = np.linalg.svd(slopes * sizes, full_matrices=False)
@@ -170,10 +182,10 @@ def _moved(system: System, slopes: FloatArray, residuals: FloatArray) -> System:
     return system.with_values(system.values + sizes * (moves @ right))
 
 
-def _solved(
+def _solve_rows(
     task: ModellingTask, solver: Solver, system: System, part: Measurements, runs: Sequence[_Run]
 ) -> FloatArray | None:
-    """Return the states (S, N) that the solver gives at the first rows of all runs, None when it fails."""
+    """Return the states (S, N) that the solver computes at the first rows of all runs; None if it fails."""
     from scipy import integrate
 
     order = [part.variables.index(name) for name in task.dataset.names]
@@ -202,8 +214,8 @@ def _solved(
     return np.concatenate(solved, axis=1)
 
 
-def _corrected(task: ModellingTask, found: _Found) -> ModellingTask | None:
-    """Return the task with tables that are exact solutions along each piece from its first row."""
+def _correct_task(task: ModellingTask, found: _Reproduction) -> ModellingTask | None:
+    """Return the task with corrected tables: exact solutions along each piece from its first row."""
     trajectories = list(task.recording.trajectories)
     for is_held_out in sorted({part.held_out for part in trajectories}):
         measurements = task.measurements(task.variables, held_out=is_held_out)
@@ -213,10 +225,10 @@ def _corrected(task: ModellingTask, found: _Found) -> ModellingTask | None:
         ]
         ends = np.cumsum([len(run.times) for run in runs])
         bounds = np.stack([ends - [len(run.times) for run in runs], ends], axis=1)
-        solved = _solved(task, found.solver, found.system, replace(measurements, bounds=bounds), runs)
+        solved = _solve_rows(task, found.solver, found.system, replace(measurements, bounds=bounds), runs)
         if solved is None:
             return None
-        estimator = task.compare(measurements, task.variables, has_noise=False).estimator
+        estimator = task.make_comparison(measurements, task.variables, has_noise=False).estimator
         starts = np.ascontiguousarray(solved[:, measurements.bounds[:, 0]].T)
         exact = estimator.fit(found.system, None, 0, starts)
         if exact is None:
@@ -228,13 +240,13 @@ def _corrected(task: ModellingTask, found: _Found) -> ModellingTask | None:
             smoothed = np.where(np.isfinite(measured), measured, part.smoothed - errors[:, first:end])
             trajectories[place] = replace(part, measured=measured, smoothed=smoothed)
     smoothing = tuple(
-        _without_noise(one, float(left)) for one, left in zip(task.recording.smoothing, found.left, strict=True)
+        _remove_noise(one, float(left)) for one, left in zip(task.recording.smoothing, found.residuals, strict=True)
     )
     recording = replace(task.recording, trajectories=tuple(trajectories), smoothing=smoothing)
     return replace(task, recording=recording, solver=found.solver.name)
 
 
-def _without_noise(smoothing: Smoothing, left: float) -> Smoothing:
+def _remove_noise(smoothing: Smoothing, left: float) -> Smoothing:
     """Return the smoothing of a state whose errors are a share `left` of its standard deviation."""
     deviation = smoothing.noise / smoothing.relative_noise if smoothing.relative_noise > 0.0 else 0.0
     return replace(

@@ -1,4 +1,4 @@
-"""Which equations are the model: stages that propose candidates and compare systems of them, in one table.
+"""The choice of the model: a table of stages that propose candidates and compare systems.
 
 `STAGES` lists them in the order in which they run, each with the condition under which it is due; `select_model` runs
 them and writes the name of each to the log. A stage takes a `Choice`, the state of the choice so far, and returns the
@@ -6,11 +6,11 @@ next one. The stages fall into three parts:
 
 1. *Shortcuts*: laws by sparse regression are fitted first. Where these describe the trajectories up to the noise,
    nothing else is proposed.
-2. *Candidates*: each stage adds what it proposes for each equation to the pool, until the pool suffices
-   (`CandidatePool.suffices`): the residuals of a system are noise, and it is not longer than laws usually are. Then the
-   best system is searched: candidates are exchanged, and descents look for shorter descriptions nearby.
-3. *Second looks* at the system found: candidates that were too long with one part removed, operators with which no
-   search began, the user's guesses, and terms that noise has hidden.
+2. *Candidates*: each stage adds its proposals for each equation to the pool. This ends when the pool suffices
+   (`CandidatePool.is_sufficient`): the residuals of a system are noise, and it is not longer than laws usually are.
+   Then the best system is searched: candidates are exchanged, and descents look for shorter descriptions nearby.
+3. *Second looks* at the system found: candidates that were too long with one part removed, operators that a search does
+   not use at first, the user's guesses, and terms that noise has hidden.
 
 Doubts: the second looks repair what the first parts miss, each for a kind of law that was missed once. A search over
 all candidates by one criterion would make them unnecessary, at several times the work.
@@ -24,9 +24,9 @@ from typing import Final
 
 from atoll_coordinator.model.selection.alternatives import fit_guesses
 from atoll_coordinator.model.selection.joint_search import (
-    compare_rivals,
-    exchange,
-    recalibrated,
+    compare_alternatives,
+    exchange_programs,
+    recalibrate,
     reduce_all,
     search_locally,
     search_terms,
@@ -34,7 +34,7 @@ from atoll_coordinator.model.selection.joint_search import (
 from atoll_coordinator.model.selection.piece_lengths import search_in_pieces
 from atoll_coordinator.model.selection.pool import CandidatePool, Proposer
 from atoll_coordinator.model.selection.proposals import (
-    may_be_widened,
+    may_use_further_operators,
     propose_all,
     propose_further_sums,
     propose_nearest,
@@ -44,9 +44,9 @@ from atoll_coordinator.model.selection.proposals import (
 )
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.shortcut import (
-    laws_in_short_pieces,
-    select_by_laws,
-    with_laws,
+    add_laws,
+    fit_laws_in_short_pieces,
+    select_laws,
 )
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
@@ -60,30 +60,30 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """How far the choice of the model has come.
+    """The state of the choice of the model between two stages.
 
     Attributes:
         task: the measurements and candidates.
-        pool: the candidates, from the first stage that proposes any on.
-        selection: the best system so far; None before any could be simulated.
-        begun: the best system of laws alone, with which a choice with a time limit begins.
+        pool: the candidates; None before the first stage that proposes any.
+        selection: the best system so far; None if no system could be simulated yet.
+        law_selection: the best system of laws alone, fitted first if there is a time limit.
         is_searched: whether the selection comes from the search among candidates, and not from laws alone.
     """
 
     task: ModellingTask
     pool: CandidatePool | None = None
     selection: SelectedModel | None = None
-    begun: SelectedModel | None = None
+    law_selection: SelectedModel | None = None
     is_searched: bool = False
 
     @property
     def lacks_candidates(self) -> bool:
-        """Whether the pool has candidates, but does not suffice."""
-        return self.selection is None and self.pool is not None and not self.pool.suffices
+        """Whether there is a pool and it is not sufficient, and no system was selected."""
+        return self.selection is None and self.pool is not None and not self.pool.is_sufficient
 
     @property
     def may_improve(self) -> bool:
-        """Whether the search has found a system that may miss a part of the law, and time is left to look again."""
+        """Whether the search has found a system that may lack a part of the law, and time is left."""
         return self.is_searched and self.selection is not None and not (self.is_exact or self.is_over)
 
     @property
@@ -107,10 +107,10 @@ class Stage:
 
 
 def select_model(task: ModellingTask) -> SelectedModel | None:
-    """Return the best system of equations and the longest pieces it can be fitted to, None if it cannot at all."""
+    """Return the best system of equations, fitted to the longest possible pieces; None if no system can be fitted."""
     if task.recording.offsets:
         task = replace(task, piece=task.longest)
-    choice = Choice(with_laws(task))
+    choice = Choice(add_laws(task))
     for stage in STAGES:
         if stage.is_due(choice):
             _LOG.info("choosing equations: %s", stage.name)
@@ -123,12 +123,12 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
 
 def fit_laws(choice: Choice) -> Choice:
     """Select the laws of sparse regression, if together they describe the trajectories up to the noise."""
-    return replace(choice, selection=select_by_laws(choice.task))
+    return replace(choice, selection=select_laws(choice.task))
 
 
 def begin_with_laws(choice: Choice) -> Choice:
-    """Fit the laws in short pieces: the model if time ends before the search has found a shorter description."""
-    return replace(choice, begun=laws_in_short_pieces(choice.task))
+    """Fit the laws in short pieces; they are the model if the time ends before a shorter description is found."""
+    return replace(choice, law_selection=fit_laws_in_short_pieces(choice.task))
 
 
 # ------------------------------------------------------------------------------------------------ candidates
@@ -141,29 +141,29 @@ def propose(proposer: Proposer) -> Callable[[Choice], Choice]:
         task = choice.task
         pool = choice.pool
         if pool is None:
-            given = {**_settled(task), **{name: [program] for name, program in task.known.items()}}
-            pool = CandidatePool(task, task.comparison, given)
+            fixed_candidates = {**_law_programs(task), **{name: [program] for name, program in task.known.items()}}
+            pool = CandidatePool(task, task.comparison, fixed_candidates)
         pool.add(proposer)
         return replace(choice, pool=pool)
 
     return run
 
 
-def _settled(task: ModellingTask) -> dict[str, list[Program]]:
-    """Return the laws of the equations that have some among many variables.
+def _law_programs(task: ModellingTask) -> dict[str, list[Program]]:
+    """Return the laws of the equations that have laws among many variables.
 
-    None where all have: together they have not held, and one of them is wrong.
+    Empty if all equations have such laws: together they did not fit, so one of them is wrong.
     """
     law_programs = {
         name: [law.program for law in task.laws[name] if task.may_be_shown(law.program)]
         for name in task.variables
-        if name in task.lawful and task.laws[name][0].excess <= SETTINGS.inference.excess
+        if name in task.rate_law_variables and task.laws[name][0].excess <= SETTINGS.inference.excess
     }
     return law_programs if len(law_programs) < len(task.variables) - len(task.known) else {}
 
 
 def search(choice: Choice) -> Choice:
-    """Search the best system of all candidates and of their neighbourhood."""
+    """Search for the best system among all candidates and their neighbourhood."""
     pool = choice.pool
     assert pool is not None, "candidates were proposed"
     selection = search_in_pieces(choice.task.with_comparison(pool.comparison), pool.lists)
@@ -171,22 +171,23 @@ def search(choice: Choice) -> Choice:
 
 
 def compare_with_laws(choice: Choice) -> Choice:
-    """Take the laws that a choice of limited time began with, unless the search came to a shorter description.
+    """Select the laws that were fitted first, unless the search has found a shorter description.
 
-    The search may have come no further than to some members of the fronts. Both are fitted to the same pieces. The
-    result of the search is compared with all laws, since it may not have been compared with its alternatives.
+    With a time limit, the search may have fitted only some members of the fronts. Both systems are fitted to the same
+    pieces. The result of the search is then compared with all laws, because it may not have been compared with its
+    alternatives.
     """
-    begun, selection = choice.begun, choice.selection
-    assert begun is not None
+    law_selection, selection = choice.law_selection, choice.selection
+    assert law_selection is not None
     if selection is None:
-        return replace(choice, selection=begun)
-    if begun.task.deadline is not None:
-        begun.task.deadline.begin_last_stage()
-    other = begun.comparison.fit_model(selection.model.programs)
-    if other is None or begun.model.nats < other.nats:
-        return replace(choice, selection=begun)
-    for equation, programs in enumerate(begun.lists):
-        compare_rivals(selection.comparison, selection.model, equation, programs)
+        return replace(choice, selection=law_selection)
+    if law_selection.task.deadline is not None:
+        law_selection.task.deadline.begin_last_stage()
+    other = law_selection.comparison.fit_model(selection.model.programs)
+    if other is None or law_selection.model.nats < other.nats:
+        return replace(choice, selection=law_selection)
+    for equation, programs in enumerate(law_selection.lists):
+        compare_alternatives(selection.comparison, selection.model, equation, programs)
     return choice
 
 
@@ -203,11 +204,11 @@ def improve(second_look: Callable[[SelectedModel], SelectedModel]) -> Callable[[
     return run
 
 
-def with_reduced_candidates(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter description by a candidate that was too long, less one of its parts.
+def try_reduced_candidates(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by a long candidate with one part removed.
 
-    If the residuals of a short equation are noise, longer candidates are not fitted; one of them may be the law except
-    for one term, such as 0.8 x**0.75 - 1.5 x**3 in a x**b - c x**d - 0.003.
+    If the residuals of a short equation are noise, longer candidates are not fitted. One of them may be the law plus
+    one term, for example a x**b - c x**d - 0.003 for the law 0.8 x**0.75 - 1.5 x**3.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
     lists = [
@@ -216,75 +217,77 @@ def with_reduced_candidates(selection: SelectedModel) -> SelectedModel:
     ]
     if not any(program is not own for own, programs in zip(best.programs, lists, strict=True) for program in programs):
         return selection
-    better = exchange(comparison, best, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
+    better = exchange_programs(comparison, best, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
     return selection if better is best else replace(selection, model=reduce_all(comparison, better))
 
 
-def with_guesses(selection: SelectedModel) -> SelectedModel:
+def try_guesses(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description by the user's guesses, one at a time or all together.
 
-    They are fitted along the trajectories regardless of their fate in the search, which compares by derivatives.
+    All guesses are fitted along the trajectories, also if the search has rejected them: the search compares
+    derivatives.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
     guesses = [task.candidates[name].fitted_guesses for name in task.variables]
     if not any(guesses):
         return selection
-    together = [given[0] if given else own for given, own in zip(guesses, best.programs, strict=True)]
-    models = [comparison.fit_beside(best, together), comparison.fit_model(together)]
+    together = [own_guesses[0] if own_guesses else own for own_guesses, own in zip(guesses, best.programs, strict=True)]
+    models = [comparison.fit_from(best, together), comparison.fit_model(together)]
     models += [model for index, _ in enumerate(guesses) for model in fit_guesses(selection, index)]
     known = [model for model in models if model is not None and math.isfinite(model.nats)]
     shortest = min(known, key=lambda model: model.nats, default=best)
     if shortest.nats > best.nats - SETTINGS.selection.least_gain:
         return selection
-    comparison, model = recalibrated(comparison, reduce_all(comparison, shortest), [best])
+    comparison, model = recalibrate(comparison, reduce_all(comparison, shortest), [best])
     return replace(selection, comparison=comparison, model=model)
 
 
-def with_other_terms(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter description by terms that noise has hidden or made up, see `search_terms`.
+def try_other_terms(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description with terms added or removed, see `search_terms`.
 
-    The errors of measurement are estimated again from the residuals of each better system. The stage does not run
-    without noise: no term is hidden, and a term could describe errors of coarse integration steps. Nor does it run for
-    laws by derivatives among many variables: these were chosen from all terms.
+    Noise may have hidden a term, or caused one. The errors of measurement are estimated again from the residuals of
+    each better system. The stage does not run without noise: then no term is hidden, and a term could describe errors
+    of coarse integration steps. It does not run for laws by derivatives among many variables, because these were chosen
+    from all terms.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
-    until, seen = comparison.estimator.work + SETTINGS.effort.work, {_structures(best)}
+    until, seen = comparison.estimator.work + SETTINGS.effort.work, {_structures_of(best)}
     pairs = [() if name in task.known else propose_pairs(task, name) for name in task.variables]
     while not task.is_over:
         other = search_terms(task, comparison, best, selection.lists, pairs, until)
-        if _structures(other) in seen:
+        if _structures_of(other) in seen:
             break
-        seen.add(_structures(other))
+        seen.add(_structures_of(other))
         if task.is_over:  # its rivals could not be compared again
             best = other
             break
-        comparison, best = recalibrated(comparison, other, [selection.model])
+        comparison, best = recalibrate(comparison, other, [selection.model])
     return selection if best is selection.model else replace(selection, comparison=comparison, model=best)
 
 
-def _structures(model: FittedModel) -> tuple[bytes, ...]:
+def _structures_of(model: FittedModel) -> tuple[bytes, ...]:
     return tuple(map(structure, model.programs))
 
 
-def with_further_operators(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter description that has operators with which no search began."""
+def try_further_operators(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description with operators that a search does not use at first."""
     task, comparison, before = selection.task, selection.comparison, selection.model
-    widened = [name for name in task.variables if may_be_widened(task, name)]
+    widened = [name for name in task.variables if may_use_further_operators(task, name)]
     if not widened:
         return selection
     selection = replace(selection, widened=widened)
-    given = {
+    fixed_candidates = {
         name: [program] for name, program in zip(task.variables, before.programs, strict=True) if name not in widened
     }
-    pool = CandidatePool(task, comparison, given, before, is_calibrating=False)
+    pool = CandidatePool(task, comparison, fixed_candidates, before, is_calibrating=False)
     pool.add(propose_further_sums)
     if not any(pool.lists[task.variables.index(name)] for name in widened):
         return selection
-    best = exchange(comparison, pool.best or before, pool.lists)
+    best = exchange_programs(comparison, pool.best or before, pool.lists)
     if best.nats > before.nats - SETTINGS.selection.least_gain:
         return selection
     best = search_locally(task, comparison, best, [[program] for program in best.programs])
-    return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
+    return replace(selection, model=comparison.fit_from(best, best.programs) or best)
 
 
 def _is_clean_and_lacking(choice: Choice) -> bool:
@@ -293,17 +296,17 @@ def _is_clean_and_lacking(choice: Choice) -> bool:
 
 
 def _may_be_reduced(choice: Choice) -> bool:
-    return choice.may_improve and not (choice.task.recording.groups or choice.task.lawful)
+    return choice.may_improve and not (choice.task.recording.groups or choice.task.rate_law_variables)
 
 
 def _may_hide_terms(choice: Choice) -> bool:
     """Tell whether noise may have hidden a term, or caused one.
 
-    Without noise the stages before have missed none, and a term could describe the errors of coarse integration steps.
+    Without noise the earlier stages have missed no term, and a term could describe errors of coarse integration steps.
     """
     if choice.selection is None or choice.is_over or choice.selection.task.is_nearly_clean:
         return False
-    return not (choice.task.lawful or choice.is_exact)
+    return not (choice.task.rate_law_variables or choice.is_exact)
 
 
 STAGES: Final = (
@@ -314,25 +317,25 @@ STAGES: Final = (
     Stage("sums with further operators", _is_clean_and_lacking, propose(propose_further_sums)),
     Stage("all candidates", lambda choice: choice.lacks_candidates, propose(propose_all)),
     Stage("search among the candidates", lambda choice: choice.selection is None, search),
-    Stage("candidates less one part", _may_be_reduced, improve(with_reduced_candidates)),
-    Stage("further operators", lambda choice: choice.may_improve, improve(with_further_operators)),
-    Stage("the laws of the beginning", lambda c: c.begun is not None and c.is_over, compare_with_laws),
-    Stage("guesses", lambda choice: choice.selection is not None, improve(with_guesses)),
-    Stage("terms hidden by noise", _may_hide_terms, improve(with_other_terms)),
+    Stage("candidates less one part", _may_be_reduced, improve(try_reduced_candidates)),
+    Stage("further operators", lambda choice: choice.may_improve, improve(try_further_operators)),
+    Stage("the laws of the beginning", lambda c: c.law_selection is not None and c.is_over, compare_with_laws),
+    Stage("guesses", lambda choice: choice.selection is not None, improve(try_guesses)),
+    Stage("terms hidden by noise", _may_hide_terms, improve(try_other_terms)),
 )
 """The stages of the choice, in their order."""
 
 
 def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> Iterator[str]:
-    """Yield a sentence where equations as `shown`, by variable, have further operators, or none of these has helped."""
+    """Yield a remark for the user: which further operators the `shown` equations have, or that none was useful."""
     programs = [shown[name] for name in selection.widened if name in shown]
     codes = {code for program in programs for code in program.operators.tolist()}
     taken = [name for name in FURTHER_OPERATORS if BY_NAME[name].code in codes]
-    begun, further = " ".join(BASE_OPERATORS), ", ".join(FURTHER_OPERATORS)
+    base, further = " ".join(BASE_OPERATORS), ", ".join(FURTHER_OPERATORS)
     if taken:
-        yield Note(f"Beside {begun}, {further} were tried; with {', '.join(taken)} the description is shorter.")
-    elif programs and selection.comparison.score.has_room(selection.model):
+        yield Note(f"Besides {base}, {further} were tried; with {', '.join(taken)} the description is shorter.")
+    elif programs and selection.comparison.score.may_be_improved(selection.model):
         yield Note(
-            f"{further} were tried as well, since {begun} leave more than noise; no equation with them makes the "
-            "description shorter."
+            f"{further} were tried as well, since the residuals with {base} are larger than noise; no equation with "
+            "them makes the description shorter."
         )

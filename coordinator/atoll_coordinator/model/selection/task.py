@@ -34,10 +34,10 @@ _TOLERATED_NOISE: Final = 0.01
 class ModellingTask:
     """The measurements, and the variables that have `candidates`, in the order of the equations.
 
-    `settled` are equations that were fitted to noise-free targets; `spread` computes work in threads or on other
-    workers; `piece` is the most rows that are simulated without a break; after the `deadline` nothing new is tried;
-    `solver` names the solver whose errors were subtracted from the recording. `among_many` are laws found during
-    preparation (None: not sought).
+    `settled` are equations that were already fitted to noise-free targets. `spread` computes work in threads or on
+    workers. `piece` is the largest number of rows that are simulated without a break. After the `deadline` nothing new
+    is tried. `solver` names the solver whose errors were subtracted from the recording. `among_many` are laws that were
+    found during preparation (None: not searched).
     """
 
     dataset: Dataset
@@ -60,7 +60,7 @@ class ModellingTask:
 
     @cached_property
     def known(self) -> dict[str, Program]:
-        """The equations that are given."""
+        """The equations that the user has given."""
         return {
             name: equation_candidates.known
             for name, equation_candidates in self.candidates.items()
@@ -68,13 +68,13 @@ class ModellingTask:
         }
 
     @cached_property
-    def lawful(self) -> frozenset[str]:
+    def rate_law_variables(self) -> frozenset[str]:
         """The variables whose law was found among many variables by derivatives, chosen from all terms."""
         return frozenset(name for name, laws in self.laws.items() if laws and laws[0].is_of_rates)
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing new is to be begun."""
+        """Whether the time is over, so that nothing new may start."""
         return self.deadline is not None and self.deadline.is_over
 
     @property
@@ -93,23 +93,24 @@ class ModellingTask:
         return all(smoothing.relative_noise < SETTINGS.selection.least_noise for smoothing in self.recording.smoothing)
 
     def may_be_shown(self, program: Program) -> bool:
-        """Tell whether the job's equations may be as large as `program`."""
+        """Tell whether `program` can be printed and meets the job's size limit."""
         return may_be_shown(program, self.config.space.max_size)
 
     def operators(self, variable: str) -> frozenset[int]:
-        """Return the codes of the operators that the equation of `variable` may be made of."""
+        """Return the codes of the operators that the equation of `variable` may contain."""
         return frozenset(BY_NAME[name].code for name in self.config.space.operators_for(variable))
 
     def further_operators(self, variable: str) -> frozenset[int]:
-        """Return the codes of the operators with which no search began and that may be tried for that equation."""
+        """Return the codes of the operators that a search does not use at first, and that refining may try."""
         return frozenset(BY_NAME[name].code for name in self.config.space.further_operators_for(variable))
 
     def columns(self, variable: str) -> tuple[int, ...]:
         """Return the indices of the variables that the equation of `variable` may use."""
         return self.config.space.columns_for(variable, self.dataset.names)
 
-    def converged(self, name: str) -> Program | None:
-        """Return the equation that is known, or that a search of a target without noise has converged to."""
+    def converged_equation(self, name: str) -> Program | None:
+        """Return the known equation, or the equation to which the search of a noise-free target has converged; else
+        None."""
         if name in self.known:
             return self.known[name]
         target = self.dataset.problem(name).target
@@ -131,10 +132,11 @@ class ModellingTask:
 
     @cached_property
     def compared_measurements(self) -> Measurements:
-        """The measurements of all variables on as many rows as systems with this many states are compared on."""
+        """The measurements of all variables, thinned to the rows on which systems with this many states are
+        compared."""
         settings = SETTINGS.selection
         rows = min(settings.compared_rows, settings.compared_numbers // max(len(self.variables), 1))
-        return self.measurements(self.variables).thinned(rows)
+        return self.measurements(self.variables).thin(rows)
 
     @cached_property
     def sizes(self) -> list[float]:
@@ -151,24 +153,26 @@ class ModellingTask:
 
     @cached_property
     def comparison(self) -> ModelComparison:
-        """The one over these, for all that is tried with pieces of this length: nothing is fitted twice."""
-        return self.compare(self.compared_measurements, self.variables)
+        """The comparison over `compared_measurements`. It is shared by all stages with this piece length, so that
+        nothing is fitted twice."""
+        return self.make_comparison(self.compared_measurements, self.variables)
 
     def with_comparison(self, comparison: ModelComparison) -> "ModellingTask":
-        """Return the task with a `comparison` that is calibrated already."""
+        """Return the task with a calibrated `comparison`."""
         task = replace(self)
         task.__dict__["comparison"] = comparison  # as the cached property keeps it
         return task
 
-    def compare(
+    def make_comparison(
         self, measurements: Measurements, variables: Sequence[str], *, is_precise: bool = False,
         has_noise: bool = True, measured_rows: int = 0,
     ) -> ModelComparison:  # fmt: skip
-        """Return a comparison over these measurements, which may stand for more `measured_rows` of the same time.
+        """Return a comparison over these measurements, which may represent more `measured_rows` of the same time span.
 
-        Errors of integration steps are a share of the noise; without `has_noise` the noise counts as zero. All steps
-        may err to one side, while noise is averaged over the rows: if it `is_precise`, the share is of their sum along
-        a piece over the standard error of a mean, and the noise is the estimate, not the error of an interpolation.
+        The tolerated error of an integration step is a share of the noise; without `has_noise` the noise counts as
+        zero. Errors of all steps may have the same sign, while noise is averaged over the rows. So if it `is_precise`,
+        the sum of the errors along a piece is limited to this share of the standard error of a mean; an interpolation
+        error does not count as noise then.
         """
         noise = float(measurements.relative_noise.min()) if has_noise else 0.0
         if is_precise and not any(self.dataset.problem(name).target.is_noisy for name in self.candidates):
@@ -205,7 +209,7 @@ class ModellingTask:
         return GroupedRows(count, problems, {index: self.restrictions(name) for index, name in enumerate(variables)})
 
     def leading(self, variables: Sequence[str]) -> list[Program]:
-        """Return the equations of the positions, whose rates are the velocities; none with order 1."""
+        """Return the equations of the positions, whose derivatives are the velocities; empty for order 1."""
         if self.recording.order == 1:
             return []
         velocities = [self.recording.velocity_symbols[self.recording.states.index(name)] for name in variables]
@@ -214,10 +218,10 @@ class ModellingTask:
 
 @dataclass(frozen=True, eq=False)
 class SelectedModel:
-    """The system that describes the trajectories in the fewest nats: its fit, and the comparison where that was found.
+    """The system that describes the trajectories in the fewest nats: its fit, and the comparison that found it.
 
-    `lists` are the candidates of each variable that there were to begin with; for the equations of the variables
-    `widened`, operators with which no search began were tried.
+    `lists` are the candidates of each variable before the search. `widened` are the variables for whose equations
+    further operators were tried.
     """
 
     task: ModellingTask

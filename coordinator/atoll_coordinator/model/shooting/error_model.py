@@ -1,9 +1,10 @@
-"""The errors of measured states, by which a fit weighs its residuals, and their estimate from residuals. Pure.
+"""The error model of measured states, which weights the residuals of a fit, and its estimation from residuals. Pure.
 
-The errors of a state have one variance, in a row of weight 1. A share of it may be correlated between neighbouring
-rows (see `atoll_coordinator.model.shooting.kernels.innovations`), as in errors of simulators, filters and drifting
-sensors.
-Letters: O measured states, N rows.
+The errors of a state have one variance for rows of weight 1. A share of it may be correlated between neighbouring rows
+(an Ornstein-Uhlenbeck process, see `atoll_coordinator.model.shooting.kernels.innovations`), as in errors of simulators,
+filters and drifting sensors. `Innovations` whitens residuals by the Kalman filter of this process, and estimates share
+and decay on a grid by description length. Doubt: correlated residuals may also be errors of the law; only rough
+residuals count as errors of a sensor. Letters: O measured states, N rows.
 """
 
 import math
@@ -25,10 +26,12 @@ _NOTHING: Final = np.empty(0)
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
-    """Errors of O states: `sigmas` are their standard deviations, `shares` the correlated shares of the variances,
-    `decays` the correlation of these shares between rows one median step apart. All are (O,).
+    """The errors of O measured states. All arrays are (O,).
 
-    A fit estimates `sigmas`, unless these errors are `is_known`; `shares` and `decays` stay as they are.
+    `sigmas` are standard deviations, `shares` the correlated shares of the variances, `decays` the correlations of
+    these shares between rows one median time step apart.
+
+    A fit estimates `sigmas`, unless the errors are known (`is_known`); `shares` and `decays` are constant in a fit.
     """
 
     sigmas: FloatArray
@@ -43,18 +46,19 @@ class ErrorModel:
 
     @property
     def degrees_of_freedom(self) -> FloatArray:
-        """Degrees of freedom of a variance of each state (O,) over its rows: 1 where errors are independent.
+        """Degrees of freedom of the variance of each state (O,) over its number of rows: 1 if errors are independent.
 
-        An estimated correlation r, of variance (1 - r^2)/n, makes the logarithm of (1 + r)/(1 - r), which the variance
-        of a mean is multiplied by, uncertain by 4/(n (1 - r^2)); the innovations' variance by 2/n (Satterthwaite 1946).
+        The variance of a mean is multiplied by (1 + r)/(1 - r). The estimated correlation r has the variance (1 -
+        r^2)/n, so that the logarithm of this factor has the variance 4/(n (1 - r^2)). The logarithm of the innovations'
+        variance has the variance 2/n (Satterthwaite 1946).
         """
         return np.asarray(1.0 / (1.0 + (self.shares > 0.0) * 2.0 / (1.0 - self.decays**2)))
 
     @property
     def lengths(self) -> FloatArray:
-        """Rows that count as one independent row each (O,): the ratio of variances of a mean.
+        """Number of rows (O,) that count as one independent row: the ratio of the variances of a mean.
 
-        (1 + r) / (1 - r) if all errors are correlated, 1 if none are.
+        It is (1 + r) / (1 - r) if all errors are correlated, 1 if none are.
         """
         return np.asarray(1.0 - self.shares + self.shares * (1.0 + self.decays) / (1.0 - self.decays))
 
@@ -62,7 +66,8 @@ class ErrorModel:
 class Innovations:
     """Whitens the residuals of one layout of rows.
 
-    `segments` (G, 2) are row ranges, `steps` (N,) from the row before over their median, `weights` (O, N).
+    `segments` (G, 2) are row ranges; `steps` (N,) are the time steps from the previous row over their median; `weights`
+    are (O, N).
     """
 
     def __init__(self, segments: Ints, steps: FloatArray, weights: FloatArray) -> None:
@@ -77,15 +82,15 @@ class Innovations:
         self._decays: Final = [1.0 - 1.0 / length for length in lengths]
 
     def squares(self, residuals: FloatArray, model: ErrorModel) -> tuple[FloatArray, FloatArray]:
-        """Return for each state the sum of squared innovations of `residuals` (O, N) over their relative variance, and
-        the sum of these variances' logarithms."""
+        """Return two sums for each state (O,): squared innovations of `residuals` (O, N) over their relative variances,
+        and the logarithms of these variances."""
         sums = np.empty((len(residuals), 2))
         for state, (share, decay) in enumerate(zip(model.shares.tolist(), model.decays.tolist(), strict=True)):
             self._innovate(state, residuals, share, decay, sums[state])
         return sums[:, 0], sums[:, 1]
 
-    def whitened(self, residuals: FloatArray, model: ErrorModel) -> FloatArray:
-        """Return the innovations (O, N) of `residuals` (O, N), as independent as errors of one size."""
+    def whiten(self, residuals: FloatArray, model: ErrorModel) -> FloatArray:
+        """Return the innovations (O, N) of `residuals` (O, N): independent, with one variance for each state."""
         whitened, sums = np.zeros_like(residuals), np.empty(2)
         for state, (share, decay) in enumerate(zip(model.shares.tolist(), model.decays.tolist(), strict=True)):
             self._innovate(state, residuals, share, decay, sums, whitened[state])
@@ -98,17 +103,17 @@ class Innovations:
         innovate(self.segments, self._steps, residuals[state], self._weights[state], share, decay, sums, whitened)
 
     def sensor_errors(self, residuals: FloatArray, sigmas: FloatArray, fitted: float, turns: FloatArray) -> ErrorModel:
-        """Return the errors of measurement in these residuals, which may hold errors of the law as well.
+        """Return the errors of measurement in these residuals, which may also contain errors of the law.
 
-        Correlated residuals of neighbouring rows are errors of the sensor if they are rough: an
-        Ornstein-Uhlenbeck process describes them in fewer nats than independent errors, and than a smooth process.
-        Errors of the law are smooth, since they add up along the trajectory, and their derivatives vary no faster than
-        the derivative of the state. If residuals are not rough in this sense, errors are treated as independent.
+        Correlated residuals are errors of the sensor if they are rough: then an Ornstein-Uhlenbeck process describes
+        them in fewer nats than independent errors, and in fewer nats than a smooth process. Errors of the law are
+        smooth, since they add up along the trajectory, and their derivatives vary no faster than the derivative of the
+        state. If residuals are not rough in this sense, errors are treated as independent.
 
         Args:
-            residuals: (O, N).
+            residuals: residuals (O, N).
             sigmas: their standard deviations (O,).
-            fitted: how many numbers were fitted for each state.
+            fitted: number of fitted numbers per state.
             turns: rows (O,) after which the correlation of the derivative has fallen to 1/e.
         """
         shares, decays = self.estimate(residuals, fitted)
@@ -120,7 +125,8 @@ class Innovations:
         return replace(found, sigmas=np.where(shares > 0.0, np.sqrt(squares / np.maximum(self._counts, 1.0)), sigmas))
 
     def _is_smooth(self, state: int, residuals: FloatArray, share: float, decay: float, turn: float) -> bool:
-        """Tell whether a smooth process whose derivative turns in `turn` rows or more is likelier than a rough one."""
+        """Tell whether a smooth process, with a derivative that is correlated over `turn` rows or more, is likelier
+        than a rough one."""
         sums, room = np.empty(2), (*np.empty((3, 3, 3)), np.empty((2, 3)))
         self._innovate(state, residuals, share, decay, sums)
         rough, length = self._length(state, sums), turn  # (1 + x - x^2) exp(-x), of the derivative, is 1/e at x = 1
@@ -143,19 +149,19 @@ class Innovations:
     def estimate(self, residuals: FloatArray, fitted: float) -> tuple[FloatArray, FloatArray]:
         """Return the shares and decays (O,) of least description length for these residuals (O, N).
 
-        A correlation is described by two numbers more, which take ln n nats (Schwarz 1978). Residuals of fitted slow
-        curves are less correlated than the errors: with `fitted` numbers for each state, the decay d is too small by
-        (2 d + (1 + d) `fitted`)/n, which is added (for a mean, `fitted` 1, Marriott & Pope 1954).
+        A correlation has two more numbers, which cost ln n nats (Schwarz 1978). Residuals of fitted slow curves are
+        less correlated than the errors: with `fitted` numbers for each state, the decay d is too small by (2 d + (1 +
+        d) `fitted`)/n (for a mean, `fitted` 1: Marriott & Pope 1954). This bias is added.
         """
         shares, decays = np.zeros((2, len(residuals)))
         for state in np.flatnonzero(self._counts).tolist():
-            share, decay = self._estimated(state, residuals)
+            share, decay = self._estimate_state(state, residuals)
             missed = (2.0 * decay + (1.0 + decay) * fitted) / float(self._counts[state]) if share else 0.0
             shares[state], decays[state] = share, min(decay + missed, max(decay, self._decays[-1]))
         return shares, decays
 
-    def _estimated(self, state: int, residuals: FloatArray) -> tuple[float, float]:
-        """Return the share and the decay of one state by a descent on the grid of both."""
+    def _estimate_state(self, state: int, residuals: FloatArray) -> tuple[float, float]:
+        """Return share and decay of one state by a descent on the grid of both; zeros if errors are independent."""
         sums, count = np.empty(2), float(self._counts[state])
         lengths: dict[tuple[int, int], float] = {}
 

@@ -1,7 +1,9 @@
-"""Systems integrated along the rows of measurements, with the sensitivities that a fit needs.
+"""Integration of systems along the rows of measurements, with sensitivities.
 
-Every segment of rows is integrated from an initial state of its own. Two Runge-Kutta methods share the work: an
-explicit one, and an implicit one for stiff systems, which a caller tries if the explicit one has used up its steps.
+Each segment of rows is integrated from its own initial state, together with the derivatives of the states by constants
+and initial states (variational equations). There is an explicit Runge-Kutta method (with a quick and a precise table),
+and an implicit one for stiff systems; a caller tries the implicit method if the explicit one has used up its steps.
+Doubt: the limits on steps are counts, fitted to one machine; a very stiff right system can be rejected by them.
 Letters: D states, P fitted numbers, L numbers of one segment (D initial states, then offsets), G segments, N rows, O
 measured states.
 """
@@ -23,24 +25,25 @@ from atoll_core.expression.kernels.tape import Ints
 STEPS_PER_ROW: Final = 40
 """Most integration steps for each row, on average: systems that need more are stiff or blow up."""
 OVERHEAD_NUMBERS: Final = 10
-"""Numbers that could be carried along in the time that everything else about a row takes."""
+"""Work of a row besides its states and sensitivities, as a number of integrated numbers that take the same time."""
 STEEPEST: Final = 1e60
-"""Guard: larger sensitivities, of a state in its scale to a constant in its size, have no finite squares."""
+"""Guard: the squares of larger sensitivities (of a scaled state to a scaled constant) overflow."""
 _FREE_STEPS: Final = (4.0, 12.0, 1.0)
-"""Steps for each row that do not count as more work, by the quick, the precise and the implicit method."""
+"""Steps for each row that do not count as additional work: quick, precise and implicit method."""
 _QUICK_STEPS: Final = 8
-"""Steps for each row beyond which implicit ones take less time than quick ones."""
+"""Steps for each row above which the implicit method takes less time than the quick one."""
 _FINEST_IMPLICIT: Final = 1e-6
-"""Least error of an implicit step, over a state's standard deviation: a method of low order needs too many steps for
-less."""
+"""Least error of an implicit step over a state's standard deviation: for smaller errors, a method of low order needs
+too many steps."""
 
 Unsimulated = Literal["ran away", "out of steps"]
-"""Why there is no simulation: states left their range, or all steps were used before that was known."""
+"""Why there is no simulation: states left their range, or all allowed steps were used."""
 
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """How to integrate: most steps for each row, how many of them are free, the error (D,) allowed in one."""
+    """An integration method: its table, most steps for each row, free steps for each row, and tolerated error (D,) of a
+    step."""
 
     table: Table
     steps: int
@@ -48,15 +51,15 @@ class Method:
     tolerance: FloatArray
 
     def work(self, steps: int, rows: int) -> int:
-        """Return the work of so many steps along so many rows: one for each row or more."""
+        """Return the work of `steps` steps along `rows` rows: at least one for each row."""
         return max(rows, int(steps / self.free))
 
 
 @dataclass(frozen=True, eq=False)
 class Integration:
-    """States (D, N) along segments and their sensitivities (N, D, P + L), no rows of these unless they were wanted.
+    """States (D, N) along segments and their sensitivities (N, D, P + L); (0, D, P + L) if not requested.
 
-    `done` is the number of finished segments; below zero if all allowed `steps` are used up.
+    `done` is the number of finished segments, negative if all allowed steps were used; `steps` is the number of steps.
     """
 
     done: int
@@ -71,8 +74,8 @@ class Integrator:
     def __init__(self, measurements: Measurements, tolerance: float, measured_rows: int = 0) -> None:
         """`tolerance` is the error of a step over a state's standard deviation.
 
-        Steps are allowed for each row; where rows stand for more `measured_rows` of the same time altogether, for each
-        of these.
+        The number of allowed steps is proportional to the rows, or to `measured_rows` if the rows represent more
+        measured rows of the same time span.
         """
         self.measurements: Final = measurements
         self.tolerance: Final = tolerance
@@ -109,7 +112,8 @@ class Integrator:
         self, method: Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
         sensitivities: FloatArray,
     ) -> tuple[int, int]:  # fmt: skip
-        """Write states and sensitivities; return the result of `integrate_segments`, and the steps."""
+        """Write states and sensitivities in place; return the result of `integrate_segments` and the number of
+        steps."""
         measurements, taken = self.measurements, np.zeros(1, dtype=np.int64)
         rows = int((segments[:, 1] - segments[:, 0]).sum())
         budget = 200 + int(method.steps * (self._rows_in_row * rows))
@@ -124,7 +128,8 @@ class Integrator:
         self, method: Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
         sensitivities: FloatArray,
     ) -> tuple[int, int]:  # fmt: skip
-        """Do as `_integrate`, each segment with the constants of its group, which are multiples of fitted numbers."""
+        """Integrate each segment with the constants of its group, which are multiples of fitted numbers; see
+        `_integrate`."""
         assert system.sharing is not None
         states, places = len(system.outputs), len(system.places)
         own_sensitivities = np.zeros((len(sensitivities), states, places + states))
@@ -148,7 +153,7 @@ class Integrator:
         return all_done, all_steps
 
     def steepest(self, sensitivities: FloatArray, system: System) -> float:
-        """Return the largest of sensitivities (N, D, P + L), of states in their scales to constants in their sizes."""
+        """Return the largest absolute sensitivity of (N, D, P + L), in units of state scales and constant sizes."""
         scales, sizes = self.measurements.scales, np.abs(system.values)
         offsets = sensitivities.shape[2] - len(sizes) - len(scales)
         units = np.concatenate([np.where(sizes > 0.0, sizes, 1.0), scales, np.ones(offsets)])
@@ -156,10 +161,10 @@ class Integrator:
         return float(np.max(steepest / scales[:, None] * units, initial=0.0))
 
     def simulate(self, system: System, segments: Ints, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
-        """Return the states (D, N) of segments that all begin at `start` (D,), NaN from where integration ended early.
+        """Return the states (D, N) of segments that all begin at `start` (D,), and why integration ended early.
 
-        Behind them is why it did, None where it did not. A system for which the explicit method takes too many steps
-        is integrated as a stiff one.
+        States are NaN after an early end; the reason is None without one. If the explicit method takes too many steps,
+        the implicit method is used.
         """
         starts = np.repeat(start[None], len(segments), axis=0)
         for method in self.methods:

@@ -1,7 +1,11 @@
-"""The measured trajectories laid out for fits: all rows one after another, and the pieces that are simulated. Pure.
+"""The measured trajectories as arrays for fits: all rows one after another, and the pieces that are simulated. Pure.
 
-Letters: N rows of all trajectories, S states, D of them with an equation here, O measured ones, K of these with an
-offset, U inputs, B pieces.
+`measurements_of` collects values, weights and inputs of a `Recording` for the states of one system; `thin`, `part`,
+`pieces` and `strided` return subsets. Doubt: states without an equation become inputs with their smoothed values; the
+weights do not contain the errors of these values.
+
+Letters: N rows of all trajectories, S states, D states with an equation here, O measured states, K states with an
+    offset, U inputs, B pieces.
 """
 
 from bisect import bisect
@@ -22,10 +26,10 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 BLOW_UP_WIDTHS: Final = 3.0
-"""A simulated state may leave the measured range by this many times its width before it counts as blown up."""
+"""A simulated state counts as blown up if it leaves the measured range by more than this many widths of the range."""
 _LARGEST_SHARE: Final = 0.1
-"""Variance of normal errors over the squared reach of robustness weights, at most: beyond, errors outside of the reach
-would count. Weights that reach to six median errors have 0.061."""
+"""Upper limit of the variance of normal errors over the squared reach of robustness weights: above it, errors outside
+of the reach would count. Weights that reach to six median errors have 0.061."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,18 +37,20 @@ class Measurements:
     """Rows of trajectories for a system of D equations.
 
     `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated without a break, `owners` (B,) the
-    trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), 0 leaves a number out;
-    `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,) which of these up
-    to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the standard deviations of the
-    measurement errors as the smoother estimates them; `has_smoothed_inputs` tells that states without an equation are
-    inputs as smoothed. `inverse_variances` (O, N) divide the variance of the errors of each row, 1 on average over the
-    recording; they are part of `weights`. `consistency` (O,) is the weighted mean square of normal errors over their
-    variance, less than one where robustness weights reduce the large ones; None: one for all states. `resting` (O, N)
-    marks trajectories along which a state was 0 throughout, like an absent species: there it has no weight and begins
-    at 0; None: none. `input_slopes` belong to `inputs` (U, N). `variables` names the numbers of a point: D states, then
-    U inputs. `groups` (T,) are the groups of trajectories with their own constants, by owner; None: all share them.
-    `input_error` is the error of input curves between rows over their standard deviations: simulated states have errors
-    of about the same share of their standard deviations.
+    trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), weight 0 leaves a value
+    out; `smoothed` is (D, N); `observed` (O,) has the indices of the measured ones among the D states, and `offset`
+    (K,) the indices among these of states with an unknown offset. `scales` (D,) are the states' standard deviations,
+    `noise` (O,) the standard deviations of the measurement errors as the smoother estimates them; `has_smoothed_inputs`
+    tells whether smoothed states without an equation are inputs. `inverse_variances` (O, N) are the relative inverse
+    variances of the errors of each row, 1 on average over the recording; `weights` contain them as a factor.
+    `consistency` (O,) is the weighted mean square of normal errors over their variance, less than one where robustness
+    weights reduce the large ones;
+    None: one for all states. `resting` (O, N) marks trajectories along which a state was always 0, such as an absent
+    species: there it has weight 0 and the initial value 0; None: no such trajectory. `input_slopes` belong to `inputs`
+    (U, N). `variables` has the names of the components of a point: D states, then U inputs. `groups` has the index of
+    the group of each trajectory, if groups have their own constants; None: all share them. `input_error` is the
+    interpolation error of input curves over their standard deviations; simulated states have about the same relative
+    error.
     """
 
     bounds: Ints
@@ -111,18 +117,18 @@ class Measurements:
         return np.asarray(np.abs(np.concatenate([self.smoothed, self.inputs])).mean(axis=1))
 
     def segments(self, length: int | None) -> Ints:
-        """Return row ranges (G, 2) of about `length` rows each that cover all pieces; whole ones for None."""
+        """Return row ranges (G, 2) of about `length` rows each that cover all pieces; None: whole pieces."""
         ranges: list[tuple[int, int]] = []
         for first, end in self.bounds.tolist():
             count = 1 if length is None else max(1, round((end - first) / length))
-            ranges += _cut(first, end, count)
+            ranges += _cut_range(first, end, count)
         return np.array(ranges, dtype=np.int64)
 
-    def thinned(self, most: int) -> "Measurements":
+    def thin(self, most: int) -> "Measurements":
         """Return pieces of the trajectories of at most about `most` rows together, early ones as well as late ones.
 
-        If groups have their own constants, there are as many pieces as give this number of rows; each group has at
-        least one if possible.
+        If groups have their own constants, the number of pieces is chosen by this number of rows, and each group has at
+        least one piece if possible.
         """
         if self.rows <= most:
             return self
@@ -130,11 +136,11 @@ class Measurements:
         pieces = [
             (first, min(first + length, end), owner)
             for (first, end), owner in zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
-            for first, end in _cut(first, end, max(1, round((end - first) / length)))
+            for first, end in _cut_range(first, end, max(1, round((end - first) / length)))
         ]
         rows = self.rows if self.groups is None else sum(end - first for first, end, _ in pieces)
         count = min(max(1, most * len(pieces) // rows), len(pieces))
-        return self.pieces([pieces[place] for place in _spread([owner for *_, owner in pieces], count)])
+        return self.pieces([pieces[place] for place in _choose_spread([owner for *_, owner in pieces], count)])
 
     def part(self, owners: Collection[int]) -> "Measurements":
         """Return the pieces of these trajectories (indices of `names`)."""
@@ -142,16 +148,16 @@ class Measurements:
         return self.pieces([(first, end, owner) for (first, end), owner in bounds if owner in owners])
 
     def pieces(self, kept: Sequence[tuple[int, int, int]]) -> "Measurements":
-        """Return the pieces `kept`: first row, end, owner."""
-        return self._chosen([np.arange(first, end) for first, end, _ in kept], [owner for *_, owner in kept])
+        """Return the measurements of the pieces `kept`: (first row, end, owner)."""
+        return self._take_rows([np.arange(first, end) for first, end, _ in kept], [owner for *_, owner in kept])
 
     def strided(self, stride: int) -> "Measurements":
         """Return every `stride`-th row of each piece."""
         if stride == 1:
             return self
-        return self._chosen([np.arange(first, end, stride) for first, end in self.bounds], self.owners.tolist())
+        return self._take_rows([np.arange(first, end, stride) for first, end in self.bounds], self.owners.tolist())
 
-    def _chosen(self, rows_by_piece: Sequence[Ints], owners: Sequence[int]) -> "Measurements":
+    def _take_rows(self, rows_by_piece: Sequence[Ints], owners: Sequence[int]) -> "Measurements":
         rows, lengths = np.concatenate(rows_by_piece), np.array([len(rows) for rows in rows_by_piece])
         ends = np.cumsum(lengths)
         by_row = ("measured", "weights", "inverse_variances", "smoothed", "inputs", "input_slopes", "resting")
@@ -171,9 +177,8 @@ def measurements_of(
 ) -> Measurements:
     """Return the measurements for a system with equations for the `modelled` states (indices).
 
-    The other states, as smoothed, are inputs after the inputs of the recording; rows where they are not known are left
-    out.
-    With order 2 the velocities of the modelled states are states, too, behind the positions, and not measured. At most
+    The smoothed values of the other states are inputs, after the inputs of the recording; rows without these values are
+    left out. With order 2 the velocities of the modelled states follow the positions as unmeasured states. At most
     `piece` rows are simulated without a break.
 
     Raises:
@@ -230,7 +235,7 @@ def measurements_of(
 
 
 def _where_inputs_are_known(whole: Measurements, parts: Sequence[Trajectory], others: Sequence[int]) -> Measurements:
-    """Return the stretches of all pieces along which the smoothed states that are inputs are known."""
+    """Return the parts of all pieces along which the smoothed states that are inputs are known."""
     if not others or all(part.is_known is None for part in parts):
         return whole
     is_known = np.concatenate(
@@ -261,14 +266,15 @@ def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tu
 
 
 def _resting(part: Trajectory, chosen: list[int], order: int) -> npt.NDArray[np.bool_]:
-    """Return where states were 0 along the whole of a trajectory; with order 2 nowhere, since velocities may not be."""
+    """Return a mask of states that were 0 along a whole trajectory; False for order 2, where velocities may differ from
+    0."""
     measured = part.measured[chosen]
     is_zero = (np.isnan(measured) | (measured == 0.0)).all(axis=1) & (measured == 0.0).any(axis=1) & (order == 1)
     return np.repeat(is_zero[:, None], measured.shape[1], axis=1)
 
 
 def _robustness_weights(part: Trajectory, chosen: list[int]) -> FloatArray:
-    """Return the weight of each measurement: 0 where it is missing, little where it is an outlier for the smoother."""
+    """Return the weight of each measurement: 0 if it is missing, small if the smoother treats it as an outlier."""
     measured = np.isfinite(part.measured[chosen]).astype(np.float64)
     return measured if part.robustness_weights is None else measured * part.robustness_weights[chosen]
 
@@ -299,7 +305,7 @@ def _consistency(parts: Sequence[Trajectory], chosen: list[int]) -> FloatArray |
 def _inverse_variances(
     parts: Sequence[Trajectory], chosen: list[int], variances: Sequence[VarianceModel]
 ) -> FloatArray | None:
-    """Return the inverse variances (O, N), by given weights and by smoothing; None where all are 1."""
+    """Return the inverse variances (O, N) from the user's weights and the residuals of smoothing; None if all are 1."""
     if all(part.weights is None for part in parts) and not any(variance.proportional for variance in variances):
         return None
     by_value = (
@@ -322,24 +328,26 @@ def _pieces(lengths: Sequence[int], most: int) -> tuple[Ints, Ints]:
     owners: list[int] = []
     start = 0
     for owner, length in enumerate(lengths):
-        pieces = _cut(start, start + length, -(-length // most))
+        pieces = _cut_range(start, start + length, -(-length // most))
         ranges += pieces
         owners += [owner] * len(pieces)
         start += length
     return np.array(ranges, dtype=np.int64), np.array(owners, dtype=np.int64)
 
 
-def _cut(first: int, end: int, count: int) -> list[tuple[int, int]]:
-    """Return `count` half-open ranges of nearly equal length that cover one."""
+def _cut_range(first: int, end: int, count: int) -> list[tuple[int, int]]:
+    """Return `count` half-open ranges of nearly equal length that cover the range from `first` to `end`."""
     cuts = [first + (end - first) * index // count for index in range(count + 1)]
     return list(pairwise(cuts))
 
 
-def _spread(owners: Sequence[int], count: int) -> list[int]:
-    """Return the places of `count` pieces, given the trajectory of each: as many of each, early ones and late ones.
+def _choose_spread(owners: Sequence[int], count: int) -> list[int]:
+    """Return the indices of `count` pieces: equally many of each trajectory, early and late ones.
 
-    Every n-th piece could be the first of each trajectory, without the later parts, such as an attractor or an input
-    that is switched on. A lattice meets each of `count` equal parts of a trajectory once, and
+    `owners` has the trajectory of each piece.
+
+    Every n-th piece could always be the first piece of a trajectory; later parts, such as an attractor or an input that
+    is switched on, would be missing. A lattice samples each of `count` equal parts of a trajectory once, and
     neighbouring trajectories in distant parts.
     """
     step = lattice_step(count)

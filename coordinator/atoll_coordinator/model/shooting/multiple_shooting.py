@@ -3,7 +3,7 @@
 How it works. A trajectory is cut into segments of rows, and each segment is integrated from an initial state of its own
 (Bock 1983), so that an error at the beginning has no time to grow. Constants and initial states are fitted together, to
 the least sum of squared residuals over the variances of the errors. Segments grow from ten rows to whole trajectories
-(`fit_in_stages`): short ones fit well from anywhere, whole ones use all that the data say.
+(`fit_in_stages`): short segments converge from any start values, whole trajectories use all information of the data.
 
 1. *A point of the fit* (`_Point`). The system is integrated with its sensitivities, the derivatives of all states by
    the constants and by the initial state of the segment (`integration`). They give the normal equations, which have the
@@ -14,20 +14,21 @@ the least sum of squared residuals over the variances of the errors. Segments gr
    residuals are whitened before they are squared (`Innovations`); the correlated share is constant during a fit. It is
    found by calibration (`selection.comparison`): the first good model is fitted with independent errors, its residuals
    give the errors of measurement, and all later models are fitted and compared with these.
-3. *A step* (`least_squares.minimize`). Where sensitivities cost much more than states, a step is tried with states
-   alone, since nearly half of all steps fail.
+3. *A step* (`least_squares.minimize`). If sensitivities cost much more than states, a step is first integrated without
+   sensitivities, since nearly half of all steps fail.
 4. *Joining* (`MultipleShooting.join`). Before segments are fitted in longer ones, constants and initial states are
    moved until each segment begins where the one before ends. The conditions are linearised, and the initial states of
-   the inner segments eliminated by them: condensing (`_condensed`). Without that, a chaotic trajectory is lost
-   between two stages: a state carried from the beginning of a long segment is far away from the measured one.
-5. *Offsets and groups.* A state that was measured up to an offset has one for each whole trajectory: another number
-   of the segment. Groups of trajectories with constants of their own have more columns of sensitivities
+   the inner segments eliminated by them: condensing (`_condense`). Without joining, the fit of a chaotic trajectory
+   fails between two stages: a state simulated from the beginning of a long segment is far from the measured state.
+5. *Offsets and groups.* A state that was measured with an unknown offset has one offset for each whole trajectory, as
+   another number of the segment. Groups of trajectories with their own constants have more columns of sensitivities
    (`system.Sharing`).
 
-Doubts. Variances are estimated by their mode given the residuals, not integrated out: a state that a model follows
-exactly is weighed by `InterpolationSettings.smallest_noise`. The rule by which steps are tried alone, and the number of
-steps that are free, are fitted to one machine; they change the work that is counted, and hence where a search stops,
-but no fit. Letters: D states, P fitted constants, L numbers of a segment, G segments, N rows, O measured states.
+Doubts. Variances are estimated by their mode given the residuals, not integrated out: the weight of a state that a
+model fits exactly follows from `InterpolationSettings.smallest_noise`. Two rules were tuned on one machine: when a step
+is first integrated without sensitivities, and how many integration steps are free. They change the counted work, and
+hence where a search stops, but no fit. Letters: D states, P fitted constants, L numbers of a segment, G segments, N
+rows, O measured states.
 """
 
 import math
@@ -40,7 +41,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.least_squares import LEAST_DAMPING, SETTLED, Fitter, Solver, minimize, without
+from atoll_coordinator.model.least_squares import LEAST_DAMPING, SETTLED, Fitter, Solver, hold_numbers, minimize
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.integration import OVERHEAD_NUMBERS, STEEPEST, Integrator, Method, Unsimulated
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
@@ -52,13 +53,13 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 _REJECTED: Final = 0.4
-"""Share of the steps of fits that do not lower the cost: without noise 0.5 with 8 states, 0.4 with 40. States are
-integrated alone first if this takes less than this share of the work."""
+"""Share of fit steps that do not lower the cost: without noise 0.5 with 8 states, 0.4 with 40. A step is first
+integrated without sensitivities if this takes less than this share of the work."""
 
 
 class _Blocks(NamedTuple):
-    """Normal equations: blocks of the constants (P, P), of each segment's own numbers with these (G, P, L) and with
-    each other (G, L, L), and the right sides (P,) and (G, L)."""
+    """Normal equations: `normal` (P, P) of the constants; `coupling` (G, P, L) of constants and each segment's own
+    numbers; `own` (G, L, L) of the segment's numbers; right sides `gradient` (P,) and `own_gradient` (G, L)."""
 
     normal: FloatArray
     coupling: FloatArray
@@ -69,7 +70,8 @@ class _Blocks(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Constants, initial states (G, L), errors and the cost by them, with the states and the equations there."""
+    """A point of the fit: system with constants, initial states (G, L), errors, cost, simulated states and normal
+    equations."""
 
     system: System
     starts: FloatArray
@@ -85,7 +87,7 @@ _Step = tuple[FloatArray, FloatArray]
 
 
 class MultipleShooting:
-    """Fits systems to `measurements`; `work` counts rows times numbers carried along, of all integrations.
+    """Fits systems to `measurements`. `work` is the sum over all integrations of rows times integrated numbers.
 
     Several threads may fit at the same time.
     """
@@ -93,7 +95,7 @@ class MultipleShooting:
     def __init__(
         self, measurements: Measurements, tolerance: float, deadline: Deadline | None = None, measured_rows: int = 0
     ) -> None:
-        """Fit to `measurements`; after the `deadline` a fit takes no more steps. The rest is as in `Integrator`."""
+        """After the `deadline` a fit takes no more steps. The other arguments are those of `Integrator`."""
         self.integrator: Final = Integrator(measurements, tolerance, measured_rows)
         self.measurements: Final = measurements
         self.tolerance: Final = tolerance
@@ -105,7 +107,7 @@ class MultipleShooting:
         )
         totals = measurements.weights.sum(axis=1)
         self._totals: Final = np.where(totals > 0.0, totals, 1.0)
-        self._row_steps: Final = row_steps(measurements)
+        self._row_steps: Final = relative_steps(measurements)
         self._layouts: Final[dict[int | None, Innovations]] = {}
         self.work = 0
         self._of_thread = threading.local()
@@ -117,38 +119,38 @@ class MultipleShooting:
         self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
         errors: ErrorModel | None = None, *, is_stiff: bool = False,
     ) -> TrajectoryFit | None:  # fmt: skip
-        """Return `system` fitted to segments of about `length` rows, None when it cannot be integrated from `starts`.
+        """Return `system` fitted to segments of about `length` rows; None if it cannot be integrated from `starts`.
 
         Args:
-            system: where the fit begins.
+            system: the system, with start values of the constants.
             length: rows of a segment; None for whole trajectories.
             steps: most steps, successful or not.
-            starts: initial states (G, D), or with offsets (G, D + K); the smoothed ones unless given.
-            errors: the errors of measurement at first; independent, of the smoother's noise, unless given.
-            is_stiff: whether similar systems are stiff; in a fit of few steps no other system is treated as stiff,
-                since most candidates that seem stiff are wrong.
+            starts: initial states (G, D), or with offsets (G, D + K); None: the smoothed states.
+            errors: the first error model; None: independent errors as large as the smoother's noise.
+            is_stiff: whether similar systems are stiff. In a fit of few steps, only then the implicit method is
+                allowed, since most candidates that seem stiff are wrong.
         """
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=may_be_stiff)
         fit = minimize(fitter, steps)
-        self.count(fitter.work)
+        self.add_work(fitter.work)
         return fit
 
-    def count(self, work: int) -> None:
-        """Add to the work, also for fits that were made elsewhere."""
-        self._of_thread.counted = self.counted + work
+    def add_work(self, work: int) -> None:
+        """Add to the work; also used for fits on workers."""
+        self._of_thread.counted = self.work_of_thread + work
         with self._lock:
             self.work += work
 
     @property
-    def counted(self) -> int:
-        """The work that was counted by the calling thread."""
+    def work_of_thread(self) -> int:
+        """The work counted by the calling thread."""
         return getattr(self._of_thread, "counted", 0)
 
     def complete(
         self, system: System, length: int | None, starts: FloatArray, errors: ErrorModel, *, is_stiff: bool
     ) -> TrajectoryFit:
-        """Return the fit with these constants, initial states and errors, equal to the bit; it counts no work."""
+        """Return the complete fit with these constants, initial states and errors, equal to the bit; counts no work."""
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=is_stiff)
         fitter.method = self.integrator.methods[is_stiff]
         point, _ = fitter.point(system, starts, errors)
@@ -157,41 +159,41 @@ class MultipleShooting:
         return fit
 
     def join(self, fit: TrajectoryFit, before: int | None, after: int | None) -> tuple[System, FloatArray] | None:
-        """Return the system, and the initial states (G, D) of longer segments, that make those of a fit continuous.
+        """Return the system and initial states (G, D) of longer segments that make the segments of a fit continuous.
 
-        The state at the end of a segment tells more of a chaotic trajectory than can be carried there from its
-        beginning. So the fit is moved, by steps of Gauss and Newton, to where each segment begins at the end of the one
-        before, as far as they are parts of a longer one (Bock 1983).
+        In a chaotic trajectory, the end of a long segment cannot be predicted from its beginning. So Gauss-Newton steps
+        close the gaps between the short segments of each longer segment: each begins at the end of the previous segment
+        (Bock 1983).
 
         Args:
-            fit: of segments of about `before` rows.
-            before: the length by which they were fitted.
-            after: about how many rows the longer ones have; None: whole trajectories.
+            fit: a fit of segments of about `before` rows.
+            before: rows of these segments.
+            after: rows of the longer segments; None: whole trajectories.
 
         Returns:
-            None where the gaps do not close.
+            None if the gaps do not close.
         """
-        segments, begun = self.layout(before).segments, self.layout(after).segments[:, 0]
+        segments, first_rows = self.layout(before).segments, self.layout(after).segments[:, 0]
         states, fitted = len(fit.system.outputs), fit.system.count
-        is_inner = ~np.isin(segments[:, 0], begun)
+        is_inner = ~np.isin(segments[:, 0], first_rows)
         last = np.flatnonzero(is_inner) - 1
         if not is_inner.any():
             return None
         method, system = self.integrator.methods[fit.is_stiff], fit.system
         starts, pieces = fit.starts[:, :states].copy(), np.cumsum(~is_inner) - 1
         for _ in range(SETTINGS.effort.brief_steps):
-            carried = self._carried(method, system, segments, starts, last)
+            carried = self._integrate_to_next(method, system, segments, starts, last)
             if carried is None or self.deadline.is_over:
                 return None
             simulated, sensitivities, ends, reached = carried
             gaps = np.zeros_like(starts)
             gaps[last] = reached[last] - starts[last + 1]
             if np.all(np.abs(gaps) <= method.tolerance):
-                return system, np.ascontiguousarray(simulated[:, begun].T)
+                return system, np.ascontiguousarray(simulated[:, first_rows].T)
             residuals = self.residuals(simulated, starts, segments)
             blocks = self.blocks(segments, sensitivities, residuals, fit.errors, fitted)
             with np.errstate(all="ignore"):  # sensitivities of a trajectory that blows up; no step is solved then
-                condensed, moves = _condensed(blocks, ends, gaps, pieces)
+                condensed, moves = _condense(blocks, ends, gaps, pieces)
             change, its_own = np.empty(fitted), np.empty((len(condensed.own), states))
             if not solve_step(*condensed, LEAST_DAMPING, change, its_own):
                 return None
@@ -200,13 +202,13 @@ class MultipleShooting:
             starts = starts + (moves * numbers[pieces][:, None]).sum(axis=2)
         return None
 
-    def _carried(
+    def _integrate_to_next(
         self, method: Method, system: System, segments: Ints, starts: FloatArray, last: Ints
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-        """Return states (D, N) with sensitivities (N, D, P + D), then sensitivities and states where segments end.
+        """Return states (D, N), sensitivities (N, D, P + D), and the sensitivities and states at the ends of segments.
 
-        Segments that are the `last` before another one, by their number, are carried on to the first row of that; None
-        where a segment cannot be integrated.
+        The segments with the numbers `last` are integrated to the first row of the next segment. None if a segment
+        cannot be integrated.
         """
         owners = np.repeat(np.arange(len(segments)), segments[:, 1] - segments[:, 0])
         longer = segments.copy()
@@ -217,7 +219,7 @@ class MultipleShooting:
         for parity in (0, 1):  # a segment that ends in the first row of the next would be overwritten by that
             chosen = np.arange(parity, len(segments), 2)
             course = self.integrator.integrate(method, system, longer[chosen], np.ascontiguousarray(starts[chosen]))
-            self.count(method.work(course.steps, self.measurements.rows // 2) * numbers)
+            self.add_work(method.work(course.steps, self.measurements.rows // 2) * numbers)
             steepest = self.integrator.steepest(course.sensitivities[np.isin(owners, chosen)], system)
             if course.done < len(chosen) or not steepest < STEEPEST:
                 return None
@@ -230,8 +232,8 @@ class MultipleShooting:
         even.states[:, is_odd], even.sensitivities[is_odd] = odd.states[:, is_odd], odd.sensitivities[is_odd]
         return even.states, even.sensitivities, ends, reached
 
-    def of_trajectory(self, owner: int, fit: TrajectoryFit) -> tuple["MultipleShooting", FloatArray]:
-        """Return an estimator over one trajectory (an index of `names`), and the initial states there of a `fit`."""
+    def estimator_of_trajectory(self, owner: int, fit: TrajectoryFit) -> tuple["MultipleShooting", FloatArray]:
+        """Return an estimator for one trajectory (an index of `names`), and the initial states of a `fit` along it."""
         measurements = self.measurements
         is_own = measurements.owners_of_rows[fit.segments[:, 0]] == owner
         return MultipleShooting(measurements.part([owner]), self.tolerance, self.deadline), fit.starts[is_own]
@@ -239,7 +241,7 @@ class MultipleShooting:
     # ------------------------------------------------------------------------------------------ residuals and errors
 
     def layout(self, length: int | None) -> Innovations:
-        """Return the segments of about `length` rows, along which residuals are whitened."""
+        """Return the `Innovations` for segments of about `length` rows."""
         known = self._layouts.get(length)
         if known is None:
             layout = Innovations(self.measurements.segments(length), self._row_steps, self.measurements.weights)
@@ -247,7 +249,8 @@ class MultipleShooting:
         return known
 
     def residuals(self, simulated: FloatArray, starts: FloatArray, segments: Ints) -> FloatArray:
-        """Return measured (O, N) minus simulated states, and minus the offsets behind the initial states `starts`."""
+        """Return residuals (O, N): measured minus simulated states, minus the offsets in the last columns of
+        `starts`."""
         measurements, states = self.measurements, len(simulated)
         residuals = np.asarray(self.measured - simulated[measurements.observed])
         for place, state in enumerate(measurements.offset.tolist() if starts.shape[1] > states else []):
@@ -257,7 +260,7 @@ class MultipleShooting:
     def blocks(
         self, segments: Ints, sensitivities: FloatArray, residuals: FloatArray, errors: ErrorModel, fitted: int
     ) -> _Blocks:
-        """Return the normal equations of segments, weighed by these errors."""
+        """Return the normal equations of segments, weighted by the error model."""
         local, groups, columns = sensitivities.shape[2] - fitted, len(segments), sensitivities.shape[2] + 1
         weights = self.measurements.weights / (errors.sigmas * errors.sigmas)[:, None]
         blocks = _Blocks(
@@ -272,33 +275,37 @@ class MultipleShooting:
 
     def squares(self, residuals: FloatArray) -> FloatArray:
         """Return the mean squares (O,) of residuals, corrected for robustness weights, which reduce large errors."""
-        return self._consistent((self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals)
+        return self._correct_for_robustness(
+            (self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals
+        )
 
-    def _consistent(self, squares: FloatArray) -> FloatArray:
+    def _correct_for_robustness(self, squares: FloatArray) -> FloatArray:
         consistency = self.measurements.consistency
         return np.asarray(squares if consistency is None else squares / consistency)
 
-    def reweighed(self, residuals: FloatArray, layout: Innovations, errors: ErrorModel) -> ErrorModel:
-        """Return the errors with the variances that these residuals have."""
+    def update_variances(self, residuals: FloatArray, layout: Innovations, errors: ErrorModel) -> ErrorModel:
+        """Return the error model with variances estimated from these residuals."""
         if errors.is_known:
             return errors
         squares, _ = layout.squares(residuals, errors)
-        sigmas = np.maximum(np.sqrt(self._consistent(squares / self._totals)), self._smallest)
+        sigmas = np.maximum(np.sqrt(self._correct_for_robustness(squares / self._totals)), self._smallest)
         return errors if np.all(np.abs(sigmas / errors.sigmas - 1.0) < 1e-3) else replace(errors, sigmas=sigmas)
 
     def sensor_errors(self, fit: TrajectoryFit, turns: FloatArray) -> ErrorModel:
-        """Return `Innovations.sensor_errors` of a fit of whole trajectories, whose derivatives turn in `turns` rows."""
+        """Return `Innovations.sensor_errors` of a fit of whole trajectories; `turns` (O,) are the correlation lengths
+        in rows."""
         fitted = (fit.system.count + fit.starts.size) / len(fit.residuals)
         return self.layout(None).sensor_errors(fit.residuals, np.sqrt(fit.squares), fitted, turns)
 
-    def whitened(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
+    def whiten(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
         """Return residuals (O, N) of whole trajectories without the correlated share of these errors."""
-        return self.layout(None).whitened(residuals, errors)
+        return self.layout(None).whiten(residuals, errors)
 
     def squared_innovations(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
         """Return the sums of squared innovations (O,) of residuals (O, N) of whole trajectories, by their likelihood.
 
-        Each innovation has a variance of its own; the sum is the one of as many of one variance that are as likely.
+        Innovations have different variances. The result is the sum of squares that equally many innovations of one
+        variance would have at the same likelihood.
         """
         squares, logarithms = self.layout(None).squares(residuals, errors)
         counts = np.maximum((self.measurements.weights > 0.0).sum(axis=1), 1)
@@ -311,11 +318,12 @@ class MultipleShooting:
     # --------------------------------------------------------------------------------------------------- simulations
 
     def simulate(self, system: System, start: FloatArray) -> FloatArray | Unsimulated:
-        """Return the states (D, N) of whole trajectories from one initial state (D,), or why there are none."""
-        simulated, why = self.simulate_as_far(system, start)
+        """Return the states (D, N) of whole trajectories from one initial state (D,), or why the simulation ended
+        early."""
+        simulated, why = self.simulate_until_blow_up(system, start)
         return simulated if why is None else why
 
-    def simulate_as_far(self, system: System, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
+    def simulate_until_blow_up(self, system: System, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
         """Return `Integrator.simulate` of whole trajectories."""
         return self.integrator.simulate(system, self.layout(None).segments, start)
 
@@ -342,9 +350,9 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         self.work = 0
 
     def init(self) -> _Point | None:
-        """Return the first point, None where the system cannot be integrated from any initial states.
+        """Return the first point; None if the system cannot be integrated from any of the tried initial states.
 
-        A system for which the explicit method takes too many steps is fitted as a stiff one if it may be one.
+        If the explicit method takes too many steps, the implicit method is used if it is allowed.
         """
         measurements = self._measurements
         system = self._system.with_values(self._system.values)  # within their bounds
@@ -352,8 +360,8 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
             np.maximum(measurements.noise, 1e-4 * measurements.scales[measurements.observed])
         )
         explicit, implicit = self._estimator.integrator.methods
-        for beginning in self._beginnings():
-            starts = self._at_rest(self._with_offsets(beginning, len(system.outputs)))
+        for beginning in self._starting_states():
+            starts = self._zero_resting_states(self._with_offsets(beginning, len(system.outputs)))
             self.method = explicit
             point, is_out_of_steps = self.point(system, starts, errors)
             if is_out_of_steps and self._may_be_stiff:
@@ -364,14 +372,14 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return None
 
     def equations(self, point: _Point) -> Solver[_Step]:
-        """Return the solver for steps of the constants (P,), which keep to their bounds, and of initial states (G, D).
+        """Return the solver for steps of the constants (P,), within their bounds, and of initial states (G, D).
 
-        It promises twice the gain of steps without damping, which is the most that damped ones gain.
+        The predicted decrease is twice the decrease of an undamped step, an upper limit for damped steps.
         """
         normal, coupling, own, gradient, own_gradient = point.blocks
-        held = point.system.held(gradient)
+        held = point.system.blocked_by_bounds(gradient)
         if held is not None and held.any():
-            normal, gradient = without(normal, gradient, held)
+            normal, gradient = hold_numbers(normal, gradient, held)
             coupling = coupling.copy()
             coupling[:, held, :] = 0.0
 
@@ -384,21 +392,24 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return solve
 
     def step(self, point: _Point, step: _Step) -> tuple[_Point, float] | None:
-        """Return the point after a step, its variances estimated there, and the gain by the variances before."""
+        """Return the point after a step, with variances estimated there, and the decrease of the cost by the old
+        variances."""
         system, starts = point.system.with_values(point.system.values + step[0]), point.starts + step[1]
         there, _ = self.point(system, starts, point.errors, point.cost)
         return None if there is None else (there, point.cost - _cost(self._layout, there.residuals, point.errors))
 
-    def settled(self, point: _Point) -> float:
-        """Return a share of the cost, or the cost of rounding errors if that is more.
+    def least_gain(self, point: _Point) -> float:
+        """Return the least decrease that counts: a share of the cost, or the cost of rounding errors if larger.
 
-        The residuals of a solution in closed form are rounding errors, and its fit would follow these for long.
+        If the data are a solution in closed form, the residuals are rounding errors, and a fit would follow these in
+        many steps.
         """
         return max(SETTLED * point.cost, float((self._rounding / point.errors.sigmas**2).sum()))
 
     @cached_property
     def _rounding(self) -> FloatArray:
-        """The sum of squared rounding errors (O,), of which each row of a segment has one more in its states."""
+        """The sum of squared rounding errors (O,); the number of rounding errors in a state grows by one with each row
+        of a segment."""
         segments, measurements = self._segments, self._measurements
         since = np.arange(measurements.rows) - np.repeat(segments[:, 0], segments[:, 1] - segments[:, 0])
         squares = (np.finfo(np.float64).eps * self._estimator.measured) ** 2 * (1 + since)
@@ -422,8 +433,8 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     ) -> tuple[_Point | None, bool]:
         """Return the point of a system and its initial states, and whether the method took too many steps.
 
-        None where it cannot be integrated or the cost is not below `below`. After a step, for which there is such a
-        limit, the errors have the variances of the residuals there.
+        The point is None if the system cannot be integrated or if the cost is not below `below`. With a finite `below`
+        (after a step), the error model gets the variances of the new residuals.
         """
         estimator, integrator = self._estimator, self._estimator.integrator
         states, fitted, local = len(system.outputs), system.count, starts.shape[1]
@@ -440,7 +451,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
             residuals = estimator.residuals(course.states, starts, self._segments)
             if not _cost(self._layout, residuals, errors) < below:
                 break
-            weighed = estimator.reweighed(residuals, self._layout, errors) if is_step else errors
+            weighed = estimator.update_variances(residuals, self._layout, errors) if is_step else errors
         else:
             cost = _cost(self._layout, residuals, weighed)
             blocks = estimator.blocks(self._segments, course.sensitivities, residuals, weighed, fitted)
@@ -448,11 +459,11 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         self.work += self.method.work(course.steps, self._measurements.rows) * numbers
         return point, course.done < 0
 
-    def _beginnings(self) -> Iterator[FloatArray]:
-        """Yield initial states (G, D or more) to begin from until a system can be integrated.
+    def _starting_states(self) -> Iterator[FloatArray]:
+        """Yield initial states (G, D or more) that are tried until a system can be integrated.
 
-        Noise may carry a first value below zero, where many laws blow up, growth among them. So a state that has one
-        sign from some row of its piece to the end has that sign in the second beginning, where it is as in that row.
+        Noise may make a first value negative, where many laws blow up, for example growth. So if a state has one sign
+        from some row of its piece to the end, the second initial states have its value in this row.
         """
         measurements, segments = self._measurements, self._segments
         smoothed = np.ascontiguousarray(measurements.smoothed[:, segments[:, 0]].T)
@@ -469,15 +480,15 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
             yield signed
 
     def _with_offsets(self, starts: FloatArray, states: int) -> FloatArray:
-        """Return initial states with offsets, which whole trajectories alone determine; as zero if they have none."""
+        """Return initial states with offsets, which only whole trajectories determine; missing offsets are zero."""
         count = len(self._measurements.offset) if self._is_whole else 0
         missing = states + count - starts.shape[1]
         if missing <= 0:
             return np.ascontiguousarray(starts[:, : states + count])
         return np.concatenate([starts, np.zeros((len(starts), missing))], axis=1)
 
-    def _at_rest(self, starts: FloatArray) -> FloatArray:
-        """Return initial states, 0 of the states that rest."""
+    def _zero_resting_states(self, starts: FloatArray) -> FloatArray:
+        """Return initial states, with 0 for resting states."""
         measurements = self._measurements
         if measurements.resting is None:
             return starts
@@ -493,18 +504,18 @@ def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> flo
     return float((squares / (errors.sigmas * errors.sigmas)).sum())
 
 
-def _condensed(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints) -> tuple[_Blocks, FloatArray]:
-    """Return the normal equations of pieces whose segments begin where the one before ends, and how segments move.
+def _condense(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints) -> tuple[_Blocks, FloatArray]:
+    """Return the normal equations of pieces with continuous segments, and how the initial states of segments move.
 
-    The move of a segment's initial state is linear in the constants and in its piece's initial state: A, S B + T and
-    S c + h follow from A, B and c of the segment before, with the sensitivities S and T of its end to its initial state
-    and to the constants, and with the gap h there (Bock 1983, section 3; Albersmeyer & Diehl 2010, SIAM Journal on
-    Optimization 20:1655).
+    The move of a segment's initial state is linear in the constants and in the initial state of its piece. Its
+    coefficients follow from those of the previous segment, with the sensitivities S and T of its end to its initial
+    state and to the constants, and with the gap h there: S A, S B + T and S c + h (Bock 1983, section 3; Albersmeyer &
+    Diehl 2010, SIAM Journal on Optimization 20:1655).
 
     Args:
-        blocks: of each segment.
+        blocks: the normal equations of the segments.
         ends: T and S (G, D, P + D).
-        gaps: h, by how much the end is beyond the initial state of the next segment (G, D).
+        gaps: h (G, D), the end of a segment minus the initial state of the next segment.
         pieces: (G,), the piece that each segment belongs to, ascending.
 
     Returns:
@@ -535,8 +546,8 @@ def _condensed(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints
     return _Blocks(normal, coupling, own, gradient, own_gradient), moves
 
 
-def row_steps(measurements: Measurements) -> FloatArray:
-    """Return the step (N,) to each row from the one before over the median of all; 1 where rows are even."""
+def relative_steps(measurements: Measurements) -> FloatArray:
+    """Return the time step (N,) from the previous row to each row, over the median step; 1 for evenly spaced rows."""
     steps = np.diff(measurements.times, prepend=measurements.times[0]) / measurements.step
     steps[measurements.bounds[:, 0]] = 1.0
     steps[np.abs(steps - 1.0) < 1e-6] = 1.0
@@ -546,10 +557,10 @@ def row_steps(measurements: Measurements) -> FloatArray:
 def fit_in_stages(
     estimator: MultipleShooting, system: System, lengths: Sequence[int | None], steps: int
 ) -> TrajectoryFit | None:
-    """Return `system` fitted to segments of growing `lengths`, each fit begun where the one before ended."""
+    """Return `system` fitted to segments of growing `lengths`; each fit starts from the end of the previous one."""
     fit: TrajectoryFit | None = None
     before: int | None = None
-    for length in _gradual(lengths, estimator.measurements):
+    for length in _intermediate_lengths(lengths, estimator.measurements):
         starts, errors = None, None
         if fit is not None:
             firsts = estimator.measurements.segments(length)[:, 0]
@@ -564,10 +575,10 @@ def fit_in_stages(
     return fit
 
 
-def _gradual(lengths: Sequence[int | None], measurements: Measurements) -> Iterator[int | None]:
-    """Yield `lengths`, and more between any two of which the second is too many times as long as the first.
+def _intermediate_lengths(lengths: Sequence[int | None], measurements: Measurements) -> Iterator[int | None]:
+    """Yield `lengths`, and intermediate lengths if the ratio of two successive lengths is too large.
 
-    Errors may grow so much along a trajectory that a fit of short segments is no beginning for one of long ones.
+    Errors may grow so much along a trajectory that a fit of long segments fails from the fit of short segments.
     """
     longest = int((measurements.bounds[:, 1] - measurements.bounds[:, 0]).max())
     before: int | None = None

@@ -1,6 +1,6 @@
-"""Points off the measured curves, each from two measured points that are far apart. Pure.
+"""Points off the measured curves, each computed from two measured points that are far apart. Pure.
 
-Letters: N measured points, V numbers of each, G points off the curves.
+Letters: N measured points, V components of a point, G points off the curves.
 """
 
 import math
@@ -13,35 +13,37 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 MOST_POINTS: Final = 500
-"""Measured points that are taken, about: at a lattice, since every n-th row may be the same state of a period."""
+"""About the number of measured points used; chosen by a lattice, since every n-th row may be the same phase of a
+period."""
 
 
 def points_between(points: FloatArray) -> FloatArray:
-    """Return points (G, V) on the lines between two measured ones each, which are far out among all `points` (V, N).
+    """Return points (G, V) on lines between two measured points that are far apart among all `points` (V, N).
 
-    Between measured points hold the constraints of all of them, such as a constant weighted sum or a sign, and energies
-    are not as large as in the corners of a box of many states.
+    On such lines, linear constraints of all measured points hold, such as a constant weighted sum or a sign, and
+    energies are not as large as in the corners of a box of many states.
     """
     first, second, (share,) = _pairs(points, 1)
     return np.asarray(first + share[:, None] * (second - first))
 
 
-def points_beside(points: FloatArray, moved: int) -> FloatArray:
-    """Return points (G, V) in the boxes that two measured ones span, where constant sums and the like do not hold.
+def points_in_boxes(points: FloatArray, moved: int) -> FloatArray:
+    """Return points (G, V) in boxes spanned by two measured points; constant sums, for example, are not kept.
 
-    The first `moved` numbers are moved; the others, such as inputs, stay as they are at the first of the two.
+    The first `moved` components vary; the others, such as inputs, have the values of the first of the two points.
     """
     first, second, shares = _pairs(points, moved)
     first[:, :moved] += shares.T * (second - first)[:, :moved]
     return first
 
 
-def without_kept(moves: FloatArray, points: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return `moves` (G, V) that keep the weighted sums which are constant in all measured `points` (V, N).
+def remove_conserved_directions(moves: FloatArray, points: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return `moves` (G, V) projected so that weighted sums stay constant that are constant in all `points` (V, N).
 
-    These are directions (singular vectors, in widths of the range) along which points do not vary visibly, given their
-    `noise` (V,): the variance of N independent rows is known to a share of sqrt(2/N), and a signal differs from noise
-    (p = 0.05) where it adds more than 1.64 times that. With no more rows than numbers, no direction is known.
+    Such sums are directions (singular vectors, in units of the range) along which the points vary by no more than their
+    `noise` (V,). The variance of N independent rows has the relative standard error sqrt(2/N); a signal differs from
+    noise (p = 0.05) if it adds more than 1.64 times that. If there are no more rows than components, no direction is
+    removed.
     """
     if points.shape[1] <= len(points):
         return moves
@@ -56,7 +58,8 @@ def without_kept(moves: FloatArray, points: FloatArray, noise: FloatArray) -> Fl
 
 
 def _pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return two measured points (G, V), twice, and shares (numbers, G) of the way from one to the other."""
+    """Return G pairs of measured points, as two arrays (G, V), and shares (numbers, G) of the way from first to
+    second."""
     count, width = SETTINGS.effort.beam, np.maximum(np.ptp(points, axis=1), 1e-300)
     known = points.T[thinned_places(points.shape[1], MOST_POINTS)]
     outer = known[_far_apart(known / width, 2 * count)]
@@ -68,9 +71,9 @@ def _pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, Fl
 
 
 def _far_apart(points: FloatArray, count: int) -> list[int]:
-    """Return the places of up to so many of the `points` (N, D), each as far from the earlier ones as any.
+    """Return the indices of up to `count` of the `points` (N, D), each the farthest from all earlier ones.
 
-    Farthest points first (Gonzalez 1985): a long rest of a process gets no more points than the way there.
+    Farthest-point sampling (Gonzalez 1985): a long steady state gets no more points than the transient.
     """
     places, nearest = [0], np.full(len(points), math.inf)
     for _ in range(1, count):
@@ -83,9 +86,9 @@ def _far_apart(points: FloatArray, count: int) -> list[int]:
 
 
 def _latin_hypercube(count: int, dimensions: int) -> FloatArray:
-    """Return points (G, K) of [0, 1): each of `count` equal parts of each dimension has one (McKay et al. 1979).
+    """Return points (G, K) in [0, 1): each of `count` equal parts of each dimension has one point (McKay et al. 1979).
 
-    As scipy.stats.qmc does it, whose import takes as long as many a search.
+    Same as scipy.stats.qmc, without its slow import.
     """
     rng = np.random.default_rng(0)
     parts = rng.permuted(np.tile(np.arange(float(count)), (dimensions, 1)), axis=1)

@@ -1,8 +1,9 @@
-"""The size of errors of measurement from the residuals of a law. Pure.
+"""The size of errors of measurement, estimated from the residuals of a law. Pure.
 
 Errors of measurement are rough, the errors of a law are slow: second differences give the size of errors of measurement
 (`roughness`), cosines along the rows the share of errors of the law (`slow_shares`). `count_pieces` returns the number
-of independent numbers in slow errors. Letters: O measured states, N rows, R rows of some trajectories.
+of independent numbers in slow errors. Doubt: correlated errors of a sensor are slow as well; `error_model` must remove
+them first. Letters: O measured states, N rows, R rows of some trajectories.
 """
 
 import math
@@ -15,11 +16,11 @@ from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_core.data.dataset import FloatArray
 
 ROUGHNESS_VARIANCE: Final = 35.0 / 9.0
-"""Relative variance of the variance that `roughness` estimates, times the rows: second differences of independent
-errors have the correlations -2/3 and 1/6 (Gasser, Sroka & Jennen-Steinmetz 1986)."""
+"""Relative variance of the variance that `roughness` estimates, times the number of rows: second differences of
+independent errors have the correlations -2/3 and 1/6 (Gasser, Sroka & Jennen-Steinmetz 1986)."""
 
 _ROUNDING: Final = 1e-9
-"""Guard: sums of squares by transforms of 1e9 rows err by less than this share of the largest."""
+"""Guard: upper limit of the relative rounding error of sums of squares by Fourier transforms, for 1e9 rows."""
 
 
 def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
@@ -66,7 +67,7 @@ def slow_shares(measurements: Measurements, residuals: FloatArray, pieces: Float
 
 
 def count_pieces(measurements: Measurements) -> FloatArray:
-    """Return how many independent numbers (O,) errors are that vary as the states' derivatives do.
+    """Return the number of independent numbers (O,) in errors that vary as slowly as the derivatives of the states.
 
     Rows over their correlation length, the lag at which the autocorrelation of the smoothed states' differences falls
     below 1/e; at most all rows.
@@ -81,7 +82,7 @@ def count_pieces(measurements: Measurements) -> FloatArray:
 
 
 def _correlation_length(parts: Sequence[FloatArray]) -> int:
-    """Return the lag at which the autocorrelation of `parts`, all together, falls below 1/e; the longest where none is.
+    """Return the lag at which the autocorrelation of all `parts` falls below 1/e; the largest lag if it never does.
 
     Fourier transforms give the possible lags up to rounding errors; the sums are computed at these.
     """
@@ -101,10 +102,10 @@ def _stretches(measurements: Measurements) -> Iterator[slice]:
     times = measurements.times
     steps = np.diff(times)
     usual = 1.5 * float(np.median(steps)) if len(steps) else 0.0
-    begun, before = 0, -1
+    start, before = 0, -1
     for (first, _), owner in zip(measurements.bounds.tolist(), measurements.owners.tolist(), strict=True):
         if first and (owner != before or not 0.0 < steps[first - 1] <= usual):
-            yield slice(begun, first)
-            begun = first
+            yield slice(start, first)
+            start = first
         before = owner
-    yield slice(begun, measurements.rows)
+    yield slice(start, measurements.rows)

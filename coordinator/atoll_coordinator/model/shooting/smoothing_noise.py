@@ -1,4 +1,4 @@
-"""The size of errors of measurement from the residuals of smoothing, before a law is known. Pure.
+"""The size of errors of measurement, estimated from the residuals of smoothing, before a law is known. Pure.
 
 The variance of a row is a^2 + b^2 x^2 with the smoothed value x, the two-component model of analytical chemistry
 (Rocke & Lorenzato 1995); it is fitted to the residuals of smoothing, which do not depend on any law. ``residual_noise``
@@ -16,19 +16,20 @@ from atoll_coordinator.model.loess_matrix import residual_shares
 from atoll_core.data.dataset import FloatArray
 
 _SHARES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
-"""Proportional shares that are tried; at the last, errors at zero are a tenth of the errors at the root mean square."""
+"""Proportional shares that are tried. At the last share, errors at zero are a tenth of the errors at the root mean
+square."""
 _EVIDENCE: Final = 1.0
-"""Nats by which errors that grow with the value must be the better description. Measured on equal errors, decays and
-waves of 8 to 200 rows, 80 tables each: that much comes about by chance in 0 to 5 %; of errors in proportion to the
-value it is there in 72 % of tables of 21 rows."""
+"""Least gain in nats at which errors are treated as growing with the value. Measured on decays and waves of 8 to 200
+rows, 80 tables each: with errors of constant size, chance reaches this gain in 0 to 5 % of the tables; with errors
+proportional to the value, 72 % of tables of 21 rows reach it."""
 
 
 @dataclass(frozen=True)
 class VarianceModel:
-    """Errors of one state: the `proportional` share of their variance where the state is as large as its `rms`.
+    """Error variance of one state; `proportional` is the share proportional to the value's square, at the value `rms`.
 
     `mean` is the mean of inverse variances over the rows of the recording, so that weights are 1 on average. `scale` is
-    the standard deviation in a row of weight 1 over the one for equal weights.
+    the standard deviation of a row of weight 1, over the standard deviation for equal weights.
     """
 
     proportional: float = 0.0
@@ -42,10 +43,10 @@ class VarianceModel:
 
 
 def estimate_variances(recording: Recording) -> list[VarianceModel]:
-    """Return the variances of the errors of each state, by the residuals of its smoothing.
+    """Return the error variance model of each state, estimated from the residuals of its smoothing.
 
-    Errors are proportional to the value where that is the better description by `_EVIDENCE`, of a state alone or of all
-    states together, since they are usually measured in one way; not where a state speaks against it.
+    Errors grow with the value if this shortens the description by `_EVIDENCE` nats, for one state or for all states
+    together, since states are usually measured in the same way. A state with negative evidence has constant errors.
     """
     found = [_estimate(recording, state) for state in range(len(recording.states))]
     together = sum(evidence for _, evidence in found)
@@ -58,10 +59,10 @@ def estimate_variances(recording: Recording) -> list[VarianceModel]:
 def _estimate(recording: Recording, state: int) -> tuple[VarianceModel, float]:
     """Return the best proportional share of one state (index), and the evidence for any: nats over equal errors.
 
-    A trajectory along which the state is 0 throughout says nothing. Loess follows the errors of rows at the ends, so
-    that each row counts by the share of its error that is in its residual. All proportional shares are as likely
-    beforehand. There is no evidence where the state was interpolated, where outliers have lost their weight, or where
-    rows have weights.
+    A trajectory along which the state is always 0 is left out. Loess follows the errors of rows at the ends, so each
+    row counts by the share of its error that is in its residual. All proportional shares have the same prior
+    probability. There is no evidence if the state was interpolated, if outliers have reduced weights, or if rows have
+    weights.
     """
     searched = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
     parts = [trajectory for trajectory in searched if np.nan_to_num(trajectory.measured[state]).any()] or searched
@@ -89,7 +90,7 @@ def _estimate(recording: Recording, state: int) -> tuple[VarianceModel, float]:
 
 
 def _residual_shares(smoothing: Smoothing, rows: int) -> FloatArray:
-    """Return the variance (R,) of the residual of each row over the variance of its error."""
+    """Return the variance of the residual of each row (R,) over the variance of its error."""
     if smoothing.span is None or smoothing.degree is None:
         return np.ones(rows)
     return residual_shares(rows, smoothing.span, smoothing.degree)

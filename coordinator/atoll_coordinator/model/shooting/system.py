@@ -1,6 +1,8 @@
-"""Several equations as one system that can be integrated and whose constants can be fitted. Pure data.
+"""Several equations as one system that can be integrated and fitted. Pure data.
 
-Letters: D equations, N nodes of all of them, P fitted constants.
+The programs are concatenated to one tape of nodes; each fitted constant has a node, and each fitted number belongs to
+one or several constants (`Sharing`). Letters: D equations, N nodes of all equations, P fitted constants, Q fitted
+numbers, G groups of trajectories.
 """
 
 from collections.abc import Collection, Sequence
@@ -16,19 +18,18 @@ from atoll_core.expression.operators import CONSTANT, VARIABLE
 from atoll_core.expression.program import Program
 
 Place = tuple[int, int]
-"""A constant: its equation, and its node there."""
+"""A constant: (equation, node in this equation)."""
 
 SharedNumber = tuple[tuple[Place, float], ...]
-"""The constants that are multiples of one fitted number, in all groups of trajectories, each with its multiple."""
+"""The constants that are multiples of one fitted number in all groups of trajectories, each with its multiple."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sharing:
-    """Which of Q fitted numbers each constant is a multiple of, in each of G groups of trajectories; G is one without.
+    """The fitted number of each constant in each of G groups of trajectories (G is 1 without groups).
 
     `constants` (G, N) are the constants of each group's tape. The fitted constant p of group g is the number
-    `columns[g, p]` times `multiples[p]`: the same number in all groups where these share it, and at several constants
-    where these do.
+    `columns[g, p]` times `multiples[p]`: groups, or several constants, that share a number have the same column.
     """
 
     constants: FloatArray
@@ -38,7 +39,7 @@ class Sharing:
 
     @property
     def own_numbers(self) -> int:
-        """How many of the Q numbers belong to one group alone."""
+        """Number of the Q fitted numbers that belong to one group only."""
         is_own = (self.columns != self.columns[:1]).any(axis=0)
         return int(is_own.sum()) * len(self.columns)
 
@@ -54,7 +55,8 @@ class Sharing:
         return values
 
     def ranges(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return bounds on the fitted numbers (Q,) that keep each constant within its own, `lower` and `upper` (P,)."""
+        """Return bounds on the fitted numbers (Q,) that keep each constant within its bounds `lower` and `upper`
+        (P,)."""
         ends = np.sort([lower / self.multiples, upper / self.multiples], axis=0)
         least, most = np.full(self.count, -np.inf), np.full(self.count, np.inf)
         for columns in self.columns:
@@ -67,9 +69,9 @@ class Sharing:
 class System:
     """D equations on one tape, see `kernels.rates.Tape`; `equations` are their programs.
 
-    `parameters` (N,) numbers the fitted constants; `places` are their nodes, `owners` (P,) their equations. `lower` and
-    `upper` (Q,) are bounds on the fitted numbers, None where there are none. With a `sharing` there are more fitted
-    numbers than places or fewer, Q of P; `constants` are then the means over the groups. Without one Q is P.
+    `parameters` (N,) has the index of each fitted constant, -1 for other nodes; `places` (P,) are their nodes, `owners`
+    (P,) their equations. `lower` and `upper` (Q,) are bounds on the fitted numbers, None where there are none. With a
+    `sharing`, Q may differ from P, and `constants` are the means over the groups. Without it, Q is P.
     """
 
     equations: tuple[Program, ...]
@@ -87,7 +89,7 @@ class System:
 
     @property
     def tape(self) -> Tape:
-        """The nodes, as kernels take them."""
+        """The arrays of the nodes, as arguments of kernels."""
         return self.code, self.left, self.right, self.constants, self.outputs, self.parameters
 
     @property
@@ -97,12 +99,12 @@ class System:
 
     @property
     def columns(self) -> Ints:
-        """Which of the fitted numbers each constant is a multiple of, by group and constant (G, P)."""
+        """The index of the fitted number of each constant, by group and constant (G, P)."""
         return np.arange(len(self.places))[None] if self.sharing is None else self.sharing.columns
 
     @property
     def multiples(self) -> FloatArray:
-        """How many times its number each constant (P,) is."""
+        """The factor of each constant (P,) to its fitted number."""
         return np.ones(len(self.places)) if self.sharing is None else self.sharing.multiples
 
     @property
@@ -124,13 +126,13 @@ class System:
         return replace(self, constants=constants, sharing=replace(self.sharing, constants=own))
 
     def sharing_numbers(self, constants: FloatArray, shared: Collection[SharedNumber], leading: int = 0) -> "System":
-        """Return the system with a number of each group at each constant, except at the `shared` ones.
+        """Return the system with one fitted number for each group and constant, except for the `shared` numbers.
 
-        A shared number begins at the mean of its constants, over their multiples.
+        The start value of a shared number is the mean of its constants over their multiples.
 
         Args:
-            constants: of the nodes, by group (G, N).
-            shared: by equation and node, the first equation being the one after the `leading` ones.
+            constants: constants of the nodes by group (G, N).
+            shared: constants by equation and node; equations are counted from the first one after the `leading` ones.
         """
         starts = [0, *(self.outputs[:-1] + 1).tolist()][leading:]
         fitted = {node: place for place, node in enumerate(self.places.tolist())}
@@ -153,10 +155,10 @@ class System:
         system = replace(self, sharing=Sharing(own, columns, multiples, count))
         return system.with_values(system.values)
 
-    def held(self, gradient: FloatArray) -> npt.NDArray[np.bool_] | None:
-        """Return which of the fitted numbers (Q,) lie on a bound beyond which `gradient` (Q,) wants to move them.
+    def blocked_by_bounds(self, gradient: FloatArray) -> npt.NDArray[np.bool_] | None:
+        """Return which fitted numbers (Q,) lie on a bound and would cross it by a step along `gradient` (Q,).
 
-        None where there are no bounds.
+        None if there are no bounds.
         """
         if self.lower is None or self.upper is None:
             return None
@@ -172,7 +174,7 @@ class System:
         return np.asarray((values <= self.lower) | (values >= self.upper))
 
     def with_fixed_constants(self) -> "System":
-        """Return the system with no constant to be fitted, all as they are."""
+        """Return the system with all constants fixed at their values."""
         none = np.zeros(0, dtype=np.int64)
         sharing = self.sharing
         if sharing is not None:
@@ -192,7 +194,7 @@ class System:
         return np.asarray(numbers[self.sharing.columns] * self.sharing.multiples**power)
 
     def of_group(self, group: int) -> "System":
-        """Return the system with the constants of one group, without bounds; itself where there are no groups."""
+        """Return the system with the constants of one group, without bounds; itself if there are no groups."""
         if self.sharing is None:
             return self
         return replace(self, constants=self.sharing.constants[group], lower=None, upper=None, sharing=None)
@@ -213,7 +215,7 @@ def system_of(
     Args:
         programs: over `names`, the variables of the dataset.
         names: names of a program's variables, by index.
-        variables: the numbers of a point by name: states with an equation first, then inputs.
+        variables: names of the components of a point: states with an equation first, then inputs.
         fixed: for each program the nodes whose constants are not fitted.
     """
     index = {name: place for place, name in enumerate(variables)}

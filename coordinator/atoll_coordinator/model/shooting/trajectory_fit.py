@@ -1,4 +1,4 @@
-"""A system fitted to measured trajectories, the covariance of its constants and the growth of its errors. Pure.
+"""A system fitted to measured trajectories, the covariance of its constants, and the growth rate of errors. Pure.
 
 Letters as in `atoll_coordinator.model.shooting.multiple_shooting`.
 """
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 
 _LEAST_CURVATURE: Final = 1e-13
-"""Least curvature of an initial state, its D coordinates scaled to a curvature of one: smaller ones are rounding.
+"""Least eigenvalue of the scaled normal matrix (unit diagonal) of an initial state: smaller ones are rounding errors.
 
 Entries are sums over N rows, rounded by about eps*sqrt(N) each, and the largest eigenvalue is at most D, so that
-eigenvalues are known to about eps*D*sqrt(N): 1e-13 at D = 7 and N = 4000. It is one number for all: with fewer rows
-some curvature that is known is raised, with more some rounding is kept.
+eigenvalues are known to about eps*D*sqrt(N): 1e-13 at D = 7 and N = 4000. The same value is used for all fits. With
+fewer rows, some known eigenvalues are raised to it; with more rows, some rounding errors remain.
 """
 
 
@@ -32,12 +32,12 @@ some curvature that is known is raised, with more some rounding is kept.
 class TrajectoryFit:
     """A system fitted to segments.
 
-    `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted
-    in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
-    `errors` the errors of measurement by which they were weighed; `squares` (O,) their mean squares; `normal`,
-    `coupling` and `own` the blocks of the normal equations at the end, weighted; `estimator` fitted it; `is_stiff`
-    tells whether the system was integrated as a stiff one; `gradient` (P,) is the derivative of the log-likelihood
-    by the constants, zero except for constants on their bounds.
+    `starts` (G, D) are the fitted initial states of `segments` (G, 2); if trajectories are fitted in whole, (G, D + K)
+    with K offsets in the last columns; `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
+    `errors` the error model that weighted them; `squares` (O,) the mean squares of residuals; `normal`, `coupling` and
+    `own` the blocks of the normal equations at the end, weighted; `estimator` fitted it; `is_stiff` tells whether the
+    system was integrated as a stiff one; `gradient` (P,) is the derivative of the log-likelihood by the constants, zero
+    except for constants on their bounds.
     """
 
     system: System
@@ -55,9 +55,9 @@ class TrajectoryFit:
     gradient: FloatArray | None = field(default=None, repr=False)
 
     def integrated_sensitivities(self) -> FloatArray:
-        """Return the sensitivities (N, D, P + D + K) to the constants and to the own numbers of each segment.
+        """Return the sensitivities (N, D, P + D + K) to constants, initial states and offsets.
 
-        They are integrated again at each call, since they would make a fit many times as large.
+        They are integrated again at each call, because a stored copy would make a fit many times as large.
         """
         return self.estimator.sensitivities(self)
 
@@ -65,9 +65,9 @@ class TrajectoryFit:
     def reduced(self) -> FloatArray:
         """The normal matrix (P, P) of the constants, initial states eliminated.
 
-        States that trajectories forget at once have hardly any curvature. With the roots W (G, D, D), WW' being the
-        inverses of their blocks, it is subtracted up to rounding errors only; with an inverse the matrix would become
-        indefinite.
+        Initial states that hardly affect a trajectory have nearly singular blocks. Their part is subtracted by roots W
+        (G, D, D) of the inverse blocks (W W' is the inverse), so that the result is positive semidefinite up to
+        rounding errors; with plain inverses it could become indefinite.
         """
         scale = np.sqrt(np.maximum(np.einsum("gdd->gd", self.own), 1e-200))
         values, vectors = np.linalg.eigh(self.own / (scale[:, :, None] * scale[:, None, :]))
@@ -79,19 +79,19 @@ class TrajectoryFit:
 def covariance(fit: TrajectoryFit) -> FloatArray:
     """Return the covariance (P, P) of the fitted constants, initial states eliminated.
 
-    The variance is infinite of a constant that the others, or the initial states, can stand in for.
+    The variance of a constant is infinite if other constants or initial states can replace its effect.
     """
-    covariances, is_open = _spread(fit)
+    covariances, is_open = _covariance_and_open(fit)
     covariances[np.diag_indices_from(covariances)] = np.where(is_open, math.inf, np.diag(covariances))
     return covariances
 
 
 def bounded_covariance(fit: TrajectoryFit) -> FloatArray:
-    """Return the same with large variances in the place of infinite ones: a positive definite matrix."""
-    return _spread(fit)[0]
+    """Return the covariance (P, P) with large finite variances instead of infinite ones: a positive definite matrix."""
+    return _covariance_and_open(fit)[0]
 
 
-def _spread(fit: TrajectoryFit) -> tuple[FloatArray, Flags]:
+def _covariance_and_open(fit: TrajectoryFit) -> tuple[FloatArray, Flags]:
     return estimate_covariance(fit.reduced, fit.system.values, fit.system.on_bounds, np.diag(fit.normal))
 
 
@@ -99,10 +99,10 @@ def growth_rate(fit: TrajectoryFit) -> float:
     """Return the rate at which errors of a state grow, in e-folds per unit of time: the largest Lyapunov exponent.
 
     The mean over all trajectories; negative where errors shrink, NaN without a segment of two rows. The sensitivities
-    to a segment's initial state give the size of a small error at its end. An error is carried from segment to
-    segment of a trajectory and made small again at each, so that it turns into the direction of fastest growth
-    (Benettin et al. 1980). A trajectory with one segment has only the growth of its own fastest direction, which is
-    an upper limit.
+    to a segment's initial state give the size of a small error at its end. An error vector is propagated from segment
+    to segment of a trajectory and normalised at each, so that it turns into the direction of fastest growth (Benettin
+    et al. 1980). For a trajectory with one segment, the growth of its fastest direction is used, which is an upper
+    limit.
     """
     measurements = fit.estimator.measurements
     fitted, states = fit.system.count, len(fit.system.outputs)
@@ -120,7 +120,9 @@ def growth_rate(fit: TrajectoryFit) -> float:
 
 
 def _growths(matrices: FloatArray) -> list[float]:
-    """Return the logarithms by which an error grows over each of these (S, D, D) but the first; of one, its largest."""
+    """Return the logarithm of the growth of an error over each of these `matrices` (S, D, D) except the first.
+
+    For a single matrix, the logarithm of its largest singular value."""
     if len(matrices) == 1:
         return [math.log(max(float(np.linalg.norm(matrices[0], 2)), 1e-300))]
     error = np.linalg.svd(matrices[0])[0][:, 0]
@@ -134,11 +136,11 @@ def _growths(matrices: FloatArray) -> list[float]:
 
 
 def speed_growth(fit: TrajectoryFit) -> float:
-    """Return the mean rate at which the trajectories of `fit` get faster, in e-folds per unit of time.
+    """Return the mean growth rate of the speed along the trajectories of `fit`, in e-folds per unit of time.
 
-    An error of time grows like the speed, and so do all errors of a process that grows as a whole: compared with the
-    state they stay as small as they were. Speeds are means over the first and the second half of a trajectory, so that
-    a process that keeps coming back has a rate of about zero.
+    An error in time grows like the speed. So do all errors of a process that grows as a whole: relative to the state
+    they stay constant. Speeds are means over the first and the second half of a trajectory, so that a recurrent process
+    has a rate of about zero.
     """
     measurements = fit.estimator.measurements
     owners, times = measurements.owners_of_rows, measurements.times

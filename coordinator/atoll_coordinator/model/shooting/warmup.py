@@ -1,4 +1,4 @@
-"""Making the kernels of trajectory fits ready before they are needed: compiled once per machine, else loaded."""
+"""Warm-up of the kernels of trajectory fits: they are compiled once per machine, else loaded from the cache."""
 
 import os
 from typing import Final
@@ -12,13 +12,13 @@ from atoll_core.expression.operators import ADD, CONSTANT, MULTIPLY, VARIABLE
 from atoll_core.expression.program import Program
 
 TOLERANCES: Final = (1e-8, 1e-3)
-"""One for either table of the integration."""
+"""One tolerance for each table of the explicit integration."""
 
 _ROWS: Final = 6
 
 
 def warm_up() -> None:
-    """Compile or load every kernel that a trajectory fit needs, by a very small one with either table.
+    """Compile or load every kernel of a trajectory fit, by a very small fit with each table.
 
     Interpreted kernels (``NUMBA_DISABLE_JIT``) need nothing. Takes about ten seconds the first time on a machine.
     """

@@ -1,8 +1,9 @@
 """The dictionary of terms: products of variables, these times functions with a constant inside, libraries of both.
 
-A `Product` is a tuple of variables. A `Shape` is a product times a function, with its values on some rows; its function
-may have a constant inside. An `Atom` is a shape with a number for that constant: a term of a sum without its
-coefficient. A term is written as an expression wherever no values are needed.
+A `Product` is a tuple of variables. A `Shape` is a product times a function, with its values on some rows; the function
+may have an inner constant. An `Atom` is a shape with a value of this constant: a term of a sum without its coefficient.
+Where no values are needed, a term is an expression. Doubt: the grids of inner constants are relative to the size of a
+variable, and can miss a function that varies in a small part of its range.
 
 Letters: K terms, R rows, V variables.
 """
@@ -45,7 +46,7 @@ from atoll_core.expression.writing.sums_of_products import UndefinedError
 # ------------------------------------------------------------------------------------------------ terms and sums
 
 Product = tuple[int, ...]
-"""Variables (indices) in ascending order, each as often as it is a factor; none: the constant."""
+"""Indices of variables in ascending order, repeated for powers; empty: the constant term."""
 
 
 def product_of(factors: Sequence[Expression]) -> Expression:
@@ -57,7 +58,7 @@ def product_of(factors: Sequence[Expression]) -> Expression:
 
 
 def scaled(term: Expression, factor: float) -> Expression:
-    """Return a term times a number, which becomes the first factor: a numerator of 1 is replaced by it."""
+    """Return a term times a number. The number becomes the first factor, or replaces a numerator of 1."""
     match term:
         case (code, first, second) if code in (MULTIPLY, DIVIDE):
             return (code, scaled(first, factor), second)
@@ -79,7 +80,7 @@ def products(columns: Sequence[int], degree: int) -> list[Product]:
 
 
 def values_of_products(terms: Sequence[Product], inputs: FloatArray) -> FloatArray:
-    """Return the values (K, R) at `inputs` (V, R), factors multiplied in their order."""
+    """Return the values (K, R) of products at `inputs` (V, R); factors are multiplied in their order."""
     values = np.ones((len(terms), inputs.shape[1]))
     for row, term in zip(values, terms, strict=True):
         for variable in term:
@@ -93,7 +94,7 @@ def expression_of(term: Product) -> Expression:
 
 
 def products_of(program: Program, degree: int) -> list[Product] | None:
-    """Return the products that `program` sums up; None where it is no sum of products of at most this degree."""
+    """Return the products in the sum `program`; None if it is no sum of products of at most this degree."""
     try:
         monomials = [monomial for monomial, _ in terms_of(program)]
     except UndefinedError:
@@ -112,9 +113,9 @@ def products_of(program: Program, degree: int) -> list[Product] | None:
 def product_libraries(
     columns: Sequence[int], rows: float, degrees: Sequence[int]
 ) -> Iterator[tuple[list[Product], bool]]:
-    """Yield all products up to each degree that the rows can determine, and whether the largest is among them.
+    """Yield, for each possible degree, all products up to it, and whether the highest degree is possible.
 
-    Each term of a library takes `rows_per_term` of the `rows`, which are independent.
+    Each term of a library needs `rows_per_term` independent rows; `rows` is their number.
     """
     candidates = [products(columns, degree) for degree in degrees]
     most = min(SETTINGS.sparse.largest_library, rows / SETTINGS.sparse.rows_per_term)
@@ -126,8 +127,8 @@ def product_libraries(
 def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[list[Expression]]:
     """Yield libraries over these variables, as far as the operators (codes) allow them, the constant term first.
 
-    Powers and products up to the second or third degree; with sines and cosines; products of these; and sines and
-    cosines of sums and differences, by which phases are coupled.
+    The libraries are: products up to the second and up to the third degree; products with sines and cosines; products
+    of sines and cosines; sines and cosines of sums and differences, as in coupled phases.
     """
     if not {ADD, MULTIPLY} <= set(operators):
         return
@@ -147,7 +148,7 @@ def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[
 
 _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
 _BOTH_SIGNS: Final = tuple(sign * 0.1 * 2.0 ** (step / 2.0) for sign in (1.0, -1.0) for step in range(13))
-"""Exponentials have a finer grid: where a variable stays far from 0, many of them fit about as well."""
+"""Grid of rates of exponentials. It is finer, because many rates fit about as well if a variable stays far from 0."""
 _SHIFTS: Final = tuple(0.0125 * 2.0 ** (step / 2.0) for step in range(17))
 _KINKS: Final = tuple(eighth / 8.0 for eighth in range(1, 8))
 """Shares of the range of a variable at which its function has a kink."""
@@ -156,10 +157,10 @@ _EXPONENTS: Final = (-1.5, -0.5, 0.3, 0.7, 1.5, 2.5)
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """A function of an argument u (R,) and of an inner constant.
+    """A function of an argument u (R,) and an inner constant.
 
-    `slope` is its derivative by the constant, None where it has none; `constants` are the first guesses for the
-    constant, for an argument u with a given root mean square.
+    `slope` is the derivative by the constant, None if there is no constant. `constants` returns start values of the
+    constant for an argument u with a given root mean square.
     """
 
     value: Callable[[FloatArray, float], FloatArray]
@@ -207,7 +208,7 @@ _OF_ANY: Final = {
     EXP: _EXP,
     TANH: _of_scaled(TANH, _RATES, np.tanh, lambda u: 1.0 - np.tanh(u) ** 2),
 }
-"""By the operator that they need, functions of any argument."""
+"""Functions of any argument, by the operator that they need."""
 _OF_SQUARES: Final = {EXP: _EXP}
 _WAVES: Final = {SIN: _plain(SIN, np.sin), COS: _plain(COS, np.cos)}
 _ABS: Final = _plain(ABS, np.abs)
@@ -219,9 +220,10 @@ _OF_POSITIVE: Final = {LOG: _plain(LOG, np.log), SQRT: _plain(SQRT, np.sqrt), PO
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A product of variables (`factors` by index; `product`, (R,), their values) times a function of `u` (R,), if any.
+    """A product of variables, and possibly a function of `u` (R,) as another factor.
 
-    `argument` is the expression of u.
+    `factors` are the indices of the variables, `product` (R,) the values of their product. `argument` is the expression
+    of u.
     """
 
     factors: Product
@@ -232,18 +234,18 @@ class Shape:
 
     @property
     def has_constant(self) -> bool:
-        """Whether there is a constant inside."""
+        """Whether there is an inner constant."""
         return self.function is not None and self.function.slope is not None
 
     def constants(self) -> Sequence[float]:
-        """Return the grid of first guesses for the inner constant."""
+        """Return the start values of the inner constant."""
         if self.function is None or self.u is None:
             return (1.0,)
         size = float(np.sqrt(np.mean(self.u**2)))
         return self.function.constants(size) if size > 0.0 else ()
 
     def value(self, constant: float) -> FloatArray:
-        """Return the values (R,), all NaN where a pole lies between the rows."""
+        """Return the values (R,); all NaN if a pole lies between the rows."""
         if self.function is None or self.u is None:
             return self.product
         values = self.function.value(self.u, constant)
@@ -273,13 +275,13 @@ class Shape:
 
     def price(self, rows: float) -> float:
         """Return the nats of the term in a sum over this many rows: its structure, and 1/2 ln N for each constant."""
-        structure, constants = _written(self.expression(1.5))
+        structure, constants = _structure_and_constants(self.expression(1.5))
         return structure + constants * constant_nats_of(rows)
 
 
 @lru_cache(maxsize=20_000)
-def _written(expression: Expression) -> tuple[float, int]:
-    """Return the nats of the structure of a term in a sum, and how many constants that has."""
+def _structure_and_constants(expression: Expression) -> tuple[float, int]:
+    """Return the nats of the structure of a term in a sum, and its number of constants."""
     program = sum_of([expression], [2.5])
     return structure_length(program), len(constant_places(program))
 
@@ -300,29 +302,29 @@ class Atom:
         """Return the same term on other rows of the variables, `inputs` (V, R)."""
         return Atom(self.shape.over(inputs), self.constant)
 
-    def moved(self, step: float) -> "Atom":
-        """Return the term with its inner constant after a step, which changes it by half at most."""
+    def move_constant(self, step: float) -> "Atom":
+        """Return the term with its inner constant after a step, which is limited to half of the constant."""
         limit = 0.5 * abs(self.constant)
         return Atom(self.shape, self.constant + min(max(step, -limit), limit))
 
-    def by_constant(self) -> "Atom":
-        """Return the derivative by the inner constant, which there is, as a term; it has no expression of its own."""
+    def derivative_by_constant(self) -> "Atom":
+        """Return the derivative by the inner constant as a term, which has no expression. There must be a constant."""
         assert self.shape.function is not None
         assert self.shape.function.slope is not None
         slope = replace(self.shape.function, value=self.shape.function.slope, slope=None, has_pole=False)
         return Atom(replace(self.shape, function=slope), self.constant)
 
     def depends_on(self, variable: int) -> bool:
-        """Tell whether a variable (index) is a factor, or in the argument of the function."""
-        return variable in self.shape.factors or _has(self.shape.argument, variable)
+        """Tell whether a variable (index) is a factor or occurs in the argument of the function."""
+        return variable in self.shape.factors or _contains_variable(self.shape.argument, variable)
 
 
-def _has(expression: object, variable: int) -> bool:
+def _contains_variable(expression: object, variable: int) -> bool:
     if not isinstance(expression, tuple):
         return False
     if len(expression) == 2 and expression[0] == VARIABLE:
         return bool(expression[1] == variable)
-    return any(_has(part, variable) for part in expression[1:])
+    return any(_contains_variable(part, variable) for part in expression[1:])
 
 
 def program_of(atoms: Sequence[Atom], coefficients: Iterable[float]) -> Program:
@@ -335,7 +337,7 @@ def powers(inputs: FloatArray, terms: Sequence[Product]) -> list[Shape]:
     return [Shape(*pair) for pair in zip(terms, values_of_products(terms, inputs), strict=True)]
 
 
-def whole_program(program: Program, inputs: FloatArray) -> Atom:
+def program_atom(program: Program, inputs: FloatArray) -> Atom:
     """Return a program as a term, with its values at `inputs` (V, R)."""
     parts: list[Expression] = []
     for code, left, right, value in program.nodes():
@@ -353,10 +355,10 @@ def product_atoms(inputs: FloatArray, terms: Sequence[Product]) -> tuple[Atom, .
 def dictionary(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], most: int = SETTINGS.sparse.most_atoms
 ) -> list[Shape]:
-    """Return products of up to two variables with functions, of one or none where there are too many atoms.
+    """Return products of functions with up to two variables; fewer variables if there are more than `most` atoms.
 
-    Where all functions are too many for two variables, quotients are taken alone: most laws with many variables have
-    these.
+    If there are too many atoms with two variables, only quotients have two variables: most laws with many variables
+    have quotients.
     """
     both = _products_with_functions(inputs, columns, operators, 2, most)
     if both is not None:
@@ -370,7 +372,7 @@ def dictionary(
 def _products_with_functions(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], degree: int, most: int
 ) -> list[Shape] | None:
-    """Return products of variables up to a degree with functions, None where there are more atoms than `most`."""
+    """Return products of variables up to a degree with functions; None if there are more atoms than `most`."""
     plain = powers(inputs, products(columns, degree))
     arguments = list(_arguments(inputs, columns, set(operators)))
     single = [Shape((), plain[0].product, function, argument, u) for argument, u, of in arguments for function in of]
@@ -385,9 +387,9 @@ def _products_with_functions(
 
 
 def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
-    """Yield the powers of a variable with 1/(c + u) of each; shifts are powers of shares of the variable.
+    """Yield powers u of a variable with the function 1/(c + u); start values of c are powers of shares of the variable.
 
-    The variable itself also has shifts beyond its largest value: the rest of a conserved amount saturates.
+    The variable itself also has shifts beyond its largest value, as when the rest of a conserved amount saturates.
     """
     leaf: Expression = (VARIABLE, column)
     square: Expression = (MULTIPLY, leaf, leaf)
@@ -398,7 +400,7 @@ def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, Fl
 
 
 def _beyond(most: float, size: float) -> Sequence[float]:
-    """Return shifts for a variable up to `most`, of the root mean square `size`, whose pole lies beyond it."""
+    """Return shifts with a pole beyond the largest value `most` of a variable with the root mean square `size`."""
     return [-(most + shift * size) for shift in _SHIFTS if most > 0.0]
 
 
@@ -409,14 +411,14 @@ def _within(u: FloatArray, size: float) -> Sequence[float]:
 
 
 def _powers_of_shifts(exponent: int, size: float) -> Sequence[float]:
-    """Return shifts for a power of the root mean square `size`."""
+    """Return shifts for a power of a variable; the power has the root mean square `size`."""
     return [shift**exponent * size for shift in _SHIFTS]
 
 
 def _arguments(
     inputs: FloatArray, columns: Sequence[int], operators: set[int]
 ) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
-    """Yield arguments, their values (R,), and the functions of them that are tried."""
+    """Yield arguments, their values (R,), and the functions that are tried with each."""
 
     def allowed(functions: dict[int, Function]) -> list[Function]:
         return [function for code, function in functions.items() if code in operators]

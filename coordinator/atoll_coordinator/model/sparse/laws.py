@@ -1,9 +1,13 @@
-"""The laws of states by regression alone: which rows an equation is fitted to, which libraries are tried.
+"""The laws of states by sparse regression: which rows an equation is fitted to, and which libraries are tried.
 
-Few variables (libraries of all products up to the fourth degree exist): sums of products, on derivatives where there is
-no noise, else in the weak form, where they are compared with other programs. Many variables: short sums of products and
-of functions, each equation for itself, then with the functions of other laws: a flux that leaves one state enters
-another. Dozens of variables: forward selection first says which of them an equation takes.
+How it works. There are three cases. Few variables (all products up to the fourth degree fit in a library): laws are
+sums of products. They are fitted to derivatives if there is no noise, else in the weak form, and compared with other
+programs. Many variables: laws are short sums of products and functions. Each equation is fitted independently, then
+again with the functions of other laws, since a flux that leaves one state enters another. Dozens of variables: forward
+selection first chooses the variables of each equation.
+
+Doubts. A law is assessed by its own errors, not by trajectories; `selection` does this later. A sum of products can
+approximate another function within the noise: see `Law.lead`.
 """
 
 import math
@@ -26,21 +30,21 @@ from atoll_coordinator.model.sparse.atoms import (
     product_libraries,
     products,
     products_of,
+    program_atom,
     values_of_products,
-    whole_program,
 )
 from atoll_coordinator.model.sparse.many_variables import Equation, find_short_laws, window_rows
 from atoll_coordinator.model.sparse.regression import (
     Regression,
-    eliminated,
-    selected_forward,
+    eliminate_columns,
+    select_forward,
 )
 from atoll_coordinator.model.sparse.rows import (
-    Measured,
+    MeasuredRows,
     RateRows,
     Rows,
     half_width,
-    measured_of,
+    measured_rows_of,
     rate_rows,
     weak_rows,
 )
@@ -53,7 +57,7 @@ from atoll_core.expression.writing.shortest import collected
 
 _DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
 _PROGRAMS_OF_A_BATCH: Final = 16
-"""Programs that are compared with laws: each takes a few milliseconds."""
+"""Most programs of a batch that are compared with laws: each takes a few milliseconds."""
 
 
 # --------------------------------------------------------------------------------------------- laws of all states
@@ -66,37 +70,38 @@ def find_all_laws(
     among_many: LawsByGroup | None = None,
     spread: Spread | None = None,
 ) -> dict[str, tuple[Law, ...]]:
-    """Return the laws of each variable that is not known already, group by group of trajectories.
+    """Return the laws of each variable without a known equation, in the order of the groups of trajectories.
 
     Args:
         preparation: the derivatives on the rows of the search, and the recording of their states.
         config: the resolved configuration.
-        others: programs by variable that laws are compared with where there is noise.
-        among_many: the result of `laws_among_many`; None: it is computed here.
+        others: programs by variable with which laws are compared if there is noise.
+        among_many: the result of `find_laws_among_many`; None: it is computed here.
         spread: computes in threads or on workers; one after another unless given.
     """
     by_variable: dict[str, tuple[Law, ...]] = {}
-    among_many = laws_among_many(preparation, config) if among_many is None else among_many
+    among_many = find_laws_among_many(preparation, config) if among_many is None else among_many
     for part, known in zip(_parts(preparation), among_many, strict=True):
-        for name, laws in _laws(part, config, others, known, spread or Spread()).items():
+        for name, laws in _find_laws_of_part(part, config, others, known, spread or Spread()).items():
             by_variable[name] = by_variable.get(name, ()) + laws
     return by_variable
 
 
-def laws_among_many(preparation: Preparation, config: JobConfig) -> LawsByGroup:
-    """Return the laws among many variables, which need no programs to be compared with; none where variables are few.
+def find_laws_among_many(preparation: Preparation, config: JobConfig) -> LawsByGroup:
+    """Return the laws among many variables, by group of trajectories; empty mappings for few variables.
 
-    That is most of the work of `find_all_laws`; preparing does it and passes the result on to refining.
+    These laws are not compared with other programs. This is most of the work of `find_all_laws`. Preparing computes it
+    and passes the result on to refining.
     """
-    return [_among_many(part, config) for part in _parts(preparation)]
+    return [_find_laws_among_many(part, config) for part in _parts(preparation)]
 
 
 def _parts(preparation: Preparation) -> Sequence[Preparation]:
-    """Return the preparation of each group of trajectories, of all together where there are no groups."""
+    """Return the preparation of each group of trajectories; without groups, the whole preparation."""
     return tuple(by_group(preparation)) or (preparation,)
 
 
-def _laws(
+def _find_laws_of_part(
     part: Preparation,
     config: JobConfig,
     others: Mapping[str, Sequence[Program]],
@@ -112,11 +117,12 @@ def _laws(
 
     spaces = _spaces(dataset, config)
     calls = [partial(found, name, *space) for name, space in spaces.items()]
-    return dict(zip(spaces, spread.branches(calls), strict=True))
+    return dict(zip(spaces, spread.run_calls(calls), strict=True))
 
 
 def _spaces(dataset: Dataset, config: JobConfig) -> dict[str, tuple[tuple[int, ...], frozenset[int]]]:
-    """Return by variable that is sought the columns of variables and the codes of operators that are allowed."""
+    """Return, for each variable without a known equation, the indices of allowed variables and the codes of allowed
+    operators."""
     space = config.space
     return {
         name: (
@@ -129,12 +135,12 @@ def _spaces(dataset: Dataset, config: JobConfig) -> dict[str, tuple[tuple[int, .
 
 
 def settled_variables(preparation: Preparation, config: JobConfig, among_many: LawsByGroup) -> frozenset[str]:
-    """Return the variables whose equations have laws that need no long search to compare them with.
+    """Return the variables whose laws are so certain that no long search is needed.
 
-    The residuals of these laws are like noise, and they were chosen on more rows than systems are compared on. Among
-    many variables each equation is settled independently; among few, all are settled or none, since a search of few
-    variables ends soon. None if the user has set the end or the beginning of the search. `among_many` is the
-    result of `laws_among_many`.
+    The residuals of these laws are like noise, and the laws were chosen on more rows than systems are compared on.
+    Among many variables, each equation is settled independently. Among few variables, all or none are settled, since a
+    search of few variables is short. The result is empty if the user has set an end of the search or guesses.
+    `among_many` is the result of `find_laws_among_many`.
     """
     budget = config.budget
     is_asked = budget.target_error is not None or budget.stagnation is not None or bool(config.prior.guesses)
@@ -150,16 +156,16 @@ def _settled_variables(
     assert part.recording is not None
     rows = sum(len(trajectory.times) for trajectory in part.recording.trajectories if not trajectory.held_out)
     settled = set()
-    for name, laws in _laws(part, config, {}, among_many, Spread()).items():
-        if _settles(laws, rows, config.space.max_size):
+    for name, laws in _find_laws_of_part(part, config, {}, among_many, Spread()).items():
+        if _is_settled(laws, rows, config.space.max_size):
             settled.add(name)
         elif not _are_many(len(part.dataset.names)):
             return frozenset()
     return frozenset(settled)
 
 
-def _settles(laws: Sequence[Law], rows: int, largest: int | None) -> bool:
-    """Tell whether the first of these laws of an equation needs no long search to compare it with."""
+def _is_settled(laws: Sequence[Law], rows: int, largest: int | None) -> bool:
+    """Tell whether the first of these laws of an equation is so certain that no long search is needed."""
     if not laws or not may_be_shown(laws[0].program, largest):
         return False
     is_like_noise = laws[0].is_tested and laws[0].probability >= SETTINGS.inference.improbable
@@ -172,7 +178,7 @@ def _are_many(variables: int, degree: int = SETTINGS.sparse.degree) -> bool:
 
 
 def _has_like_rows(recording: Recording) -> bool:
-    """Tell whether rows count alike, and states are measured without an unknown offset, as is assumed here."""
+    """Tell whether all rows have equal weights and states have no unknown offset, as these methods assume."""
     return not recording.offsets and all(
         part.weights is None and part.robustness_weights is None for part in recording.trajectories
     )
@@ -197,14 +203,14 @@ def find_laws(
     others: Sequence[Program] = (),
     spread: Spread | None = None,
 ) -> tuple[Law, ...]:
-    """Return the laws of one state by itself that its rows single out, the shortest description first.
+    """Return the laws of one state, found from its rows alone, the shortest description first.
 
-    None where there are none, or where variables are too many for libraries of all products.
+    Empty without a law, or with too many variables for libraries of all products.
 
     Args:
-        problem: its derivative on the rows of the search; the target's variable is a state of `recording`.
+        problem: the derivative on the rows of the search; the target's variable is a state of `recording`.
         recording: the measurements.
-        columns: indices of the variables that it may be made of.
+        columns: indices of the allowed variables.
         operators: codes of the operators.
         others: programs that laws are compared with where there is noise.
         spread: computes in threads or on workers; one after another unless given.
@@ -212,14 +218,14 @@ def find_laws(
     if not _has_like_rows(recording) or not _makes_sums(columns, operators) or recording.order == 2:
         return ()
     if _is_interpolated(recording) and problem.target.uncertainty <= SETTINGS.inference.largest_uncertainty:
-        return tuple(_without_noise(problem, columns))
-    return tuple(_with_noise(problem, recording, columns, others, spread or Spread()))
+        return tuple(_find_laws_without_noise(problem, columns))
+    return tuple(_find_laws_with_noise(problem, recording, columns, others, spread or Spread()))
 
 
-def _without_noise(problem: Problem, columns: Sequence[int]) -> Iterator[Law]:
-    """Yield the smallest sum that has converged, of the library of lowest degree that has one.
+def _find_laws_without_noise(problem: Problem, columns: Sequence[int]) -> Iterator[Law]:
+    """Yield the smallest sum that has converged, from the library of lowest degree that has such a sum.
 
-    Where none has, the same with errors at the level at which equations converge, though not below it.
+    Without such a sum, yield the smallest sum whose errors are about as large as the limit of convergence.
     """
     rows, limit = Rows(problem.inputs, problem.target.values), problem.target.convergence_error()
     ways = []
@@ -227,7 +233,7 @@ def _without_noise(problem: Problem, columns: Sequence[int]) -> Iterator[Law]:
         regression = Regression(rows, product_atoms(problem.inputs, terms))
         if not regression.is_finite:
             break
-        ways.append(([*regression.on_the_way(range(len(terms)), np.ones(len(rows.sides)))], is_tested))
+        ways.append(([*regression.elimination_path(range(len(terms)), np.ones(len(rows.sides)))], is_tested))
     for allowed in (1.0, SETTINGS.inference.excess):
         for sums, is_tested in ways:
             for fit in sums:
@@ -246,20 +252,20 @@ def _without_noise(problem: Problem, columns: Sequence[int]) -> Iterator[Law]:
 class _Windows:
     """The parts of a weak form, see `weak_rows`, and the terms of the largest library."""
 
-    measured: Measured
+    measured: MeasuredRows
     target: int
     half: int
     largest: tuple[Product, ...]
 
     def regression(self) -> Regression:
-        """Return the regression by all terms; there are windows."""
+        """Return the regression with all terms of the largest library."""
         rows = weak_rows(self.measured, self.target, self.half)
         assert rows is not None, "there are windows"
         return Regression(rows, product_atoms(self.measured.values, self.largest))
 
 
-def _law(regression: Regression, terms: tuple[Product, ...]) -> tuple[Law, ...]:
-    """Return the law that is found from a sum of these products."""
+def _search_law(regression: Regression, terms: tuple[Product, ...]) -> tuple[Law, ...]:
+    """Return the law that a search from the sum of these products finds; empty without one."""
     places = {atom.shape.factors: place for place, atom in enumerate(regression.atoms)}
     found = regression.search([places[term] for term in terms])
     if found is None or found.assessment is None:
@@ -267,14 +273,15 @@ def _law(regression: Regression, terms: tuple[Product, ...]) -> tuple[Law, ...]:
     return (Law(found.sum_of_products(), found.nats, found.excess, True, probability=found.assessment.probability),)
 
 
-_Described = tuple[tuple[Product, ...] | None, float]
-"""The products that a program sums up, or None and the nats of the program."""
+_Description = tuple[tuple[Product, ...] | None, float]
+"""The products of a program that is a sum of products; for other programs None, and the nats of the program."""
 
 
-def _described(regression: Regression, program: Program) -> _Described:
-    """Return the description of a program, without x/x, by the criterion of the sums; infinite nats if it has none.
+def _describe(regression: Regression, program: Program) -> _Description:
+    """Return the products or the nats of a program by the criterion of sums; infinite nats if it cannot be fitted.
 
-    Its constants were fitted to derivatives that smoothing has flattened, so one factor of it is fitted to the windows.
+    Its constants were fitted to derivatives that smoothing has flattened. So one factor of the program is fitted to the
+    windows.
     """
     written, rows = collected(program), regression.rows
     terms = products_of(written, SETTINGS.sparse.degree)
@@ -282,8 +289,8 @@ def _described(regression: Regression, program: Program) -> _Described:
         return tuple(terms), math.inf
     if not may_be_shown(written, None):
         return None, math.inf
-    alone = Regression(rows, [whole_program(written, rows.inputs)])
-    fit = alone.refitted([0], np.ones(len(rows.sides))) if alone.is_solvable else None
+    alone = Regression(rows, [program_atom(written, rows.inputs)])
+    fit = alone.refit([0], np.ones(len(rows.sides))) if alone.is_solvable else None
     if fit is None or fit.assessment is None:
         return None, math.inf
     constants = max(len(constant_places(written)), 1)
@@ -291,37 +298,37 @@ def _described(regression: Regression, program: Program) -> _Described:
 
 
 _SUMS: Final[BatchFunction[Regression, tuple[Product, ...], tuple[Law, ...]]] = BatchFunction(
-    "sums of products", _Windows, tuple[Product, ...], tuple[Law, ...], _law, _Windows.regression
+    "sums of products", _Windows, tuple[Product, ...], tuple[Law, ...], _search_law, _Windows.regression
 )
-_OTHERS: Final[BatchFunction[Regression, Program, _Described]] = BatchFunction(
-    "alternatives to laws", _Windows, Program, _Described, _described, _Windows.regression
+_OTHERS: Final[BatchFunction[Regression, Program, _Description]] = BatchFunction(
+    "alternatives to laws", _Windows, Program, _Description, _describe, _Windows.regression
 )
 
 
-def _with_noise(
+def _find_laws_with_noise(
     problem: Problem, recording: Recording, columns: Sequence[int], others: Sequence[Program], spread: Spread
 ) -> Iterator[Law]:
     """Yield the best sum of each library, the shortest description first."""
-    measured = measured_of(recording, problem.names)
+    measured = measured_rows_of(recording, problem.names)
     place = recording.states.index(problem.target.variable)
     target = problem.names.index(recording.state_symbols[place])
     half = half_width(measured, recording.smoothing[place], len(columns))
     rows = weak_rows(measured, target, half)
-    tried = [] if rows is None else list(product_libraries(columns, rows.independent, _DEGREES))
-    if not tried:
+    libraries = [] if rows is None else list(product_libraries(columns, rows.independent, _DEGREES))
+    if not libraries:
         return
-    largest, is_tested = tried[-1]
+    largest, is_tested = libraries[-1]
     windows = _Windows(measured, target, half, tuple(largest))
     regression = windows.regression()
 
-    made = spread.map(_OTHERS, lambda: regression, others, _PROGRAMS_OF_A_BATCH, parts=lambda: windows)
-    described = [one for one in made if one is not None]
-    own = dict.fromkeys(terms for terms, _ in described if terms and set(terms) <= set(largest))
-    begun = dict.fromkeys((*(tuple(terms) for terms, _ in tried), *list(own)[: SETTINGS.effort.beam]))
-    candidates = spread.map(_SUMS, lambda: regression, list(begun), parts=lambda: windows)
+    descriptions_or_none = spread.map(_OTHERS, lambda: regression, others, _PROGRAMS_OF_A_BATCH, parts=lambda: windows)
+    descriptions = [one for one in descriptions_or_none if one is not None]
+    own = dict.fromkeys(terms for terms, _ in descriptions if terms and set(terms) <= set(largest))
+    starts = dict.fromkeys((*(tuple(terms) for terms, _ in libraries), *list(own)[: SETTINGS.effort.beam]))
+    candidates = spread.map(_SUMS, lambda: regression, list(starts), parts=lambda: windows)
     laws = [law for laws in candidates for law in laws or () if len(law.program) <= MAX_NODES]
     laws.sort(key=lambda law: law.nats)
-    alternative = min((nats for _, nats in described), default=math.inf)
+    alternative = min((nats for _, nats in descriptions), default=math.inf)
     structures: set[bytes] = set()
     for law in laws:
         key = structure(collected(law.program))
@@ -333,7 +340,7 @@ def _with_noise(
 # ---------------------------------------------------------------------------------------------- many variables
 
 
-def _among_many(part: Preparation, config: JobConfig) -> dict[str, tuple[Law, ...]]:
+def _find_laws_among_many(part: Preparation, config: JobConfig) -> dict[str, tuple[Law, ...]]:
     """Return the laws of the states of one group: on derivatives without noise, on short windows with noise."""
     dataset, recording = part.dataset, part.recording
     if recording is None or not _are_many(len(dataset.names)) or not _has_like_rows(recording):
@@ -346,7 +353,7 @@ def _among_many(part: Preparation, config: JobConfig) -> dict[str, tuple[Law, ..
     for name, space in _spaces(dataset, config).items():
         rows = build(recording, dataset.names, name) if _makes_sums(*space) else None
         if rows is not None:
-            columns = screened(rows, space[0]) if isinstance(rows, RateRows) else space[0]
+            columns = screen_columns(rows, space[0]) if isinstance(rows, RateRows) else space[0]
             equations[name] = Equation(rows, columns, space[1])
     return find_short_laws(equations)
 
@@ -354,10 +361,10 @@ def _among_many(part: Preparation, config: JobConfig) -> dict[str, tuple[Law, ..
 # -------------------------------------------------------------------------------------------- dozens of variables
 
 
-def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
-    """Return the resolved configuration with the variables that each equation takes, where there are dozens.
+def screen_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
+    """Return the configuration with screened variables for each equation, if there are dozens of variables.
 
-    Variables that the user allows stay as they are, and so does an equation for which no variables can be excluded.
+    Variables set by the user are unchanged, and so are equations for which no variable can be excluded.
     """
     dataset, recording, space = preparation.dataset, preparation.recording, config.space
     if recording is None or not _are_many(len(dataset.names), 2):
@@ -365,7 +372,7 @@ def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobC
     variables_of = dict(space.variables_of)
     for name in dataset.variables:
         rows = None if name in variables_of or name in config.prior.known else rate_rows(recording, dataset.names, name)
-        kept = () if rows is None else screened(rows, range(len(dataset.names)))
+        kept = () if rows is None else screen_columns(rows, range(len(dataset.names)))
         if kept:
             variables_of[name] = tuple(dataset.names[place] for place in kept)
     update: dict[str, object] = {"variables_of": variables_of}
@@ -376,16 +383,17 @@ def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobC
     return config.model_copy(update={"space": space.model_copy(update=update)})
 
 
-def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
-    """Return the variables among `columns` (indices) that the equation takes, in ascending order.
+def screen_columns(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
+    """Return the variables among `columns` (indices) that the equation needs, ascending; empty if none explains it.
 
     Products of two variables, and cubes, are added one at a time: each time the product that explains most of the
-    residuals, as long as this is more than the best of as many explains by chance. A backward elimination first removes
-    terms that only replaced later ones; the variables are those of the terms that remain.
+    residuals, as long as this is more than the best of equally many products explains by chance. Backward elimination
+    then ranks the terms, since an early term may have replaced a later one. The result is the variables of the best
+    terms.
     """
     if not _are_many(len(columns), 2):
         return tuple(columns)
-    trusted = rows.decisive
+    trusted = rows.trusted
     terms = [*products(columns, 2), *((variable,) * 3 for variable in columns)]
     values = values_of_products(terms, trusted.inputs)
     _, deviation = moments(trusted.sides)
@@ -394,7 +402,7 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     weighted, side = values * weights, trusted.sides * weights
     taken: list[int] = []
     chance, before = 2.0 * log(float(len(terms))) / len(side), math.fsum((side * side).tolist())
-    for place, after in islice(selected_forward(weighted, side), 3 * SETTINGS.sparse.screened):
+    for place, after in islice(select_forward(weighted, side), 3 * SETTINGS.sparse.screened):
         if before - after <= chance * before:
             break
         taken.append(place)
@@ -404,7 +412,7 @@ def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     if not taken:
         return ()
     kept: list[int] = []
-    for index in reversed(eliminated(weighted[taken], side).order):
+    for index in reversed(eliminate_columns(weighted[taken], side).order):
         new = [variable for variable in dict.fromkeys(terms[taken[index]]) if variable not in kept]
         if len(kept) + len(new) > SETTINGS.sparse.screened:
             break

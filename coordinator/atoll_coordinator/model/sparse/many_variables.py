@@ -1,10 +1,11 @@
 """Laws of many variables: short sums of products and of functions with a constant inside, on rates or short windows.
 
 Where there are six variables or more, libraries of all products up to the fourth degree are too large, and laws have
-functions that sums of products do not replace. Each equation is searched for itself: polynomials of low degree, then
-products with functions (quotients as in Hill's equation and others), which are all compared in addition to the terms of
-the sum. At last functions of other laws are terms, too: a flux that leaves one state enters another. The reasons and
-figures: ADR 0043 and 0048.
+functions that sums of products do not replace. Each equation is searched independently: first polynomials of low
+degree, then products with functions (quotients as in Hill's equation and others), each tried as one more term of the
+sum. Finally, functions of other laws are tried as terms, since a flux that leaves one state enters another. Reasons and
+figures: ADR 0043 and 0048. Doubt: at most a few functions are added, one at a time, so that a law in which two
+functions only fit together can be missed.
 
 Letters: A atoms, K terms, N rows of a regression, W windows of L rows, R rows of all trajectories, V variables.
 """
@@ -23,15 +24,15 @@ from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.sparse.atoms import Atom, Product, dictionary, product_atoms, product_libraries
-from atoll_coordinator.model.sparse.pursuit import fitted, further_terms, grid_of, polished
+from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum, make_grid, rank_further_terms
 from atoll_coordinator.model.sparse.regression import Regression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
     Assessment,
-    Measured,
+    MeasuredRows,
     Rows,
     WeakRows,
     assessment_by_scale,
-    measured_of,
+    measured_rows_of,
     window_integrals,
     windows_of,
 )
@@ -42,7 +43,7 @@ from atoll_core.expression.program import operators_in
 
 _DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
 _KEPT: Final = 2
-"""Functions added to each of the sums that a search begins with; they are then terms of a library."""
+"""Number of functions that are kept for each start sum of a search; they become terms of a library."""
 
 # ------------------------------------------------------------------------------------------------ short windows
 
@@ -52,22 +53,24 @@ _SMOOTHNESS: Final = 2
 _WIDER: Final = 1.5
 """Ratio of each half width tried to the previous one."""
 _RESOLVED: Final = 0.75
-"""Windows get wider as long as, in this share of them, lines between rows are as good as cubics within the noise."""
+"""Windows get wider as long as straight lines between rows are as accurate as cubics, within the noise, in this share
+of them."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShortWindows(WeakRows):
-    """Windows as short as the sampling resolves, for states that follow one another.
+    """Windows as short as the sampling allows, for states that change one after another.
 
-    Between rows functions are cubics, and the test function is integrated exactly. `coarse` are the weights (W, L) of
-    test functions and their derivatives with straight lines between rows; the difference counts as an error.
+    Functions are interpolated by cubics between rows, and the product with the test function is integrated exactly.
+    `coarse` are the weights (W, L) of test functions and their derivatives with straight lines between rows; the
+    difference between both integrals counts as an error.
     """
 
     coarse: tuple[FloatArray, FloatArray]
 
     @cached_property
     def _own(self) -> FloatArray:
-        """The variances (W,) of the left sides by errors of measurement."""
+        """The variances (W,) of the left sides due to errors of measurement."""
         return np.asarray((self.slope**2).sum(axis=1) * self.measured.noise[self.target] ** 2)
 
     @cached_property
@@ -79,19 +82,20 @@ class ShortWindows(WeakRows):
     @cached_property
     def side_errors(self) -> FloatArray:
         """The standard errors (W,) of the left sides, with errors of the integration."""
-        return np.sqrt(np.maximum(self._own + self.widened(self._target_quadrature) ** 2, 1e-300))
+        return np.sqrt(np.maximum(self._own + self.widen(self._target_quadrature) ** 2, 1e-300))
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
-        """Return the assessment by the scale of the residuals, in standard errors with errors of the integration."""
+        """Return the assessment by the scale of the residuals over their standard errors, with integration errors
+        included."""
         values = sum(c * atom.values for c, atom in zip(coefficients, atoms, strict=True))
         difference = window_integrals(self.first, self.bump - self.coarse[0], np.asarray(values)[None])[0]
-        quadrature = self.widened(self._target_quadrature - difference)
+        quadrature = self.widen(self._target_quadrature - difference)
         deviations = np.sqrt(np.maximum(self.variances(atoms, coefficients), 1e-300) + quadrature**2)
         free = max(self.independent - len(atoms), 1.0)  # as for a variance: Rousseeuw & Leroy 1987, section 5.1
         return assessment_by_scale(residuals, deviations, self.independent, math.sqrt(self.independent / free))
 
-    def widened(self, errors: FloatArray) -> FloatArray:
-        """Return for each window the largest of the `errors` (W,) of it and the windows that it overlaps."""
+    def widen(self, errors: FloatArray) -> FloatArray:
+        """Return for each window the largest of the absolute `errors` (W,) of itself and of overlapping windows."""
         largest, sizes = np.abs(errors), np.abs(errors)
         overlaps = np.diff(self.first) < self.bump.shape[1]
         largest[1:] = np.where(overlaps, np.maximum(largest[1:], sizes[:-1]), largest[1:])
@@ -102,10 +106,11 @@ class ShortWindows(WeakRows):
 def window_rows(recording: Recording, names: Sequence[str], variable: str) -> ShortWindows | None:
     """Return short windows for the equation of `variable`, a state; `names` (V,) are symbols of states and inputs.
 
-    They are as long as lines between rows serve each state as well as cubics, by its noise, in enough of the windows.
-    Noise is that by which rows are predicted from their neighbours. None where trajectories are too short for any.
+    They are as long as possible while straight lines between rows are as accurate as cubics, within the noise, in
+    enough windows. The noise is estimated by predicting rows from their neighbours. None if trajectories are too short
+    for windows.
     """
-    measured = measured_of(recording, names)
+    measured = measured_rows_of(recording, names)
     noise = measured.noise.copy()
     for place in np.flatnonzero(noise > 0.0).tolist():
         signals = [
@@ -129,12 +134,12 @@ def _is_resolved(rows: ShortWindows) -> bool:
     differences = window_integrals(rows.first, rows.slope - rows.coarse[1], measured.values)
     own = np.outer(measured.noise**2, (rows.slope**2).sum(axis=1))
     pairs = zip(differences, own, strict=True)
-    shares = np.array([np.mean(rows.widened(difference) ** 2 <= variance) for difference, variance in pairs])
+    shares = np.array([np.mean(rows.widen(difference) ** 2 <= variance) for difference, variance in pairs])
     return bool((shares[measured.noise > 0.0] >= _RESOLVED).all())
 
 
-def _short_windows(measured: Measured, target: int, half: int) -> ShortWindows | None:
-    """Return windows that each begin in the middle of the one before; None where there are next to none."""
+def _short_windows(measured: MeasuredRows, target: int, half: int) -> ShortWindows | None:
+    """Return windows that each begin in the middle of the previous one; None if there are too few."""
     length = 2 * half + 1
     every = np.array(
         [row for start, end in measured.ranges for row in range(start, end - length + 1, half)], dtype=np.int64
@@ -148,7 +153,7 @@ def _short_windows(measured: Measured, target: int, half: int) -> ShortWindows |
 
 
 def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return weights (W, L) of rows at `times` (W, L) that integrate a function times the test function, or its slope.
+    """Return weights (W, L) of rows at `times` (W, L) for integrals with the test function, and with its slope.
 
     Between two rows the function is the polynomial of this order through the nearest rows of the window.
     """
@@ -180,25 +185,25 @@ def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """The rows of one equation, and the variables (indices) and operators (codes) that it may be made of."""
+    """The rows of one equation, and its allowed variables (indices) and operators (codes)."""
 
     rows: Rows
     columns: Sequence[int]
     operators: Collection[int]
 
     def allows(self, atom: Atom) -> bool:
-        """Tell whether a term has nothing but variables and operators that are allowed."""
+        """Tell whether a term has only allowed variables and operators."""
         others = set(range(len(self.rows.inputs))) - set(self.columns)
         operators = set(operators_in(atom.shape.expression(atom.constant)))
         return operators <= set(self.operators) and not any(map(atom.depends_on, others))
 
     def is_law(self, found: Sum | None) -> bool:
-        """Tell whether the residuals of a sum are like its errors."""
+        """Tell whether the residuals of a sum are as small as its errors."""
         return found is not None and found.excess <= self.rows.largest_excess
 
 
 def find_short_laws(equations: Mapping[str, Equation]) -> dict[str, tuple[Law, ...]]:
-    """Return the law of each state, none where no short sum leaves residuals like their errors."""
+    """Return the law of each state; empty if no short sum has residuals as small as their errors."""
     sums = {name: _short_sum(equation) for name, equation in equations.items()}
     functions = {
         name: [atom for atom in found.atoms if atom.shape.function is not None]
@@ -210,7 +215,7 @@ def find_short_laws(equations: Mapping[str, Equation]) -> dict[str, tuple[Law, .
         found = sums[name]
         if not (equation.rows.is_precise and equation.is_law(found)):
             others = [atom for other, atoms in functions.items() if other != name for atom in atoms]
-            found = _with_functions_of_others(equation, found, others)
+            found = _add_functions_of_other_laws(equation, found, others)
         laws[name] = ()
         if found is not None and equation.is_law(found):
             laws[name] = (Law(found.program(), found.nats, found.excess, is_tested=True, is_of_rates=True),)
@@ -218,53 +223,55 @@ def find_short_laws(equations: Mapping[str, Equation]) -> dict[str, tuple[Law, .
 
 
 def _short_sum(equation: Equation) -> Sum | None:
-    """Return the shortest sum: of a polynomial, then with up to two products with functions; None where none is found.
+    """Return the shortest sum of a polynomial and up to two products with functions; None if none is found.
 
-    Polynomials are of the first and second degree. Where rows are precise, a law ends the search, since wrong sums have
-    residuals many times as large; and polynomials of higher degree come last.
+    Polynomials have the first and second degree. If rows are precise, the search ends with the first law, since wrong
+    sums have much larger residuals, and polynomials of higher degree are tried last.
     """
     rows, best = equation.rows, None
     degrees = _DEGREES if rows.is_precise else _DEGREES[:2]
     sizes = list(product_libraries(equation.columns, rows.independent, degrees))
     for place, (terms, _) in enumerate(sizes):
         if place == len(_DEGREES[:2]):
-            best = _with_functions(equation, best, sizes[:place])
+            best = _add_functions(equation, best, sizes[:place])
             if equation.is_law(best):
                 return best
         regression = Regression(rows, product_atoms(rows.inputs, terms))
         best = shortest([best, regression.search(range(len(terms)), 1.0 / rows.side_errors)])
         if rows.is_precise and equation.is_law(best):
             return best
-    return _with_functions(equation, best, sizes) if len(sizes) <= len(_DEGREES[:2]) else best
+    return _add_functions(equation, best, sizes) if len(sizes) <= len(_DEGREES[:2]) else best
 
 
-def _with_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[list[Product], bool]]) -> Sum | None:
-    """Return the shortest sum with up to two products with functions more, inner constants fitted.
+def _add_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[list[Product], bool]]) -> Sum | None:
+    """Return the shortest sum with up to two more products with functions, inner constants fitted.
 
-    They are compared on the decisive rows, added to the best sum, a constant, and a polynomial of the first degree. The
-    best are terms of a library with all products of the highest degree.
+    Functions are compared on the trusted rows, as one more term of the best sum, of a constant, and of a polynomial of
+    the first degree. The best ones join a library with all products of the highest degree.
     """
     rows = equation.rows
-    decisive = rows.decisive
-    tried = dictionary(decisive.inputs, equation.columns, equation.operators) if sizes else []
-    for _ in range(SETTINGS.sparse.functions if tried else 0):
+    trusted = rows.trusted
+    shapes = dictionary(trusted.inputs, equation.columns, equation.operators) if sizes else []
+    for _ in range(SETTINGS.sparse.functions if shapes else 0):
         if best is None or (rows.is_precise and equation.is_law(best)):
             break
-        begun = [[atom.over(decisive.inputs) for atom in best.atoms], [*product_atoms(decisive.inputs, [()])]]
-        begun += [[*product_atoms(decisive.inputs, terms)] for terms, _ in sizes[: 1 + rows.is_precise]]
-        most = len(decisive.sides) / SETTINGS.sparse.rows_per_term
+        start_sums = [[atom.over(trusted.inputs) for atom in best.atoms], [*product_atoms(trusted.inputs, [()])]]
+        start_sums += [[*product_atoms(trusted.inputs, terms)] for terms, _ in sizes[: 1 + rows.is_precise]]
+        most = len(trusted.sides) / SETTINGS.sparse.rows_per_term
         fits: list[Sum] = []
-        begun = [atoms for atoms in begun if len(atoms) <= most]
-        grids = (grid_of(decisive, [shape]) for shape in tried)
-        for atoms, further in zip(begun, further_terms(decisive, begun, grids, SETTINGS.effort.beam), strict=True):
-            sums = filter(None, (fitted(decisive, [*atoms, atom]) for _, atom in further))
-            fits += map(polished, sorted(sums, key=lambda fit: fit.nats)[:_KEPT])
+        start_sums = [atoms for atoms in start_sums if len(atoms) <= most]
+        grids = (make_grid(trusted, [shape]) for shape in shapes)
+        for atoms, further in zip(
+            start_sums, rank_further_terms(trusted, start_sums, grids, SETTINGS.effort.beam), strict=True
+        ):
+            sums = filter(None, (fit_sum(trusted, [*atoms, atom]) for _, atom in further))
+            fits += map(fit_inner_constants, sorted(sums, key=lambda fit: fit.nats)[:_KEPT])
         library, candidate = product_atoms(rows.inputs, sizes[-1][0]), None
         for fit in sorted(fits, key=lambda fit: fit.nats):
             atoms = [atom.over(rows.inputs) for atom in fit.atoms]
             own = [atom for atom in best.atoms if atom.shape.function is not None]
             plain = [atom for atom in atoms if atom.shape.function is None]
-            candidate = shortest([candidate, _searched(rows, library, [*plain, *own, atoms[-1]])])
+            candidate = shortest([candidate, _search_sum(rows, library, [*plain, *own, atoms[-1]])])
             if rows.is_precise and equation.is_law(candidate):
                 break
         if candidate is None or not candidate.nats < best.nats - log(float(SETTINGS.sparse.most_atoms)):
@@ -273,17 +280,17 @@ def _with_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[
     return best
 
 
-def _searched(
-    rows: Rows, library: Sequence[Atom], begun: Sequence[Atom], shared: frozenset[Atom] = frozenset()
+def _search_sum(
+    rows: Rows, library: Sequence[Atom], start: Sequence[Atom], shared: frozenset[Atom] = frozenset()
 ) -> Sum | None:
-    """Return the shortest sum of the products of a library and the functions of `begun`, inner constants fitted.
+    """Return the shortest sum of the products of a library and the functions of `start`, inner constants fitted.
 
-    Searches begin with these functions added to the products of `begun`, and to the products of the library up to each
-    degree; they are repeated as long as fitted inner constants make the description shorter.
+    Start sums are these functions with the products of `start`, and with the products of the library up to each degree.
+    The search is repeated as long as fitted inner constants shorten the description.
     """
     weights, best = 1.0 / rows.side_errors, None
-    functions = [atom for atom in begun if atom.shape.function is not None]
-    factors = {atom.shape.factors for atom in begun if atom.shape.function is None}
+    functions = [atom for atom in start if atom.shape.function is not None]
+    factors = {atom.shape.factors for atom in start if atom.shape.function is None}
     while True:
         regression = Regression(rows, (*library, *functions), shared)
         inside = [*range(len(library), len(regression.atoms))]
@@ -291,7 +298,7 @@ def _searched(
         orders = [len(atom.shape.factors) for atom in library]
         starts += [[place for place, order in enumerate(orders) if order <= degree] for degree in {*orders} - {0}]
         found = shortest(regression.search([*start, *inside], weights) for start in starts if [*start, *inside])
-        found = None if found is None else polished(found)
+        found = None if found is None else fit_inner_constants(found)
         if found is None or (best is not None and not found.nats < best.nats - SETTINGS.selection.least_gain):
             return best
         best, shared = found, found.regression.shared
@@ -301,8 +308,8 @@ def _searched(
             return best
 
 
-def _with_functions_of_others(equation: Equation, best: Sum | None, functions: Sequence[Atom]) -> Sum | None:
-    """Return the shortest sum when functions of other states' laws are terms, too, with the inner constants there."""
+def _add_functions_of_other_laws(equation: Equation, best: Sum | None, functions: Sequence[Atom]) -> Sum | None:
+    """Return the shortest sum with functions of other states' laws as further terms, inner constants unchanged."""
     rows = equation.rows
     for function in functions:
         if not equation.allows(function):
@@ -312,6 +319,6 @@ def _with_functions_of_others(equation: Equation, best: Sum | None, functions: S
         plain = [one for one in own if one.shape.function is None]
         for terms, _ in list(product_libraries(equation.columns, rows.independent, _DEGREES[:2]))[-1:]:
             library = product_atoms(rows.inputs, terms)
-            found = (_searched(rows, library, [*begun, atom], frozenset([atom])) for begun in (plain, own))
+            found = (_search_sum(rows, library, [*start, atom], frozenset([atom])) for start in (plain, own))
             best = shortest([best, *found])
     return best

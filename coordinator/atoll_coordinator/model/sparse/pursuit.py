@@ -1,12 +1,14 @@
-"""Sums with functions that have a constant inside: which functions are added to a sum, and how constants are fitted.
+"""Matching pursuit: which functions are added to a sum, and how their inner constants are fitted.
 
-The terms that explain most of a sum's residuals are added to it (orthogonal matching pursuit, Pati et al. 1993), inner
-constants from a grid; then all constants are fitted together. `many_variables` finds laws in this way. `pursue` finds
-candidates for trajectories: sums with up to two products with functions more than a polynomial, the best ones kept
-after each addition; then terms are eliminated one after another. With the polynomial there from the beginning, the gain
-of another term does not decide which function is taken. A search that changes one place of an equation at a time
-reaches such laws only through worse ones. Targets are smoothed derivatives, whose errors are not known row by row: rows
-count alike, and the best sums of each length are returned, to be compared along trajectories.
+How it works. The terms that explain most of the residuals are added to a sum (orthogonal matching pursuit, Pati et al.
+1993), with inner constants from a grid; then all constants are fitted together. `many_variables` finds laws in this
+way. `pursue` finds candidates for trajectories: a polynomial and up to two products with functions; a few best sums are
+kept after each addition. Then terms are eliminated one after another. The polynomial is there from the beginning, so
+that a function is not chosen only because a polynomial term is still missing. A search that changes an equation at one
+node at a time reaches such laws only through worse equations.
+
+Doubts. Targets are smoothed derivatives, whose errors are not known for each row. So all rows have equal weights, and
+the best sums of each length are returned, to be compared along trajectories.
 
 Letters: A atoms, K terms, N rows.
 """
@@ -32,27 +34,28 @@ from atoll_core.expression.program import Program, operators_in
 
 _SHARES_OF_STEPS = (1.0, 0.3, 0.1)
 """Shares of a step that are tried one after another until one makes the description shorter."""
-_BESIDE = 1e-13
-"""Share of a column's square beyond the terms that is rounding."""
+_SMALLEST_PART = 1e-13
+"""Relative squared length of the part of a column orthogonal to the terms, below which it is a rounding error."""
 _NEARLY_ALIKE = 1e-8
 """Pairs of columns with a smaller squared sine are not tried: rounding would decide."""
 _RANKED_PAIRS: Final = 2000
 """Pairs that are sorted: one pair of terms has dozens, which differ in inner constants."""
 _MOST_ATOMS: Final = SETTINGS.sparse.most_atoms // 10
-"""Larger dictionaries are not tried, nor pairs of more atoms: a matrix of their gains takes 128 MB. With all operators
-a dictionary of two states has 1,570 atoms, of three states 3,980."""
+"""Size limit of dictionaries and of pairs of atoms: a matrix of their gains takes 128 MB. With all operators, a
+dictionary for two states has 1,570 atoms, for three states 3,980."""
 
 # --------------------------------------------------------------------------------------------- a sum with constants
 
 
-def fitted(rows: Rows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> Sum | None:
-    """Return the sum of all these terms, inner constants as they are; None where the rows do not determine it."""
+def fit_sum(rows: Rows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> Sum | None:
+    """Return the sum of all these terms with fitted coefficients, inner constants unchanged; None if the rows do not
+    determine it."""
     regression = Regression(rows, atoms, shared)
-    return regression.refitted(range(len(atoms)), 1.0 / rows.side_errors) if regression.is_solvable else None
+    return regression.refit(range(len(atoms)), 1.0 / rows.side_errors) if regression.is_solvable else None
 
 
-def polished(fit: Sum) -> Sum:
-    """Return the sum with its inner constants fitted: steps of all constants together (Gauss and Newton).
+def fit_inner_constants(fit: Sum) -> Sum:
+    """Return the sum with its inner constants fitted, by Gauss-Newton steps of all constants together.
 
     The derivatives of terms by their inner constants are terms themselves here, with errors of their own.
     """
@@ -61,18 +64,20 @@ def polished(fit: Sum) -> Sum:
     for _ in range(SETTINGS.effort.steps if inner else 0):
         assert fit.assessment is not None
         atoms = fit.atoms
-        wider = Regression(rows, [*atoms, *(atoms[place].by_constant() for place in inner)])
-        both = wider.refitted(range(len(wider.atoms)), fit.assessment.weights) if wider.is_solvable else None
+        wider = Regression(rows, [*atoms, *(atoms[place].derivative_by_constant() for place in inner)])
+        both = wider.refit(range(len(wider.atoms)), fit.assessment.weights) if wider.is_solvable else None
         if both is None:
             break
         factors, slopes = both.coefficients, iter(both.coefficients[len(atoms) :])
         steps = {place: next(slopes) / factors[place] if factors[place] else 0.0 for place in inner}
         better = None
         for share in _SHARES_OF_STEPS:
-            moved = [atom.moved(share * steps[place]) if place in steps else atom for place, atom in enumerate(atoms)]
+            moved = [
+                atom.move_constant(share * steps[place]) if place in steps else atom for place, atom in enumerate(atoms)
+            ]
             regression = Regression(rows, moved, shared)
             if regression.is_solvable:
-                better = regression.refitted(range(len(moved)), fit.assessment.weights)
+                better = regression.refit(range(len(moved)), fit.assessment.weights)
             if better is not None and better.nats <= fit.nats:
                 break
         if better is None or not better.nats <= fit.nats:
@@ -86,13 +91,14 @@ def polished(fit: Sum) -> Sum:
 # ------------------------------------------------------------------------------------------------ one term more
 
 
-class Beside:
-    """The residuals of a sum, and how much of them other terms explain. Rows are weighted by errors and missing terms.
+class ResidualGains:
+    """How much of the residuals of a sum other terms explain. Rows are weighted by their errors and by missing terms.
 
-    The variance of the missing terms, the same on all rows, is the one with which the median residual is normal.
+    The variance of the missing terms is equal on all rows; it follows from the median residual by a normal
+    distribution.
 
     Args:
-        rows: their sides are described.
+        rows: the rows with the left sides.
         atoms: terms of the sum, on these rows.
     """
 
@@ -112,55 +118,57 @@ class Beside:
         for _ in range(2):  # the second time for rounding errors of the first
             left = left - basis @ (basis.T @ left)
         self._squares, self._basis, self._left = weights**2, weights[:, None] * basis, weights * left
-        self._square = max(float(left @ left), 1e-300)
+        self._squared_residuals = max(float(left @ left), 1e-300)
 
     def gains(self, columns: FloatArray) -> FloatArray:
-        """Return the share (A,) of the squared residuals that columns (A, N) explain; 0 where that is rounding."""
-        gains = (columns @ self._left / self._norms(columns)) ** 2 / self._square
+        """Return the share (A,) of the squared residuals that each of the columns (A, N) explains; 0 for rounding
+        errors."""
+        gains = (columns @ self._left / self._norms(columns)) ** 2 / self._squared_residuals
         return np.asarray(np.where(np.isfinite(gains), gains, 0.0))
 
     def gains_of_pairs(self, columns: FloatArray) -> FloatArray:
         """Return the share (A, A) of the squared residuals that pairs of columns (A, N) explain; 0 if not i < j.
 
-        Parts of columns beyond the terms, of unit length and with the products a and b with the residuals, together
-        explain (a^2 + b^2 - 2 a b c)/(1 - c^2), with c the product of the two.
+        Take the parts of two columns orthogonal to the terms, of unit length, with the products a and b with the
+        residuals, and the product c with each other. Together they explain (a^2 + b^2 - 2 a b c)/(1 - c^2).
         """
         norms, along = self._norms(columns), columns @ self._basis
         products = columns @ self._left / norms
         cosines = ((columns * self._squares) @ columns.T - along @ along.T) / np.outer(norms, norms)
         free = 1.0 - cosines * cosines
         gains = (products[:, None] ** 2 + products**2 - 2.0 * np.outer(products, products) * cosines) / free
-        return np.asarray(np.triu(np.where(free > _NEARLY_ALIKE, gains, 0.0), 1) / self._square)
+        return np.asarray(np.triu(np.where(free > _NEARLY_ALIKE, gains, 0.0), 1) / self._squared_residuals)
 
     def _norms(self, columns: FloatArray) -> FloatArray:
-        """Return the lengths (A,) of the parts of columns beyond the terms; infinite where that is rounding."""
+        """Return the lengths (A,) of the parts of columns orthogonal to the terms; infinite for rounding errors."""
         squares = columns**2 @ self._squares
-        beside = squares - ((columns @ self._basis) ** 2).sum(axis=1)
-        return np.asarray(np.sqrt(np.where(beside > _BESIDE * squares, beside, math.inf)))
+        orthogonal = squares - ((columns @ self._basis) ** 2).sum(axis=1)
+        return np.asarray(np.sqrt(np.where(orthogonal > _SMALLEST_PART * squares, orthogonal, math.inf)))
 
 
 Grid = tuple[Sequence[Atom], FloatArray]
-"""Terms with inner constants of a grid, and their columns (A, N)."""
+"""Terms with inner constants from a grid, and their columns (A, N)."""
 
 
-def grid_of(rows: Rows, tried: Iterable[Shape]) -> Grid:
-    """Return shapes with each of their first guesses for the inner constant, as far as their values are finite."""
+def make_grid(rows: Rows, shapes: Iterable[Shape]) -> Grid:
+    """Return a term for each shape and each start value of its inner constant, if its values are finite."""
     with np.errstate(all="ignore"):
-        pairs = [(atom, atom.values) for shape in tried for atom in map(partial(Atom, shape), shape.constants())]
+        pairs = [(atom, atom.values) for shape in shapes for atom in map(partial(Atom, shape), shape.constants())]
     pairs = [(atom, values) for atom, values in pairs if np.isfinite(values).all()]
     values = np.array([values for _, values in pairs]).reshape(len(pairs), rows.inputs.shape[1])
-    return [atom for atom, _ in pairs], rows.sampled(values)
+    return [atom for atom, _ in pairs], rows.columns_of(values)
 
 
-def further_terms(
-    rows: Rows, begun: Sequence[Sequence[Atom]], grids: Iterable[Grid], count: int
+def rank_further_terms(
+    rows: Rows, sums: Sequence[Sequence[Atom]], grids: Iterable[Grid], count: int
 ) -> Iterator[list[tuple[float, Atom]]]:
-    """Yield for each of the sums `begun` the shapes that explain most of its residuals, after the share explained."""
-    besides = [Beside(rows, atoms) for atoms in begun]
-    best: list[dict[Shape, tuple[float, Atom]]] = [{} for _ in begun]
+    """Yield for each of the sums `sums` the `count` best further terms, as pairs (share of squared residuals
+    explained, term)."""
+    all_gains = [ResidualGains(rows, atoms) for atoms in sums]
+    best: list[dict[Shape, tuple[float, Atom]]] = [{} for _ in sums]
     for atoms, columns in grids:
-        for beside, found in zip(besides if atoms else (), best, strict=False):
-            gains = beside.gains(columns)
+        for sum_gains, found in zip(all_gains if atoms else (), best, strict=False):
+            gains = sum_gains.gains(columns)
             for place in np.argsort(-gains, kind="stable").tolist():
                 found.setdefault(atoms[place].shape, (float(gains[place]), atoms[place]))
     for found in best:
@@ -170,7 +178,7 @@ def further_terms(
 # ------------------------------------------------------------------------------------- candidates for trajectories
 
 _DEGREE: Final = SETTINGS.sparse.degree - 1
-"""Highest degree of the polynomial that functions are added to; in products with functions it is one less."""
+"""Highest degree of the polynomial to which functions are added; products with functions have a degree less."""
 
 _Terms = tuple[int, ...]
 
@@ -179,13 +187,13 @@ def pursue(
     problem: Problem, columns: Sequence[int], operators: Collection[int], needed: Collection[int] = (),
     most: float = math.inf,
 ) -> list[Program]:  # fmt: skip
-    """Return the sums with the smallest residuals, some of each number of constants, constants fitted.
+    """Return the sums with the smallest residuals, a few for each number of constants, constants fitted.
 
     Args:
-        problem: a target and its inputs; some rows are taken.
+        problem: a target and its inputs; a subset of the rows is used.
         columns: indices of the variables that may be used.
         operators: codes of the operators that may be used.
-        needed: codes, one of which each sum has; any sum will do without.
+        needed: operator codes; each sum must have at least one of them. Empty: no condition.
         most: sums with more nats, for all terms with their constants, are dropped.
     """
     if not {ADD, MULTIPLY} <= set(operators) or not columns:
@@ -200,7 +208,7 @@ def pursue(
 
 @dataclass(frozen=True, eq=False)
 class Pursuit:
-    """The space of a pursuit, see `pursue`."""
+    """The search space of a pursuit, see `pursue`."""
 
     columns: tuple[int, ...]
     operators: frozenset[int]
@@ -221,55 +229,56 @@ class _Pursuit:
     ) -> None:
         self._rows, self._needed = rows, needed
         self._sums: dict[_Terms, Sum] = {}
-        tried = powers(rows.inputs, products(columns, _DEGREE))
-        tried += dictionary(rows.inputs, columns, operators, _MOST_ATOMS)
-        self._prices = {shape: shape.price(rows.independent) for shape in tried}
+        shapes = powers(rows.inputs, products(columns, _DEGREE))
+        shapes += dictionary(rows.inputs, columns, operators, _MOST_ATOMS)
+        self._prices = {shape: shape.price(rows.independent) for shape in shapes}
         needed_prices = [price for shape, price in self._prices.items() if self._is_needed(shape)]
-        beside = min(needed_prices, default=math.inf) if needed else 0.0
-        self._most = most + beside
+        needed_price = min(needed_prices, default=math.inf) if needed else 0.0
+        self._most = most + needed_price
         """Price of the longest sum that may be short enough after elimination of one of its terms."""
         self._tried = [
             shape
             for shape, price in self._prices.items()
-            if price + (0.0 if self._is_needed(shape) else beside) <= most
+            if price + (0.0 if self._is_needed(shape) else needed_price) <= most
         ]
-        self._grid = grid_of(rows, self._tried)
+        self._grid = make_grid(rows, self._tried)
 
     def _is_needed(self, shape: Shape) -> bool:
         return not self._needed or not self._needed.isdisjoint(operators_in(shape.expression(1.5)))
 
     def run(self) -> list[Program]:
         """Return the best sums of each number of constants."""
-        for beginning in self._beginnings():
+        for beginning in self._starting_sums():
             beam = [beginning]
             for turn in range(SETTINGS.sparse.functions + (not beginning.kept)):
-                if not (beam and self._is_short(beam[0].atoms)) or self._square(beam[0]) <= self._rows.least:
+                if not (beam and self._is_short(beam[0].atoms)) or self._squared_residuals(beam[0]) <= self._rows.least:
                     break
-                beam = self._extended(beam, has_pairs=turn == 1 and not beginning.kept)
-        self._extended(self._polished(fit.atoms for fit in self._shortest(self._sums.values())))
+                beam = self._extend(beam, has_pairs=turn == 1 and not beginning.kept)
+        self._extend(self._fit_sums(fit.atoms for fit in self._shortest(self._sums.values())))
         by_size: dict[int, list[Sum]] = {}
         for fit in self._sums.values():
             if self._is_short(fit.atoms) and any(self._is_needed(atom.shape) for atom in fit.atoms):
                 by_size.setdefault(sum(1 + atom.shape.has_constant for atom in fit.atoms), []).append(fit)
         sizes = [size for size in sorted(by_size) if size <= SETTINGS.sparse.most_constants]
-        best = (self._polished(fit.atoms for fit in self._shortest(by_size[size], 2)) for size in sizes)
+        best = (self._fit_sums(fit.atoms for fit in self._shortest(by_size[size], 2)) for size in sizes)
         return [fit.program() for fits in best for fit in self._shortest(fits)]
 
-    def _beginnings(self) -> Iterator[Sum]:
-        """Yield nothing, and all polynomials that the rows determine and that are not too long to be eliminated."""
+    def _starting_sums(self) -> Iterator[Sum]:
+        """Yield the first sums: polynomials that the rows determine and that are short enough for elimination."""
         most = min(SETTINGS.effort.longest_sum, len(self._rows.sides) / SETTINGS.sparse.rows_per_term)
         plain = [Atom(shape) for shape in self._tried if shape.function is None]
         for degree in range(-1, _DEGREE + 1):
             atoms = [atom for atom in plain if len(atom.shape.factors) <= degree]
             if len(atoms) <= most:
-                yield from self._polished([atoms])
+                yield from self._fit_sums([atoms])
 
-    def _extended(self, beam: Sequence[Sum], *, has_pairs: bool = False) -> list[Sum]:
-        """Return the best sums with one term more than in the beam, and if it `has_pairs`, of any two terms."""
+    def _extend(self, beam: Sequence[Sum], *, has_pairs: bool = False) -> list[Sum]:
+        """Return the best sums with one more term than the sums of the beam; with `has_pairs`, also sums of any two
+        terms."""
         width, grown = SETTINGS.effort.kept, list[tuple[float, tuple[Atom, ...]]]()
-        further = further_terms(self._rows, [fit.atoms for fit in beam], [self._grid], width)
+        further = rank_further_terms(self._rows, [fit.atoms for fit in beam], [self._grid], width)
         for fit, terms in zip(beam, further, strict=True):
-            square = self._square(fit)
+            square = self._squared_residuals(fit)
             grown += [(square * (1.0 - share), (*fit.atoms, atom)) for share, atom in terms]
         if has_pairs and 0 < len(self._grid[0]) <= _MOST_ATOMS:
             grown += self._pairs()
@@ -277,12 +286,12 @@ class _Pursuit:
         for _, atoms in sorted(grown, key=lambda pair: pair[0]):
             if self._is_short(atoms):
                 by_terms.setdefault(_terms(atoms), atoms)
-        return self._shortest(self._polished([*by_terms.values()][:width]))
+        return self._shortest(self._fit_sums([*by_terms.values()][:width]))
 
     def _pairs(self) -> Iterator[tuple[float, tuple[Atom, ...]]]:
-        """Yield the best pairs of terms, after their squared residuals."""
+        """Yield the best pairs of terms, as (squared residuals, pair)."""
         atoms, columns = self._grid
-        gains = Beside(self._rows, ()).gains_of_pairs(columns)
+        gains = ResidualGains(self._rows, ()).gains_of_pairs(columns)
         count, square = min(_RANKED_PAIRS, gains.size), float(self._rows.sides @ self._rows.sides)
         least = -np.partition(-gains, count - 1, axis=None)[count - 1]
         best = np.flatnonzero((gains >= least) & (gains > 0.0))
@@ -293,11 +302,12 @@ class _Pursuit:
     def _is_short(self, atoms: Sequence[Atom]) -> bool:
         return math.fsum(self._prices[atom.shape] for atom in atoms) <= self._most
 
-    def _polished(self, sums: Iterable[Sequence[Atom]]) -> list[Sum]:
-        """Return the sums of these terms, all constants fitted; sums on the way to none of the terms are kept."""
-        fits = [polished(fit) for fit in (fitted(self._rows, atoms) for atoms in sums) if fit is not None]
+    def _fit_sums(self, sums: Iterable[Sequence[Atom]]) -> list[Sum]:
+        """Return the sums of these terms with all constants fitted; the sums along their eliminations are stored as
+        well."""
+        fits = [fit_inner_constants(fit) for fit in (fit_sum(self._rows, atoms) for atoms in sums) if fit is not None]
         for fit in fits:
-            for shorter in fit.regression.on_the_way(range(len(fit.atoms)), np.ones(len(self._rows.sides))):
+            for shorter in fit.regression.elimination_path(range(len(fit.atoms)), np.ones(len(self._rows.sides))):
                 key = _terms(shorter.atoms)
                 if key not in self._sums or shorter.nats < self._sums[key].nats:
                     self._sums[key] = shorter
@@ -306,11 +316,11 @@ class _Pursuit:
     def _shortest(self, fits: Iterable[Sum], width: int = 1) -> list[Sum]:
         return sorted(fits, key=lambda fit: fit.nats)[: width * SETTINGS.effort.beam]
 
-    def _square(self, fit: Sum) -> float:
+    def _squared_residuals(self, fit: Sum) -> float:
         residuals = fit.regression.residuals(fit)
         return float(residuals @ residuals)
 
 
 def _terms(atoms: Sequence[Atom]) -> _Terms:
-    """Return what sums with the same terms have in common, whatever their constants."""
+    """Return a key that is equal for sums with the same shapes, regardless of constants."""
     return tuple(sorted(id(atom.shape) for atom in atoms))

@@ -9,18 +9,19 @@ of rows are held, and the misfit is n/2 ln(sum of weighted squares): that is com
 
 Where the covariance of errors comes from. Rates have an error for each row and exact columns. Integrals over windows
 have errors of measurement in the sides and in the columns, propagated to first order by the derivatives of the terms;
-so the variance of a residual depends on the sum. Least squares would then make coefficients too small. The mean of the
-products of errors is subtracted from the normal equations (Fuller 1987), and rows are weighted by the variances of the
-sum before: fit and weights by turns.
+so the variance of a residual depends on the sum. Least squares would then make coefficients too small. So the mean of
+the products of errors is subtracted from the normal equations (Fuller 1987), and rows are weighted by the residual
+variances of the previous sum: fit and weights alternate.
 
-How it searches. Backward elimination from a full library (Wald's test): with everything there from the beginning, the
-gain of another term does not decide which one is taken. Elimination may lose a term early for others that it nearly
-depends on; so single terms are added again, and the sum is eliminated again, as long as the description gets shorter by
-more than the best of as many tries does by chance. At last terms are removed one by one by the weights of the rest.
-Functions with a constant inside are terms like all others; `many_variables` says which are tried.
+How it searches. Backward elimination from a full library (Wald's test): since all terms are there from the beginning,
+no term is chosen only because another one is still missing. Elimination may remove a needed term early if it nearly
+depends on others. So single terms are added again, and the sum is eliminated again, as long as the description gets
+shorter by more than the best of equally many tries would by chance. Finally terms are removed one by one, with the
+weights of the remaining sum. Functions with a constant inside are terms like all others; `many_variables` says which
+are tried.
 
 Doubts. Weights of a wrong sum favour that sum. The first-order variances are too small where noise is as large as the
-curvature of a term. Rates count as a fixed number of independent numbers, which is a guess; it only has to be few.
+curvature of a term. Rates count as a fixed small number of independent numbers, which is a guess.
 
 Letters: K terms, M terms of a sum, N rows, V variables.
 """
@@ -53,29 +54,30 @@ _SETTLED = 1e-3
 class Elimination:
     """The sums on the way from all columns (K, N) to none, by least squares (Wald's test).
 
-    `order` (K,) are the columns in the order of their removal, `squares` (K + 1,) the sums of squared residuals with
-    the last K, K - 1, ... 0 of these, `coefficients` (K, K) the coefficients at each step.
+    `order` (K,) has the columns in the order of their removal. `squares` (K + 1,) has the sums of squared residuals
+    with K, K - 1, ... 0 remaining columns. `coefficients` (K, K) has the coefficients at each step.
     """
 
     order: list[int]
     squares: FloatArray
     coefficients: FloatArray
 
-    def kept(self, step: int) -> list[int]:
-        """Return which columns there are at a step."""
+    def remaining(self, step: int) -> list[int]:
+        """Return the columns that remain at a step."""
         return sorted(self.order[step:])
 
     def factors(self, step: int) -> list[float]:
-        """Return the coefficients of the columns that there are at a step."""
-        return [float(self.coefficients[step, place]) for place in self.kept(step)]
+        """Return the coefficients of the columns that remain at a step."""
+        return [float(self.coefficients[step, place]) for place in self.remaining(step)]
 
 
-def eliminated(
+def eliminate_columns(
     columns: FloatArray, sides: FloatArray, errors: Errors | None = None, steps: int | None = None
 ) -> Elimination:
-    """Return the elimination of `columns` (K, N) that describe `sides` (N,), or some first `steps` of it.
+    """Return the elimination of `columns` (K, N) that are fitted to `sides` (N,), or its first `steps`.
 
-    Products of columns have the mean `errors` (K, K), with the sides (K,); squares never fall when terms are removed.
+    `errors` are the means of error products of columns (K, K), and of columns and sides (K,). Squares never decrease
+    when terms are removed.
     """
     count = len(columns)
     steps = count if steps is None else min(steps, count)
@@ -89,10 +91,13 @@ def eliminated(
     return Elimination(order.tolist(), np.maximum(squares - added + added[0], squares[0]), coefficients)
 
 
-def selected_forward(columns: FloatArray, side: FloatArray) -> Iterator[tuple[int, float]]:
-    """Yield the column (K, N) that explains most of the rest of `side` (N,), and so on, with the square left then.
+def select_forward(columns: FloatArray, side: FloatArray) -> Iterator[tuple[int, float]]:
+    """Yield one column after another: its index in `columns` (K, N), and the sum of squared residuals with it.
 
-    This is orthogonal matching pursuit; it ends where no column is left. Sums have a fixed order.
+    Each time, the column that explains most of the residuals of `side` (N,) is taken.
+
+    This is orthogonal matching pursuit. It ends when no column explains anything. Sums have a fixed order, for equal
+    bits.
     """
     sizes = np.sqrt(_dots(columns * columns, np.ones_like(side)))
     rest, left = columns / np.where(sizes > 0.0, sizes, 1.0)[:, None], side
@@ -140,11 +145,11 @@ class Sum:
 
     @property
     def excess(self) -> float:
-        """How many times as large as their errors the residuals are; infinite where that is not known."""
+        """Ratio of the residuals to their errors; infinite if unknown."""
         return math.inf if self.assessment is None else self.assessment.excess
 
     def program(self) -> Program:
-        """Return the sum as it is written shortest, as a sum of products."""
+        """Return the sum in its shortest form as a sum of products."""
         return program_of(self.atoms, self.coefficients)
 
     def sum_of_products(self) -> Program:
@@ -157,8 +162,9 @@ def shortest(sums: Iterable[Sum | None]) -> Sum | None:
     return min((fit for fit in sums if fit is not None), key=lambda fit: fit.nats, default=None)
 
 
-def improved(best: Sum, nearby: Callable[[Sum], Iterable[Sum | None]], least_gain: float = 0.0) -> Sum:
-    """Return the end of a search that goes to the shortest of the sums nearby as long as that gains more than this."""
+def descend(best: Sum, nearby: Callable[[Sum], Iterable[Sum | None]], least_gain: float = 0.0) -> Sum:
+    """Return the end of a descent from `best` that goes to the shortest of the sums nearby while this gains more than
+    `least_gain`."""
     while True:
         nearest = shortest(nearby(best))
         if nearest is None or not nearest.nats < best.nats - least_gain:
@@ -169,7 +175,7 @@ def improved(best: Sum, nearby: Callable[[Sum], Iterable[Sum | None]], least_gai
 class Regression:
     """Sums of the `atoms` of one library, fitted to `rows`.
 
-    Terms that are `shared` with another equation are described there: each has the price of one more use.
+    Terms that are `shared` with another equation are described there, so their price is the price of one more use.
     """
 
     def __init__(self, rows: Rows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> None:
@@ -183,40 +189,40 @@ class Regression:
 
     @cached_property
     def is_finite(self) -> bool:
-        """Whether all columns and their derivatives are numbers."""
+        """Whether all columns and their derivatives are finite."""
         numbers = [self._columns] if self._gradients is None else [self._columns, self._gradients]
         return all(np.isfinite(part).all() for part in numbers)
 
     @property
     def is_solvable(self) -> bool:
-        """Whether all columns are numbers, and fewer than the rows."""
+        """Whether all columns are finite, and there are fewer columns than rows."""
         return self.is_finite and len(self.atoms) < len(self.rows.sides)
 
-    def search(self, begun: Sequence[int], weights: FloatArray | None = None) -> Sum | None:
-        """Return the sum at which a search from the terms `begun` (places) ends; None where there is none.
+    def search(self, start: Sequence[int], weights: FloatArray | None = None) -> Sum | None:
+        """Return the sum at which a search from the terms `start` (indices) ends; None if the terms cannot be fitted.
 
-        Weights are equal at first, or come from a fit of all terms that begins with `weights`. Later they come from the
-        sum before, and favour it even if it is wrong: so at last terms are removed as long as the description by the
-        weights of the remaining sum is shorter.
+        The first weights are equal, or come from a fit of the terms `start` with `weights`. Later weights come from the
+        previous sum, and favour this sum even if it is wrong. So finally terms are removed as long as the description
+        gets shorter with the weights of the remaining sum.
         """
         if not self.is_solvable:
             return None
         if weights is None:
             weights = np.ones(len(self.rows.sides))
         else:
-            whole = self.refitted(begun, weights)
+            whole = self.refit(start, weights)
             if whole is None or whole.assessment is None:
                 return None
             weights = whole.assessment.weights
         for reweighting in range(REWEIGHTINGS):
-            found = self._best_sum(begun, weights, is_extended=reweighting > 0)
+            found = self._best_sum(start, weights, is_extended=reweighting > 0)
             assessment = self._assess(found)
             if assessment is None:
                 return None
             weights = assessment.weights
-        return self.pruned(self.refitted(found.kept, weights))
+        return self.prune(self.refit(found.kept, weights))
 
-    def pruned(self, whole: Sum | None) -> Sum | None:
+    def prune(self, whole: Sum | None) -> Sum | None:
         """Return the sum without the terms whose removal makes the description shorter."""
         if whole is None or whole.assessment is None:
             return None
@@ -224,16 +230,16 @@ class Regression:
 
         def fewer(fit: Sum) -> Iterator[Sum | None]:
             for place in fit.kept if 1 < len(fit.kept) <= SETTINGS.effort.longest_sum else ():
-                yield self.refitted([other for other in fit.kept if other != place], weights)
+                yield self.refit([other for other in fit.kept if other != place], weights)
 
-        return improved(whole, fewer)
+        return descend(whole, fewer)
 
-    def refitted(self, places: Sequence[int], weights: FloatArray) -> Sum | None:
-        """Return the sum of these terms, fitted and weighted by turns; None where a residual has no variance."""
+    def refit(self, places: Sequence[int], weights: FloatArray) -> Sum | None:
+        """Return the sum of these terms, alternately fitted and reweighted; None if a residual has no variance."""
         before, fit = math.inf, None
-        for _ in range(self.rows.turns):
+        for _ in range(self.rows.reweightings):
             path = self._path(places, weights, self._errors(weights, places), steps=1)
-            fit = self._by_own_weights(Sum(self, tuple(places), path.factors(0), math.inf))
+            fit = self._assess_sum(Sum(self, tuple(places), path.factors(0), math.inf))
             if fit.assessment is None:
                 return None
             weights = fit.assessment.weights
@@ -242,35 +248,38 @@ class Regression:
             before = fit.excess
         return fit
 
-    def on_the_way(self, places: Sequence[int], weights: FloatArray, errors: Errors | None = None) -> Iterator[Sum]:
-        """Yield the sums on the way from one of these terms to all, by the weights of the rows (Wald's test)."""
+    def elimination_path(
+        self, places: Sequence[int], weights: FloatArray, errors: Errors | None = None
+    ) -> Iterator[Sum]:
+        """Yield the sums of an elimination of these terms in reverse order, from one term to all, with these row
+        weights (Wald's test)."""
         path = self._path(places, weights, errors, steps=len(places))
         squares, price = path.squares.tolist(), 0.0
         for step in reversed(range(len(places))):
             price += self._prices[places[path.order[step]]]
             nats = 0.5 * self.rows.numbers * log(max(squares[step], self.rows.least)) + price
-            yield Sum(self, tuple(places[index] for index in path.kept(step)), path.factors(step), nats)
+            yield Sum(self, tuple(places[index] for index in path.remaining(step)), path.factors(step), nats)
 
     def _best_sum(self, start: Sequence[int], weights: FloatArray, *, is_extended: bool) -> Sum:
         """Return the sum of the shortest description that is found from the terms of `start`.
 
-        Where it `is_extended`, single terms are added again as long as that gains more than chance (Bonferroni).
+        If it `is_extended`, single terms are added again as long as the gain is larger than by chance (Bonferroni).
         """
         every = range(len(self.atoms))
         errors = self._errors(weights, every if is_extended else start)
 
         def best(places: Sequence[int]) -> Sum:
-            return min([*self.on_the_way(places, weights, errors)][::-1], key=lambda fit: fit.nats)
+            return min([*self.elimination_path(places, weights, errors)][::-1], key=lambda fit: fit.nats)
 
         def longer(fit: Sum) -> Iterator[Sum]:
-            tried = shortest(best(sorted([*fit.kept, place])) for place in every if place not in fit.kept)
-            if tried is not None:
-                yield self._by_own_weights(tried)
+            longer_sum = shortest(best(sorted([*fit.kept, place])) for place in every if place not in fit.kept)
+            if longer_sum is not None:
+                yield self._assess_sum(longer_sum)
 
         found = best(start)
-        return improved(self._by_own_weights(found), longer, log(float(len(every)))) if is_extended else found
+        return descend(self._assess_sum(found), longer, log(float(len(every)))) if is_extended else found
 
-    def _by_own_weights(self, fit: Sum) -> Sum:
+    def _assess_sum(self, fit: Sum) -> Sum:
         assessment = self._assess(fit)
         nats = math.inf if assessment is None else assessment.misfit + self._price(fit.kept)
         return Sum(self, fit.kept, fit.coefficients, nats, assessment)
@@ -301,4 +310,4 @@ class Regression:
     def _path(self, places: Sequence[int], weights: FloatArray, errors: Errors | None, steps: int) -> Elimination:
         chosen = np.asarray(places, dtype=np.int64)
         own = None if errors is None else (errors[0][np.ix_(chosen, chosen)], errors[1][chosen])
-        return eliminated(self._columns[chosen] * weights, self.rows.sides * weights, own, steps)
+        return eliminate_columns(self._columns[chosen] * weights, self.rows.sides * weights, own, steps)

@@ -1,17 +1,18 @@
 """Builders of rows: left sides, columns of terms, and the covariance of their errors, of the equation of one state.
 
 - `Rows` have columns without errors: targets, bins of the steps of a process.
-- `RateRows` are estimated derivatives with a standard error for each row. These errors are systematic: however many
-  rows there are, they count as `systematic_numbers` numbers, and a few are a hundred times as large as the estimate.
+- `RateRows` are estimated derivatives with a standard error for each row. These errors are systematic: they count as
+  `systematic_numbers` independent numbers, however many rows there are, and a few are a hundred times as large as
+  estimated.
 - `WeakRows` are integrals over windows of the trajectories, so that nothing is differentiated. With a test function b
   that vanishes at both ends of a window, dx/dt = sum c_k f_k gives, by parts,
 
       - int b' x dt = sum c_k int b f_k dt
 
-  (Messenger & Bortz 2021). Products of measured states have the expectation of the true ones when powers are Hermite
-  polynomials of the noise's variance. The variance of a residual follows from the variance of the measurements (errors
-  in variables: Bortz, Messenger & Dukic 2023), so that a residual is known to be noise or not. Windows are long, by the
-  trapezoidal rule; `many_variables` has short ones.
+  (Messenger & Bortz 2021). If powers are replaced by Hermite polynomials with the noise variance, the expectation of
+  products of measured states is the product of the true states. The variance of a residual follows from the variance of
+  the measurements (errors in variables: Bortz, Messenger & Dukic 2023), so that a test can tell whether residuals are
+  noise. Windows here are long and use the trapezoidal rule; `many_variables` has short windows.
 
 Letters: K terms, N rows of a regression, W windows of L rows, R rows of all trajectories, T some of these, V variables.
 """
@@ -42,9 +43,9 @@ CAUCHY = 2.385
 NORMAL_DEVIATION = 1.4826
 """A normal error's standard deviation over its median size."""
 _LEAST_SCALE = 1e-6
-"""Guard: smaller residuals, in standard errors, are rounding."""
+"""Guard: smaller residuals, in standard errors, are rounding errors."""
 _STRETCHES = 20
-"""Stretches of rows that stand for a larger table: a law of a hundred products needs a few hundred windows."""
+"""Number of blocks of rows that represent a larger table: a law of a hundred products needs a few hundred windows."""
 _SMOOTHNESS = 4
 """Numerics: the power of the test functions (1 - s^2)^p; the trapezoidal rule errs by its order in the step."""
 _LEAST_HALF = 5
@@ -59,10 +60,10 @@ Errors = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """The residuals of a sum by its own errors: the `weights` (N,) of rows, the `misfit` in nats.
+    """The residuals of a sum compared with its own errors: the `weights` (N,) of rows, the `misfit` in nats.
 
-    `excess` says how many times as large as their errors the residuals are, `probability` how probable residuals this
-    large are where all are noise (1: not known).
+    `excess` is the ratio of the residuals to their errors; `probability` is the probability of residuals at least this
+    large if all are noise (1: not known).
     """
 
     weights: FloatArray
@@ -75,27 +76,27 @@ class Assessment:
 class Rows:
     """Rows to which a sum of terms is fitted. Columns have no errors, and the variance of residuals is fitted.
 
-    `inputs` (V, R) are the variables where atoms have values, `sides` (N,) the left sides. A smaller sum of squared
-    residuals than `least` is no merit. Fit and weights alternate, at most `turns` times. The residuals of a law are at
-    most `largest_excess` times as large as their errors; if rows are `is_precise`, residuals of other sums are many
-    times as large.
+    `inputs` (V, R) are the variables at which atoms are evaluated, `sides` (N,) the left sides. Sums of squared
+    residuals below `least` count as `least`. Fit and weights alternate, at most `reweightings` times. The residuals of
+    a law are at most `largest_excess` times as large as their errors; if rows are `is_precise`, residuals of other sums
+    are many times as large.
     """
 
     inputs: FloatArray
     sides: FloatArray
     least: float = field(default=1e-300, kw_only=True)
-    turns: ClassVar[int] = 1
+    reweightings: ClassVar[int] = 1
     largest_excess: ClassVar[float] = SETTINGS.inference.excess
     is_precise: ClassVar[bool] = False
 
     @property
     def independent(self) -> float:
-        """How many rows there are that share no measurements."""
+        """Number of rows that share no measurements."""
         return float(len(self.sides))
 
     @property
     def numbers(self) -> float:
-        """How many independent numbers count in a misfit."""
+        """Number of independent numbers in a misfit."""
         return self.independent
 
     @property
@@ -104,20 +105,20 @@ class Rows:
         return np.ones(len(self.sides))
 
     @property
-    def decisive(self) -> "Rows":
+    def trusted(self) -> "Rows":
         """The rows by which functions are compared."""
         return self
 
     def columns(self, atoms: Sequence[Atom]) -> FloatArray:
         """Return the columns (K, N) of terms."""
-        return self.sampled(np.array([atom.values for atom in atoms]).reshape(len(atoms), self.inputs.shape[1]))
+        return self.columns_of(np.array([atom.values for atom in atoms]).reshape(len(atoms), self.inputs.shape[1]))
 
-    def sampled(self, values: FloatArray) -> FloatArray:
-        """Return the columns (K, N) of functions with these `values` (K, R)."""
+    def columns_of(self, values: FloatArray) -> FloatArray:
+        """Return the columns (K, N) of terms with the `values` (K, R)."""
         return values
 
     def gradients(self, atoms: Sequence[Atom]) -> FloatArray | None:
-        """Return the derivatives (K, V, ...) of terms by the variables; None where the variables have no errors."""
+        """Return the derivatives (K, V, ...) of terms by the variables; None if the variables have no errors."""
         del atoms
         return None
 
@@ -126,7 +127,7 @@ class Rows:
         raise NotImplementedError
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment | None:
-        """Return the assessment of a sum with these `residuals` (N,); None where one of them has no variance."""
+        """Return the assessment of a sum with these `residuals` (N,); None if a residual has no variance."""
         del atoms, coefficients
         square = math.fsum((residuals * residuals).tolist())
         return Assessment(np.ones(len(residuals)), 0.5 * self.numbers * log(max(square, self.least)), math.inf)
@@ -135,10 +136,10 @@ class Rows:
 def assessment_by_scale(
     residuals: FloatArray, deviations: FloatArray, numbers: float, widening: float = 1.0
 ) -> Assessment:
-    """Return the assessment by the scale of residuals (N,) in their `deviations`, fitted by the median.
+    """Return the assessment by the median of residuals (N,) over their standard errors `deviations` (N,).
 
-    The misfit is `numbers` ln(scale), as with normal errors of unknown variance; large residuals count less (Cauchy's
-    weights). The scale grows by the factor `widening`.
+    The misfit is `numbers` ln(scale), as for normal errors of unknown variance; large residuals have less weight
+    (Cauchy weights). The scale is multiplied by `widening`.
     """
     sizes = np.abs(residuals) / deviations
     scale = max(widening * NORMAL_DEVIATION * float(np.sort(sizes)[len(sizes) // 2]), _LEAST_SCALE)
@@ -154,7 +155,7 @@ class RateRows(Rows):
     """Derivatives (N,) as `sides` with their standard errors `uncertainty` (N,), above 0; `inputs` are (V, N)."""
 
     uncertainty: FloatArray
-    turns = SETTINGS.effort.steps
+    reweightings = SETTINGS.effort.steps
     largest_excess = 1.0
     is_precise = True
 
@@ -165,15 +166,15 @@ class RateRows(Rows):
 
     @property
     def numbers(self) -> float:
-        """As many numbers as have the same misfit, ``systematic_numbers`` ln(scale), with the variance fitted."""
+        """The number n for which n/2 ln(scale^2) is the misfit of `assess`, ``systematic_numbers`` ln(scale)."""
         return 2.0 * SETTINGS.selection.systematic_numbers
 
     @property
-    def decisive(self) -> "RateRows":
+    def trusted(self) -> "RateRows":
         """The share of the rows with the smallest errors.
 
-        Errors of interpolation are not normal: where a state changes too fast for the sampling, a few are a hundred
-        times as large as the estimate says.
+        Errors of interpolation are not normal: if a state changes too fast for the sampling, a few are a hundred times
+        as large as estimated.
         """
         count = max(int(SETTINGS.sparse.trusted_share * len(self.sides)), 1)
         rows = self.side_errors <= np.sort(self.side_errors)[count - 1]
@@ -188,7 +189,7 @@ class RateRows(Rows):
 def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> RateRows | None:
     """Return the derivatives of `variable`, a state; `names` (V,) are symbols of states, rates and inputs.
 
-    None where derivatives were not kept, or all are alike. Errors are at least those of a solver. More rows than
+    None if derivatives were not stored, or are constant. Errors are at least the errors of a solver. More rows than
     `RowSettings.most` are thinned, like the rows of the search.
     """
     parts = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
@@ -222,13 +223,13 @@ def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> Rate
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredRows:
     """Rows of the trajectories that are not held out: `times` (R,), `ranges` of consecutive rows.
 
-    Large tables are subsampled in stretches, spread evenly.
+    Large tables are subsampled in evenly spread blocks.
 
-    `values` (V, R) are the variables as measured, smoothed where they are missing; `smoothed` (V, R); `noise` (V,) the
-    standard deviations of the errors, 0 for inputs and for states that were interpolated.
+    `values` (V, R) are the measured variables, with smoothed values if missing; `smoothed` (V, R) the smoothed ones;
+    `noise` (V,) the standard deviations of the errors, 0 for inputs and for interpolated states.
     """
 
     times: FloatArray
@@ -238,7 +239,7 @@ class Measured:
     noise: FloatArray
 
 
-def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
+def measured_rows_of(recording: Recording, names: Sequence[str]) -> MeasuredRows:
     """Return the rows of the variables `names` (V,), symbols of states and inputs."""
     parts = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
     symbols = (*recording.state_symbols, *recording.input_symbols)
@@ -250,7 +251,7 @@ def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
     stretches = _stretches([len(part.times) for part in parts])
     rows = np.concatenate([np.arange(first, end) for first, end in stretches])
     ends = np.cumsum([end - first for first, end in stretches]).tolist()
-    return Measured(
+    return MeasuredRows(
         np.concatenate([part.times for part in parts])[rows],
         tuple(zip([0, *ends[:-1]], ends, strict=True)),
         np.concatenate([np.where(np.isfinite(states), states, smoothed), inputs])[places][:, rows],
@@ -260,9 +261,10 @@ def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
 
 
 def _mean_inputs(part: Trajectory) -> FloatArray:
-    """Return the inputs (U, R) at the rows; for held ones the mean over the steps before and after, by their lengths.
+    """Return the inputs (U, R) at the rows; for step inputs the mean over the time steps before and after.
 
-    With these a trapezoidal rule integrates test functions times a held input as it jumps.
+    The mean is weighted by the lengths of the steps. With it, a trapezoidal rule integrates test functions times a step
+    input correctly.
     """
     held = np.asarray(np.isnan(part.input_slopes).any(axis=1))
     if not held.any():
@@ -275,21 +277,22 @@ def _mean_inputs(part: Trajectory) -> FloatArray:
 
 
 def _stretches(lengths: Sequence[int]) -> list[tuple[int, int]]:
-    """Return first row and end of the stretches that stand for trajectories with these `lengths`: whole ones if few."""
+    """Return first row and end of the blocks that represent trajectories with these `lengths`; whole trajectories if
+    there are few rows."""
     parts = -(-sum(lengths) // SETTINGS.rows.in_sums)
     stretch = SETTINGS.rows.in_sums // _STRETCHES if parts > 1 else max(lengths)
     ends = np.cumsum(lengths).tolist()
     return [
         (first, min(first + stretch, end))
-        for begun, end in zip([0, *ends[:-1]], ends, strict=True)
-        for first in range(begun, end, stretch)
+        for start, end in zip([0, *ends[:-1]], ends, strict=True)
+        for first in range(start, end, stretch)
     ][::parts]
 
 
 def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> float:
-    """Return the standard deviation of a state's errors: the smoother's, or the prediction error of most rows, if less.
+    """Return the standard deviation of a state's errors: the smoother's noise, or the prediction error if smaller.
 
-    The smoother's residuals in fast passages are no errors of measurement.
+    In fast passages, residuals of the smoother are no errors of measurement.
     """
     if smoothing.method == "interpolation" or smoothing.quantisation is not None:
         return 0.0 if smoothing.method == "interpolation" else smoothing.noise
@@ -309,37 +312,37 @@ class WeakRows(Rows):
     """Windows along trajectories for the equation of variable `target`; `share` of them are independent.
 
     `first` (W,) is the first row of each window; `bump` and `slope` (W, L) are the test functions and their
-    derivatives, times the weights of a rule of integration. Atoms have values on the rows as measured.
+    derivatives, times the weights of a rule of integration. Atoms are evaluated on the measured rows.
     """
 
-    measured: Measured
+    measured: MeasuredRows
     target: int
     first: Ints
     bump: FloatArray
     slope: FloatArray
     share: float
-    turns = 2
+    reweightings = 2
 
     @property
     def independent(self) -> float:
-        """How many windows there are that share no rows."""
+        """Number of windows that share no rows."""
         return len(self.first) * self.share
 
     def columns(self, atoms: Sequence[Atom]) -> FloatArray:
-        """Return the integrals (K, W) of the terms, noise in products of measured variables corrected for."""
+        """Return the integrals (K, W) of the terms, corrected for noise in products of measured variables."""
         degree = max((len(atom.shape.factors) for atom in atoms if atom.shape.function is None), default=0)
         powers = _powers(self.measured.values, self.measured.noise, degree)
-        return self.sampled(np.array([
+        return self.columns_of(np.array([
             _product(atom.shape.factors, powers) if atom.shape.function is None else atom.values for atom in atoms
         ]))  # fmt: skip
 
-    def sampled(self, values: FloatArray) -> FloatArray:
+    def columns_of(self, values: FloatArray) -> FloatArray:
         """Return the integrals (K, W) of functions with these `values` (K, R)."""
         return self._sums(self.bump, values)
 
     @cached_property
     def _thinned(self) -> Ints:
-        """Rows that stand for all in sums of errors."""
+        """Indices (T,) of the rows that represent all rows in sums of errors."""
         return thinned_places(len(self.measured.times), SETTINGS.rows.most)
 
     def gradients(self, atoms: Sequence[Atom]) -> FloatArray:
@@ -349,7 +352,8 @@ class WeakRows(Rows):
     def _slopes(self, atoms: Sequence[Atom], coefficients: Sequence[float], rows: Ints | slice) -> FloatArray:
         """Return the derivatives (V, T) of a sum by the variables on some rows.
 
-        Functions are differentiated over the standard deviation of the errors, which averages higher orders.
+        Functions are differentiated by central differences over one standard deviation of the errors, which averages
+        higher orders.
         """
         smoothed, noise = np.ascontiguousarray(self.measured.smoothed[:, rows]), self.measured.noise
         degree = max((len(atom.shape.factors) for atom in atoms), default=0)
@@ -379,7 +383,7 @@ class WeakRows(Rows):
     def _row_weights(self, weights: FloatArray) -> Errors:
         """Return the weights of errors of thinned rows (T,) in products of integrals, and with left sides.
 
-        Windows have these `weights` (W,).
+        `weights` (W,) are the weights of windows.
         """
         sums = np.zeros((2, len(self.measured.times)))
         for place in range(self.bump.shape[1]):
@@ -392,7 +396,7 @@ class WeakRows(Rows):
     def variances(self, atoms: Sequence[Atom], coefficients: Sequence[float]) -> FloatArray:
         """Return the variance (W,) of the residuals of a sum.
 
-        To first order in the noise. Sums have a fixed order: laws decided by them may end a search.
+        It is of first order in the noise. Sums have a fixed order, for equal bits: these laws may end a search.
         """
         slopes = self._slopes(atoms, coefficients, slice(None))
         squares = self.measured.noise * self.measured.noise
@@ -404,13 +408,14 @@ class WeakRows(Rows):
         return np.asarray(variances)
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment | None:
-        """Return minus the log-likelihood of the residuals, each counted by its share in a new one.
+        """Return the assessment by the log-likelihood of the residuals.
 
-        The variance of each depends on the sum. The likelihood is the likelihood of the nearest true states for which
-        the equation holds, to first order: half the square over its variance. The variance depends on the equation, the
-        density of the measurements about these states does not: with its logarithm, sums that vary little with the
-        states would be preferred (errors in variables, functional case: Fuller 1987, section 2.3). Of the degrees of
-        freedom, fitted coefficients are subtracted.
+        Each residual counts by its share of independent windows, and its variance depends on the sum. To first order,
+        the likelihood of the nearest true states for which the equation holds gives half of the squared residual over
+        its variance. The logarithm of the variance is left out, since the density of the measurements about these
+        states does not depend on the equation; with the logarithm, sums that vary little with the states would be
+        preferred (errors in variables, functional case: Fuller 1987, section 2.3). The number of fitted coefficients is
+        subtracted from the degrees of freedom.
         """
         from scipy import special
 
@@ -431,10 +436,10 @@ WindowRows = TypeVar("WindowRows", bound=WeakRows)
 
 
 def windows_of(
-    kind: type[WindowRows], measured: Measured, target: int, first: Ints, weights: tuple[FloatArray, FloatArray],
+    kind: type[WindowRows], measured: MeasuredRows, target: int, first: Ints, weights: tuple[FloatArray, FloatArray],
     share: float, *more: object,
 ) -> WindowRows:  # fmt: skip
-    """Return the windows with these weights of rows, see `WeakRows`, and their left sides."""
+    """Return windows of the class `kind` with these weights of rows, see `WeakRows`, and their left sides."""
     sides = -window_integrals(first, weights[1], measured.values[target : target + 1])[0]
     return kind(measured.values, np.asarray(sides), measured, target, first, *weights, share, *more)
 
@@ -447,7 +452,7 @@ def window_integrals(first: Ints, weights: FloatArray, values: FloatArray) -> Fl
 
 
 def _powers(values: FloatArray, noise: FloatArray, highest: int) -> list[FloatArray]:
-    """Return the powers (V, R) of the true values, by exponent, as far as the expectation goes.
+    """Return unbiased estimates of the powers (V, R) of the true values, by exponent.
 
     E He_n(x + e) = x^n for Hermite polynomials of the variance of e: He_(n+1) = x He_n - n var He_(n-1).
     """
@@ -458,7 +463,7 @@ def _powers(values: FloatArray, noise: FloatArray, highest: int) -> list[FloatAr
 
 
 def _product(term: Product, powers: Sequence[FloatArray], without: int | None = None) -> FloatArray:
-    """Return the values (R,) of a product; with one factor `without`, times its exponent: the derivative."""
+    """Return the values (R,) of a product; or its derivative by the variable `without`."""
     product = np.ones(powers[0].shape[1])
     for variable, exponent in Counter(term).items():
         if variable == without:
@@ -468,7 +473,7 @@ def _product(term: Product, powers: Sequence[FloatArray], without: int | None = 
     return product
 
 
-def weak_rows(measured: Measured, target: int, half: int) -> WeakRows | None:
+def weak_rows(measured: MeasuredRows, target: int, half: int) -> WeakRows | None:
     """Return windows of ``2 half + 1`` rows by the trapezoidal rule; None where trajectories are too short for any."""
     length, step = 2 * half + 1, max(1, round(2.0 * half / SETTINGS.sparse.windows_in_width))
     first = [row for start, end in measured.ranges for row in range(start, end - length + 1, step)]
@@ -492,12 +497,12 @@ def weak_rows(measured: Measured, target: int, half: int) -> WeakRows | None:
     return windows_of(WeakRows, measured, target, rows, (bump * weights, slope * weights), share)
 
 
-def half_width(measured: Measured, smoothing: Smoothing, variables: int) -> int:
-    """Return the rows of half a window: half of the smoother's span, as far as windows suffice for the largest library.
+def half_width(measured: MeasuredRows, smoothing: Smoothing, variables: int) -> int:
+    """Return the rows of half a window: half of the smoother's span, or less if the largest library needs more windows.
 
-    In longer windows, errors of terms that nearly depend on each other are larger compared with their differences; in
-    shorter ones errors of the trapezoidal rule, of which the noise should be ten times as large: errors of the left
-    side fall as h^-(p + 1) with the width h (p: `_SMOOTHNESS`), errors by noise as h^-1.5.
+    In longer windows, nearly dependent terms have larger errors relative to their differences. In shorter windows,
+    errors of the trapezoidal rule are larger; the errors due to noise should be ten times as large as these. Errors of
+    the left side decrease as h^-(p + 1) with the width h (p: `_SMOOTHNESS`), errors due to noise as h^-1.5.
     """
     terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
     most = int(len(measured.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(measured.ranges) + 1))

@@ -1,4 +1,4 @@
-"""Making the kernels of sparse regression ready before they are needed: compiled once per machine, else loaded."""
+"""Warm-up of the kernels of sparse regression: they are compiled once per machine, else loaded from the cache."""
 
 import os
 

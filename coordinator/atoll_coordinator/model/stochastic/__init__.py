@@ -1,11 +1,11 @@
 """The law of a stochastic process, dx = f dt + g dW, from candidates of the search: drift f and diffusion B = g g'.
 
-- `likelihood`: of all steps, also with errors of measurement; constants fitted, their information
-- `regression`: candidates for one equation, the others as they are
-- `process_choice`: equations exchanged one after another, the shortest description
-- `path_ensembles`: ensembles and the stationary density, compared with the measurements
-- `checks`: quantity, limit and clause of each check of an equation, by the whitened steps
-- `conclusion`: equations as they are shown, the reported model
+- `likelihood`: the likelihood of all steps, also with measurement errors; fits constants
+- `candidate_regression`: candidates for one equation, given the other equations
+- `process_choice`: `ProcessChoice.choose` decides the law: the equations with the shortest description
+- `path_ensembles`: ensembles of paths and the stationary density, for comparison with the measurements
+- `checks`: quantity, limit and clause of each check of an equation, from the whitened steps
+- `conclusion`: `summarize_process` prepares the shown equations and the reported model
 
 `pipeline` calls `process_choice` and `conclusion`. The moments of a step and the paths of a process are in
 `atoll_coordinator.stochastic`. The reasons and figures: ADR 0044.

@@ -1,12 +1,19 @@
-"""Candidates for one equation of a process, by weighted regression on bins of steps. Pure.
+"""Candidates for one equation of a process, by weighted regression on bins of steps. Pure without a deadline.
 
-A step is linear in the drift, and the product of residuals in the diffusion, apart from the higher terms of the moments
-of a step, which come from the model so far:
+`CandidateFinder.find` decides which candidates are fitted by the likelihood later. A step is linear in the drift, and a
+product of residuals is linear in the diffusion, except for higher terms of the moments of a step. These terms are
+computed from the present model and subtracted:
 
     drift       (increment - (mean - h f)) / h              variance B_ii / h
     diffusion   (r_i r_j - (covariance_ij - h B_ij)) / h    variance in proportion to B_ii B_jj
 
-so that, equation by equation, regression maximises the likelihood. Letters: V variables, N steps, M bins.
+So regression for one equation maximises its likelihood. `CandidateFinder.find` shortens sums of products and programs
+of the search (`regression.shortening`), and returns the shortest descriptions.
+
+Doubtful: bins average over the states, so that candidates with fine structure are fitted poorly here. The weights
+assume noise rates that are estimated from high differences of the data.
+
+Letters: S states, V variables, N steps, M bins.
 """
 
 import math
@@ -47,7 +54,7 @@ class CandidateFinder:
     """Finds candidates for the equations of one process.
 
     `names` are the symbols of variables and `variables` the names of equations; `config` says which operators and
-    variables are allowed. After the `deadline` nothing new is tried.
+    variables are allowed. After the `deadline` no new program is tried.
     """
 
     steps: Steps
@@ -68,13 +75,13 @@ class CandidateFinder:
         *,
         tries_neighbours: bool,
     ) -> list[Program]:
-        """Return the most promising programs for one equation, factors of one as constants, the best first.
+        """Return the best programs for one equation, with factors of one as constants, the best first.
 
         Args:
             number: number of the equation in `model`.
             model: the other equations, by which the higher terms of moments are computed.
-            begun: programs of the search.
-            looks_around: whether neighbours of the best programs are tried as well.
+            starts: programs of the search, or of the previous round.
+            tries_neighbours: whether neighbours of the best programs are tried as well.
         """
         problem, weights = _make_problem(number, model, self.steps, self._noise_rates, self.names)
         space = self.config.space
@@ -87,7 +94,7 @@ class CandidateFinder:
         shortening = make_target_shortening(least_squares, criterion, operators, columns, self.deadline)
 
         def length(measured: MeasuredProgram) -> float:
-            """Return the description length by the likelihood, apart from the misfit."""
+            """Return the description length by the prices for the likelihood of steps."""
             return system_length(measured.misfit, [measured.program], len(constant_places(measured.program)), nats)
 
         found = [
@@ -102,7 +109,7 @@ class CandidateFinder:
         return [*islice(possible, 2 * SETTINGS.effort.beam // 3)]
 
     def _is_possible(self, program: Program, *, is_variance: bool) -> bool:
-        """Tell whether a program is finite wherever steps begin, and not negative there if it is a variance."""
+        """Tell whether a program is finite at the start of all steps, and not negative there if it is a variance."""
         values = values_of(program, self.steps.points)
         return bool(np.isfinite(values).all()) and not (is_variance and bool((values < 0.0).any()))
 
@@ -110,9 +117,10 @@ class CandidateFinder:
 def _make_problem(
     number: int, model: ProcessModel, steps: Steps, rates: FloatArray, names: tuple[str, ...]
 ) -> tuple[Problem, FloatArray]:
-    """Return the problem of one equation over bins, and the weights of these; `rates` are of the noise (S, N).
+    """Return the regression problem of one equation over bins, and the weights of the bins.
 
-    Steps begin where the one before them does if there is noise.
+    `rates` (S, N) are the noise rates. With measurement noise, each step gets the state one row earlier as its
+    variables, so that their errors are independent of the step.
     """
     states, lengths, points = len(model.drift), steps.lengths, steps.points
     moments = model.moments(points, lengths)
@@ -132,9 +140,9 @@ def _make_problem(
 
 
 def estimate_noise_rates(steps: Steps) -> FloatArray:
-    """Return about how fast noise adds to the variance of each state at each step (S, N): means of squares in bins.
+    """Return the estimated growth rate (S, N) of the variance of each state by noise: mean squares in bins.
 
-    High differences have no drift in them. Weights come from these rather than from the model so far, since the first
+    High differences remove the drift. Weights are based on these rates and not on the present model, since the first
     model has constant noise.
     """
     means = np.zeros_like(steps.increments)
@@ -160,11 +168,11 @@ def _bin_steps(
 
 
 def _fit_sparse_sums(problem: Problem, weights: FloatArray, columns: Sequence[int]) -> list[Program]:
-    """Return the best sums of products on the way from each library of them to nothing, by Schwarz's criterion."""
+    """Return the best sums of products by Schwarz's criterion: terms are removed one by one from each library."""
     rows, roots = Rows(problem.inputs, problem.target.values), np.sqrt(weights)
     sums: list[Sum] = []
     for terms, _ in product_libraries(columns, len(roots), range(1, SETTINGS.sparse.degree + 1)):
         regression = Regression(rows, product_atoms(rows.inputs, terms))
-        sums += regression.on_the_way(range(len(terms)), roots)
+        sums += regression.elimination_path(range(len(terms)), roots)
     sums.sort(key=lambda fit: fit.nats)
     return [fit.sum_of_products() for fit in sums[: SETTINGS.effort.beam // 2]]

@@ -1,8 +1,13 @@
-"""The checks of the equations of a process, by the whitened steps: quantities, limits, clauses. Pure.
+"""The checks of the equations of a process, from the whitened steps: quantities, limits, clauses. Pure.
 
-For the right law the whitened steps are independent, normal and of variance one in every state. Each is tested:
-neighbours (Ljung & Box 1978), means and squares in bins of the states (chi-square), the fourth moment, products with
-other states, and squares of states that have no noise of their own. Letters: S states, N steps.
+For the right law the whitened steps are independent and normal, with variance one, in every state. `ProcessChecks`
+tests this: correlations of neighbouring steps (Ljung & Box 1978), means and squares in bins of the states (chi-square),
+the fourth moment, products with the steps of other states, and the size of steps of states without noise of their own.
+
+Doubtful: bins are wide, so fine structure of a drift is not tested. The checks of a variance assume normal noise; jumps
+fail them even if the drift is right.
+
+Letters: S states, N steps.
 """
 
 import math
@@ -26,12 +31,12 @@ _UNTESTED: Final = Finding("not applicable", "no steps test this equation in thi
 
 
 class ProcessSteps:
-    """The whitened `residuals` (S, N) of the steps of a `model`, which is tested by them.
+    """The whitened `residuals` (S, N) of the steps of a `model`, for its tests.
 
-    `has_noise` tells whether a state has noise that counts: with less, the process counts as deterministic. The output
-    of a numerical method, or a table that repeats after a few rows, follows a law exactly, and there is no noise to
-    test it. States that are `noiseless_states` have no noise of their own; the steps of a state that is `exact_states`
-    follow its equation up to rounding.
+    `has_noise`: whether at least one state has noise that counts; otherwise the process is deterministic. The output of
+    a numerical method, or a table that repeats after a few rows, follows a law exactly, and no noise is left for tests.
+    `noiseless_states` are the states without noise of their own. The steps of the states `exact_states` follow their
+    equation up to rounding.
     """
 
     def __init__(self, chosen: ChosenProcess, model: ProcessModel) -> None:
@@ -50,21 +55,21 @@ class ProcessSteps:
 
     @cached_property
     def bins(self) -> Sequence[Rows]:
-        """Bins of steps that begin in neighbouring states."""
+        """Bins of steps that start in neighbouring states."""
         return split_into_bins(self.chosen.likelihood.steps.points, SETTINGS.effort.kept)
 
     def pattern_probability(self, values: FloatArray) -> float:
-        """Return the probability of means in bins as large as the means of `values` (N,) if all have mean zero."""
+        """Return the probability of means in bins as large as for `values` (N,), if their expected value is zero."""
         from scipy import special
 
         variance = float(np.var(values))
         if not variance > 0.0:
-            return 1.0  # all equal, as residuals of exact steps: there is no pattern, regardless of the mean
+            return 1.0  # all values are equal, like residuals of exact steps: no pattern, for any mean
         squares = [len(rows) * float(np.mean(values[rows])) ** 2 / variance for rows in self.bins if len(rows)]
         return float(special.chdtrc(len(squares), math.fsum(squares)))
 
     def serial_probability(self, state: int) -> float:
-        """Return the probability of neighbouring steps as correlated as the steps of a state if all are independent."""
+        """Return the probability of a correlation of neighbours as large as for this state, for independent steps."""
         follows = self.chosen.likelihood.steps.follows
         pieces = np.split(self.residuals[state], np.flatnonzero(~follows)[1:])
         pattern_probability = residual_statistics(pieces, 1.0).pattern_probability
@@ -87,7 +92,7 @@ class ProcessChecks(EquationChecks):
         self._is_zero = number >= states and is_zero(shown.program)
         i, j = self._pair
         if self._is_zero and i == j:
-            self._drift = i  # the steps of a state without noise of its own test its drift and its variance alike
+            self._drift = i  # without noise of its own, the steps of the state test both drift and variance
         if self._drift in steps.exact_states or not steps.has_noise:
             self._drift = None
         is_component = number >= states and not self._is_zero
@@ -129,7 +134,7 @@ class ProcessChecks(EquationChecks):
         return _judge_probability(probability, fault, "steps are independent of the steps before them")
 
     def check_size_of_steps(self) -> Finding:
-        """Check that the steps have variance one also if no diffusion of the state's own was fitted to them."""
+        """Check that whitened steps of a state without noise of its own have variance one."""
         if self._drift is None or self._drift not in self._steps.noiseless_states:
             return _UNTESTED
         squares = self._steps.residuals[self._drift] ** 2
@@ -153,7 +158,7 @@ class ProcessChecks(EquationChecks):
         )
 
     def check_pattern_of_squared_steps(self) -> Finding:
-        """Check that products of the steps of both states have the mean of the noise in all bins of the states."""
+        """Check that products of the steps of both states have the expected mean in all bins of the states."""
         if self._drift is not None or self._is_untested:
             return _UNTESTED
         i, j = self._pair
@@ -175,13 +180,13 @@ class ProcessChecks(EquationChecks):
         return _judge_probability(probability, fault, "the steps are normally distributed")
 
     def check_constants(self) -> Finding | None:
-        """Check that the data determine all constants; a single one may be zero."""
+        """Check that the data determine all constants, if there are several; a single constant may be zero."""
         if self._is_untested or len(self.shown.constants) < 2:
             return Finding("not applicable", "it has one constant at most")
         return super().check_constants()
 
     def check_alternative_equations(self) -> Finding | None:
-        """Check that no other equation, which does not contain this one, describes the steps about as well."""
+        """Check that no alternative describes the steps about as well; one that contains this equation is ignored."""
         if self._is_untested or self._is_zero:
             return _UNTESTED
         limit, points = SETTINGS.inference.distinct_nats, self._steps.chosen.likelihood.steps.points
@@ -195,7 +200,7 @@ class ProcessChecks(EquationChecks):
 
 
 def _judge_probability(probability: float, fault: str, merit: str, tests: int = 1) -> Finding:
-    """Return the outcome of a check by the least probability of some `tests` (Bonferroni)."""
+    """Return the finding of a check by the smallest probability of several `tests` (Bonferroni)."""
     limit = SETTINGS.inference.improbable / tests
     return (
         Finding("failed", fault, probability, limit)
@@ -205,7 +210,7 @@ def _judge_probability(probability: float, fault: str, merit: str, tests: int = 
 
 
 def mean_probability(values: FloatArray) -> float:
-    """Return the probability of a mean as far from zero as the mean of independent `values` (N,) if theirs is zero."""
+    """Return the probability of a mean as far from zero as for `values` (N,), if their expected value is zero."""
     from scipy import special
 
     error = float(values.std()) / math.sqrt(len(values))

@@ -1,4 +1,11 @@
-"""From the chosen law of a process to the reported model: constants with errors, alternatives, verdicts, ensembles."""
+"""From the chosen law of a process to the reported model: constants with errors, alternatives, verdicts, ensembles.
+
+`show_process` fixes the equations as they are shown: constants become simple numbers where the steps support them, and
+factors of one are written where the steps refute one. `summarize_process` then lists alternatives, grades each equation
+(`checks`), and simulates ensembles of paths.
+
+Doubtful: errors of the constants come from Fisher's information and are conditional on the chosen structure.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,7 +28,7 @@ from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.errors import measure_errors
-from atoll_coordinator.model.selection.candidates import CandidateSet, form
+from atoll_coordinator.model.selection.candidates import CandidateSet, form_key
 from atoll_coordinator.model.stochastic.checks import ProcessChecks, ProcessSteps
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.path_ensembles import simulate_ensemble, simulate_stationary_density
@@ -38,8 +45,8 @@ from atoll_core.expression.unit_coefficients import ExplicitCoefficients, make_c
 class ShownProcess:
     """The equations of a process as they are shown, with the estimates of their constants (`known`).
 
-    `fitted` is the fit of `explicit`, all constants free, whose parameters have these `errors`; those that are not
-    constants are the logarithms of standard errors of noise.
+    `fitted` is the fit of `explicit` with all constants free, and `errors` are the errors of its parameters: constants
+    first, then the logarithms of the standard deviations of the measurement noise.
     """
 
     rounded: RoundedEquations
@@ -57,7 +64,7 @@ class ShownProcess:
 def summarize_process(
     chosen: ChosenProcess, dataset: Dataset, config: JobConfig, candidates: Mapping[str, CandidateSet]
 ) -> Refinement:
-    """Return the refinement that the chosen law gives."""
+    """Return the refinement for the chosen law."""
     shown = show_process(chosen)
     steps, refined = ProcessSteps(chosen, shown.fitted.model), {}
     for number in chosen.sought:
@@ -81,9 +88,10 @@ def summarize_process(
 
 
 def show_process(chosen: ChosenProcess) -> ShownProcess:
-    """Return the equations as they are shown: constants simple where the steps single them out, others rounded.
+    """Return the equations as they are shown: constants become simple numbers if the steps support them, or are
+    rounded.
 
-    Factors of one are written where their intervals do not hold one.
+    Factors of one are written as constants if their 95 % intervals do not contain one.
     """
     likelihood, given = chosen.likelihood, _fixed_equations(chosen)
 
@@ -106,17 +114,17 @@ def show_process(chosen: ChosenProcess) -> ShownProcess:
     as_shown = likelihood.fit(chosen.fitted.model.with_programs(programs), chosen.free)
     rounded = _attach_estimates(chosen, as_shown).round_constants()
     known = describe_constants(given, explicit, rounded.programs, errors)
-    known = [one.with_simple(simple) for one, simple in zip(known, rounded.simple, strict=True)]
+    known = [one.with_simple_numbers(simple) for one, simple in zip(known, rounded.simple, strict=True)]
     return ShownProcess(rounded, known, explicit, fitted, errors)
 
 
 def _fixed_equations(chosen: ChosenProcess) -> list[int]:
-    """Return the equations, by number, whose constants are not fitted."""
+    """Return the indices of the equations whose constants are not fitted."""
     return [number for number in range(len(chosen.variables)) if number not in chosen.free]
 
 
 def _attach_estimates(chosen: ChosenProcess, fitted: FittedProcess) -> FittedEquations:
-    """Return the equations of a fit with the estimates of their constants, for rounding."""
+    """Return the equations of a fit with the estimates of their constants, ready for rounding."""
     errors, given = chosen.likelihood.estimate_errors(fitted, chosen.free), _fixed_equations(chosen)
     count = sum(len(constant_places(fitted.model.programs[number])) for number in chosen.free)
     estimates = Estimates(errors.values[:count], errors.finite_covariance[:count, :count])
@@ -139,15 +147,15 @@ def _describe_alternatives(
 
 
 def _find_origin(program: Program, candidates: CandidateSet) -> Origin:
-    """Return the source of an equation, regardless of its constants and factors."""
+    """Return the source of an equation: the candidates with the same form, for any constants and factors of one."""
     sources: dict[Origin, Sequence[Program]] = {
         "front": [member.program for member in candidates.front],
         "runner-up": candidates.runners_up,
         "guess": candidates.guesses,
     }
-    key = form(make_coefficients_explicit(program).program)
+    key = form_key(make_coefficients_explicit(program).program)
     for origin, programs in sources.items():
-        if any(form(make_coefficients_explicit(candidate).program) == key for candidate in programs):
+        if any(form_key(make_coefficients_explicit(candidate).program) == key for candidate in programs):
             return origin
     return "descent"
 

@@ -1,15 +1,25 @@
 """The likelihood of a sampled process, and the fit of its constants: independent Gaussian steps, or a Kalman smoother.
 
-Without errors of measurement, steps are independent given where they begin (`moments`). With errors e of variance Q
-the residual of a step from y = x + e is, to first order in the errors, r_k = w_k + e_k+1 - A_k e_k, with the Jacobian
-A_k of a step: all steps together are normal with a covariance that is block tridiagonal,
+`ProcessLikelihood.whiten` computes residuals of steps that are independent and have variance one for the right law; the
+likelihood, the fit (`fit`, damped Fisher scoring) and the checks use them.
+
+Without measurement errors, steps are independent given their initial states (`moments`). With measurement errors e of
+variance Q, a step is measured from y = x + e. To first order in the errors, its residual is r_k = w_k + e_k+1 - A_k
+e_k, with the noise w_k of covariance V_k and the Jacobian A_k of the step. All residuals are jointly normal with a
+block tridiagonal covariance,
 
     cov(r_k) = V_k + Q + A_k Q A_k',    cov(r_k, r_k+1) = - Q A_k+1'
 
-which is the likelihood of the extended Kalman filter, linearised about smoothed states (Särkkä 2013, section 9.1). Its
-factor L of Cholesky is banded. Whitened residuals z = L^-1 r and logarithms l of the diagonal of L give minus the
-log-likelihood as sum(z^2)/2 + sum(l), and the information of a constant pair as the sum of products of the derivatives
-of z and of l: for the covariance part, E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2. Letters: S states, N steps, K constants.
+This is the likelihood of the extended Kalman filter, linearised about smoothed states (Särkkä 2013, section 9.1). The
+Cholesky factor L of the covariance is banded. With the whitened residuals z = L^-1 r and the logarithms l of the
+diagonal of L, minus the log-likelihood is sum(z^2)/2 + sum(l). The information of two constants is the sum of products
+of the derivatives of z and of l by them; for the covariance part, E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2.
+
+Doubtful: steps are Gaussian only if they are short against the time in which drift and diffusion change. The
+linearisation about smoothed states needs measurement errors that are small on this scale. Derivatives are central
+differences.
+
+Letters: S states, N steps, K constants.
 """
 
 import math
@@ -30,14 +40,14 @@ from atoll_core.expression.program import Program, constant_places, with_constan
 from atoll_core.expression.restrictions import NONE, Restrictions
 
 _RELATIVE_DIFFERENCE = 1e-5
-"""Share of a constant by which it is moved to find derivatives: central differences err by its square."""
+"""Relative change of a constant for central differences; their relative error is about its square."""
 
 
 @dataclass(frozen=True, eq=False)
 class ProcessModel:
     """A process: programs of the `drift` (S) and of the components of the diffusion, in the order of their `pairs`.
 
-    `noise` has the variance of the errors of measurement of each state (S); `discretisation` is how a step is computed.
+    `noise` has the variance of the measurement errors of each state (S); `discretisation` is how a step is computed.
     """
 
     drift: tuple[Program, ...]
@@ -52,11 +62,11 @@ class ProcessModel:
         return (*self.drift, *self.diffusion)
 
     def with_program(self, number: int, program: Program) -> "ProcessModel":
-        """Return the model with another equation in one place."""
+        """Return the model with equation `number` replaced."""
         return self.with_programs([*self.programs[:number], program, *self.programs[number + 1 :]])
 
     def with_programs(self, programs: Sequence[Program]) -> "ProcessModel":
-        """Return the model with other equations."""
+        """Return the model with all equations replaced."""
         return replace(self, drift=tuple(programs[: len(self.drift)]), diffusion=tuple(programs[len(self.drift) :]))
 
     def moments(self, points: FloatArray, lengths: FloatArray) -> StepMoments:
@@ -65,7 +75,7 @@ class ProcessModel:
         return step_moments(self.drift, diffusion, points, lengths, self.discretisation)
 
     def parameters(self, free: Sequence[int]) -> FloatArray:
-        """Return the constants of the equations `free`, by number, and the logarithms of standard errors of noise."""
+        """Return the constants of the equations `free`, by index, then the log standard deviations of noise."""
         constants = [program.constants[constant_places(program)] for program in (self.programs[k] for k in free)]
         return np.concatenate([*constants, [0.5 * math.log(variance) for variance in self.noise if variance > 0.0]])
 
@@ -82,7 +92,7 @@ class ProcessModel:
 
 @dataclass(frozen=True, eq=False)
 class WhitenedSteps:
-    """Residuals of steps in standard errors, independent (S, N), and the logarithms of these errors (S, N)."""
+    """Independent residuals (S, N) of steps in units of their standard errors, and the logs (S, N) of these errors."""
 
     residuals: FloatArray
     logarithms: FloatArray
@@ -114,14 +124,15 @@ class FittedProcess:
 
     @cached_property
     def information(self) -> FloatArray:
-        """The information (K, K). It takes two likelihoods for each parameter, and most fits are only compared."""
+        """The information matrix (K, K), computed on demand: it needs two likelihoods for each parameter."""
         return self.compute_information()
 
 
 class ProcessLikelihood:
-    """The likelihood of one process's steps; `smoothed` says where they are linearised if there is noise.
+    """The likelihood of the steps of one process.
 
-    Constants that are fitted keep to the bounds of the `restrictions` of their equations, by number.
+    With measurement noise, steps are linearised about the states `smoothed` (S, N). Fitted constants obey the bounds in
+    the `restrictions` of their equations.
     """
 
     def __init__(
@@ -131,10 +142,10 @@ class ProcessLikelihood:
         self._points = steps.points if smoothed is None else np.concatenate([smoothed, steps.points[len(smoothed) :]])
 
     def log_likelihood_per_step(self, misfit: float) -> float:
-        """Return the mean log-likelihood of a step in nats, by its density in the units of the states.
+        """Return the mean log-likelihood of a step in nats, as a density in the units of the states.
 
         Args:
-            misfit: of all steps, as in `WhitenedSteps` and `fit`.
+            misfit: the misfit of all steps, as in `WhitenedSteps` and `fit`.
         """
         states, count = len(self.steps.increments), len(self.steps.lengths)
         return -misfit / count - 0.5 * states * math.log(2.0 * math.pi)
@@ -152,7 +163,7 @@ class ProcessLikelihood:
     def _with_least_variances(self, covariance: FloatArray) -> FloatArray:
         """Return covariances (S, S, N) with variances of at least the smallest noise that counts.
 
-        By the method of Euler and Maruyama a state without noise of its own has no variance: its residuals are rounding
+        In the Euler-Maruyama method a state without noise of its own has variance zero, and its residuals are rounding
         errors.
         """
         for state, least in enumerate(self.steps.least_variances.tolist()):
@@ -160,9 +171,9 @@ class ProcessLikelihood:
         return covariance
 
     def smooth_states(self, model: ProcessModel) -> FloatArray:
-        """Return the states (S, N) where steps begin, without the errors of measurement as far as these are known.
+        """Return smoothed initial states (S, N) of the steps: measured states minus estimated measurement errors.
 
-        With a model whose covariance is not positive they stay as they are.
+        The states are not changed if the covariance of the residuals is not positive definite.
         """
         from scipy import linalg
 
@@ -181,7 +192,7 @@ class ProcessLikelihood:
         return np.asarray(self.steps.points[:states] - np.array(model.noise)[:, None] * errors)
 
     def _residuals_and_bands(self, model: ProcessModel, moments: StepMoments) -> tuple[FloatArray, FloatArray]:
-        """Return residuals (S, N) and their covariance, as the lower bands of a matrix of S N rows."""
+        """Return the residuals (S, N), and the lower bands (2 S, S N) of their covariance matrix."""
         states, count = moments.mean.shape
         noise, jacobian = np.array(model.noise), moments.jacobian
         away = self.steps.points[:states] - self._points[:states]
@@ -208,19 +219,19 @@ class ProcessLikelihood:
     ) -> FittedProcess:
         """Return `model` with the constants of the equations `free` and its noise fitted by damped Fisher scoring.
 
-        The fit ends where a step promises or gains less than `settled`, in nats, and where the misfit will not come
-        below `limit`.
+        The fit ends when a step promises or gains less than `settled` nats, or when the next step does not promise a
+        misfit below `limit`.
         """
         return minimize(_LikelihoodFit(self, model, free, settled, limit))
 
     def estimate_errors(self, fitted: FittedProcess, free: Sequence[int]) -> ConstantErrors:
-        """Return the errors of the parameters of a fit, whose equations `free` have fitted constants."""
+        """Return the errors of the parameters of a fit; the equations `free` (indices) have fitted constants."""
         values = fitted.model.parameters(free)
         freedom, ranges = len(self.steps.lengths) - len(values), self.ranges(fitted.model, free)
         return ConstantErrors.from_fit(values, fitted.information, freedom, bounds=ranges)
 
     def ranges(self, model: ProcessModel, free: Sequence[int]) -> FloatArray:
-        """Return the least and the largest values (2, K) that parameters may have."""
+        """Return the smallest and largest allowed values (2, K) of the parameters."""
         restrictions = self._restrictions or [NONE] * len(model.programs)
         ranges = [restrictions[number].ranges(model.programs[number]) for number in free]
         noise = np.repeat([[-np.inf], [np.inf]], np.count_nonzero(model.noise), axis=1)
@@ -243,7 +254,7 @@ class ProcessLikelihood:
 
 
 class _LikelihoodFit(Fitter[_Point, FloatArray, FittedProcess]):
-    """The fit of one model to the steps of a process, by Fisher's information; its cost is the misfit in nats."""
+    """The fit of one model to the steps of a process, by Fisher scoring; the cost is the misfit in nats."""
 
     def __init__(
         self, likelihood: ProcessLikelihood, model: ProcessModel, free: Sequence[int], settled: float, limit: float
@@ -265,7 +276,7 @@ class _LikelihoodFit(Fitter[_Point, FloatArray, FittedProcess]):
         moved = _Point(model, point.values + step, self._likelihood.whiten(model))
         return moved, point.whitened.misfit - moved.whitened.misfit
 
-    def settled(self, point: _Point) -> float:
+    def least_gain(self, point: _Point) -> float:
         return self._settled
 
     def done(self, point: _Point, promise: float, taken: int) -> bool:

@@ -1,4 +1,11 @@
-"""Ensembles of paths of a fitted process, and their stationary density next to the measured one."""
+"""Ensembles of paths of a fitted process, and its stationary density compared with the measured density.
+
+`simulate_ensemble` starts all paths in the first measured state; `simulate_stationary_density` starts them in measured
+states and simulates until the density no longer changes.
+
+Doubtful: one ensemble, from one initial state, does not test the law; it is a picture for the reader. Densities agree
+also for a wrong law with the same stationary density.
+"""
 
 from typing import Final
 
@@ -12,15 +19,15 @@ from atoll_coordinator.stochastic.paths import PATHS, Ensemble, Simulator, densi
 from atoll_core.data.dataset import FloatArray
 
 _STEPS: Final = 500
-"""Steps that an ensemble is simulated for, at most."""
+"""Most steps of a simulated ensemble."""
 _MOST_POINTS: Final = 101
-"""Times at which an ensemble is listed."""
+"""Most times at which an ensemble is listed."""
 
 
 def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> PathEnsemble | None:
     """Return an ensemble from the initial state of the first trajectory, at its times and with its inputs.
 
-    None if very few paths have finite states to the end. Times are those of the user's file.
+    None if fewer than half of the paths stay finite to the end. Times are the times in the user's file.
     """
     path = next(path for path in process.paths if not path.held_out)
     rows = min(len(path.times), _STEPS + 1)
@@ -50,9 +57,10 @@ def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> PathEn
 def simulate_stationary_density(
     simulator: Simulator, process: ProcessRecording, steps: Steps
 ) -> dict[str, Density] | None:
-    """Return the density that paths from measured states settle into and the measured one, by state.
+    """Return the stationary density of paths from measured states, and the measured density, by state.
 
-    None when they do not settle, or there are inputs. `overlap` is the integral of the lesser of both densities.
+    None if the paths do not become stationary, or if there are inputs. `overlap` is the integral of the smaller of both
+    densities.
     """
     if process.inputs:
         return None

@@ -1,13 +1,18 @@
-"""Which equations together are the law of a process: one is exchanged at a time, the shortest description wins.
+"""Chooses the equations that together are the law of a process: the law with the shortest description.
 
-The description length is the one of systems along trajectories (`criteria.system_length`): minus the log-likelihood of
-all steps, the prices of the programs, and half the logarithm of the number of steps for each constant. Candidates come
-from regression by the present model, and are fitted by the likelihood, the other equations as they are; then all are
-fitted together, and so on until none is exchanged. A covariance of two noises may be zero, and so may a variance: such
-a state follows others without noise of its own, and its equation is an ordinary one.
+The description length is the same as for systems along trajectories (`description_length.system_length`): minus the
+log-likelihood of all steps, the prices of the programs, and half the logarithm of the number of steps for each
+constant. `ProcessChoice.choose` starts with Brownian motion and exchanges one equation at a time: candidates come from
+regression given the present model (`candidate_regression`) and are fitted by the likelihood, while the other equations
+stay fixed. Then all equations are fitted together. This is repeated until no equation is exchanged. A covariance of two
+noises may become zero, and so may a variance: the state then has no noise of its own, and its equation is an ordinary
+differential equation.
 
-At the end equations are fitted to the rows as steps of Euler and Maruyama's method, by which many tables were computed,
-and stand where that is the shorter description.
+At the end, the equations are also fitted to the rows as steps of the Euler-Maruyama method, by which many tables were
+computed. This discretisation is chosen if its description is shorter by a clear margin.
+
+Doubtful: exchanging one equation at a time can end in a local optimum, above all for drift and diffusion of the same
+state. The first candidates depend on the poor model at the start.
 """
 
 import math
@@ -34,18 +39,18 @@ from atoll_core.expression.restrictions import Restrictions, restrictions_of
 from atoll_core.expression.writing.expansion import form_of
 
 _LINEARISATIONS: Final = 2
-"""Number of linearisations of a process about states that it has smoothed itself; after these its constants move by
-less than a hundredth of their standard errors."""
+"""Number of linearisations of a process about the states that it smooths. After two, its constants change by less than
+1/100 of their standard errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class ChosenProcess:
-    """The law of a process: `fitted`, all constants free except in known equations.
+    """The law of a process: `fitted`, with all constants free except in known equations.
 
-    `variables` are the names of the equations in their order; `sought` are the numbers of the equations that were
-    sought, `free` the numbers of equations with constants to fit: a covariance of noises may be zero. Each equation has
-    its alternatives (`alternatives`) and keeps to its `restrictions`. With the other discretisation the description is
-    longer by `discretisation_nats`. The choice `is_stopped` if the time limit ended it.
+    `variables` are the names of the equations, in their order. `sought` are the indices of equations that are not
+    known. `free` are the indices of equations with constants to fit; a component of the diffusion that is zero has
+    none. Each equation has `alternatives` and obeys its `restrictions`. The description is longer by
+    `discretisation_nats` with the other discretisation. `is_stopped`: the time limit ended the choice.
     """
 
     process: ProcessRecording
@@ -82,30 +87,30 @@ class ProcessChoice:
     def choose(self) -> ChosenProcess:
         """Return the law of the process."""
         fitted = self._exchange_until_settled(self._brownian_motion(), tries_neighbours=True)
-        fitted, apart = (fitted, 0.0) if any(fitted.model.noise) else self._choose_discretisation(fitted)
+        fitted, difference = (fitted, 0.0) if any(fitted.model.noise) else self._choose_discretisation(fitted)
         alternatives = tuple(map(_best_of_each_form, self._alternatives))
         free = self._free_equations(fitted.model)
         return ChosenProcess(
             self._process, self._variables, self._sought, free, self._likelihood, fitted, alternatives,
-            self._restrictions, apart, self._deadline.has_cut_short,
+            self._restrictions, difference, self._deadline.has_cut_short,
         )  # fmt: skip
 
     def _choose_discretisation(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:
         """Return the law by the discretisation with the shorter description, and by how many nats it is shorter.
 
-        One discretisation may need a term of the diffusion that the other does not need: equations are exchanged for
-        both unless the likelihood of the same equations has decided.
+        One discretisation may need a term of the diffusion that the other does not need. So equations are exchanged for
+        both, unless the likelihood of the same equations already decides.
         """
         stepped = self._fit_as_euler_maruyama(fitted.model)
         if stepped.misfit - fitted.misfit > SETTINGS.inference.distinct_nats:
             return fitted, stepped.misfit - fitted.misfit
         alternatives = [*self._alternatives]
         stepped = self._exchange_until_settled(stepped.model, tries_neighbours=False)
-        apart = self._total_length(fitted) - self._total_length(stepped)
-        if apart > SETTINGS.inference.distinct_nats:
-            return stepped, apart
+        difference = self._total_length(fitted) - self._total_length(stepped)
+        if difference > SETTINGS.inference.distinct_nats:
+            return stepped, difference
         self._alternatives = alternatives
-        return fitted, max(-apart, 0.0)
+        return fitted, max(-difference, 0.0)
 
     def _total_length(self, fitted: FittedProcess) -> float:
         """Return the description length of the steps and of all equations that were sought."""
@@ -116,7 +121,7 @@ class ProcessChoice:
         return system_length(fitted.misfit, programs, constants, constant_nats_of(len(self._steps.lengths)))
 
     def _exchange_until_settled(self, model: ProcessModel, *, tries_neighbours: bool) -> FittedProcess:
-        """Return the model with its equations exchanged until none is; neighbours of the best are tried at first."""
+        """Return the model after exchanging equations until none improves it; only round 1 tries neighbours."""
         length = math.inf
         for number_of_round in range(SETTINGS.effort.brief_steps):
             before = length
@@ -131,10 +136,10 @@ class ProcessChoice:
         return fitted
 
     def _fit_as_euler_maruyama(self, model: ProcessModel) -> FittedProcess:
-        """Return the same equations, fitted to rows as steps of Euler and Maruyama's method.
+        """Return the same equations, fitted to rows as steps of the Euler-Maruyama method.
 
-        By this method a state without noise of its own is moved by the drift alone, regardless of its variance in the
-        model.
+        In this method the drift alone moves a state without noise of its own. So a variance becomes zero if the misfit
+        is then smaller.
         """
         model = replace(model, discretisation="Euler-Maruyama")
         for place, (i, j) in enumerate(model.pairs, start=len(model.drift)):
@@ -150,7 +155,7 @@ class ProcessChoice:
         return tuple(number for number in self._sought if not is_zero(model.programs[number]))
 
     def _brownian_motion(self) -> ProcessModel:
-        """Return the model of Brownian motion: no equation depends on a variable, except known ones."""
+        """Return the model of Brownian motion: constant drifts and diffusions, except for known equations."""
         time = float(self._steps.lengths.sum())
         states = len(self._process.states)
         drift = [_constant(float(increments.sum()) / time) for increments in self._steps.increments]
@@ -167,7 +172,7 @@ class ProcessChoice:
         )
 
     def _refit(self, model: ProcessModel) -> FittedProcess:
-        """Return the model with all its constants fitted; where there is noise, about states smoothed by itself."""
+        """Return the model with all its constants fitted; with measurement noise, about the states that it smooths."""
         fitted = self._likelihood.fit(model, self._free_equations(model))
         for _ in range(_LINEARISATIONS if any(model.noise) else 0):
             self._likelihood = ProcessLikelihood(
@@ -179,9 +184,9 @@ class ProcessChoice:
     def _exchange_equation(
         self, model: ProcessModel, number: int, *, tries_neighbours: bool
     ) -> tuple[ProcessModel, float]:
-        """Return the model with the best candidate for one equation, itself when no other is better, and its length.
+        """Return the model with the best candidate for one equation, and the length of its description.
 
-        The length is the one of the steps and of this equation.
+        The model is unchanged if no candidate is better. The length counts the steps and this equation.
         """
         self._alternatives[number] = []
         name = self._variables[number]
@@ -203,7 +208,7 @@ class ProcessChoice:
         return (without, length_without) if length_without < length else (model, length)
 
     def _measure(self, model: ProcessModel, number: int, program: Program, most: float) -> MeasuredProgram:
-        """Return one equation of a model fitted, all others as they are; the description is of this equation."""
+        """Return `program` fitted as one equation of a model, others fixed; the length counts this equation only."""
         restrictions = self._restrictions[number]
         admitted = restrictions.admitted(program)
         if admitted is None:
@@ -221,10 +226,10 @@ class ProcessChoice:
         return self._likelihood.fit(tried, (number,), SETTINGS.selection.least_gain, limit)
 
     def _set_component_to_zero(self, model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
-        """Return the model with one component of the diffusion zero, and its length, infinite where it may not be.
+        """Return the model with one component of the diffusion zero, and its length; infinite if it must not be zero.
 
-        With a variance, all components of its state become zero, and the drift is fitted again: where the state follows
-        states with noise, it is then uncertain by their noise alone.
+        If the component is a variance, all components of its state become zero, and the drift is fitted again. The
+        state is then uncertain only through other states with noise.
         """
         states = len(model.drift)
         i, j = model.pairs[number - states]
@@ -243,13 +248,13 @@ class ProcessChoice:
         return without, self._equation_length(misfit, without.programs[number], 0)
 
     def _may_be_zero(self, number: int) -> bool:
-        """Tell whether a component of the diffusion may be zero: it is sought, and its restrictions admit zero."""
+        """Tell whether a component of the diffusion may become zero: it is sought, and its restrictions admit zero."""
         restrictions, zero = self._restrictions[number], _constant(0.0)
         is_within = restrictions.bounds is None or is_zero(restrictions.bounds.clipped(zero))
         return number in self._sought and restrictions.are_kept(zero) and is_within
 
     def _is_covariance_without_noise(self, model: ProcessModel, number: int) -> bool:
-        """Tell whether an equation is the covariance of two noises of which one is zero."""
+        """Tell whether an equation is the covariance of two noises, and one of these noises is zero."""
         states = len(model.drift)
         if number < states:
             return False
@@ -274,7 +279,7 @@ def _constant(value: float) -> Program:
 
 
 def _best_of_each_form(alternatives: Iterable[MeasuredProgram]) -> list[MeasuredProgram]:
-    """Return the best of each form: the same equation with other constants is no alternative."""
+    """Return the best program of each form: the same equation with other constants is not an alternative."""
     best: dict[Hashable, MeasuredProgram] = {}
     for alternative in sorted(alternatives, key=lambda alternative: alternative.length):
         best.setdefault(form_of(alternative.program), alternative)

@@ -1,4 +1,4 @@
-"""Units of the constants of an equation, from the units of the columns."""
+"""Units of the constants of an equation, derived from the units of the columns."""
 
 from atoll_coordinator.dimensions import EquationUnits, units_of
 from atoll_coordinator.units import NO_UNIT, Unit, parse_unit
@@ -14,10 +14,10 @@ def equation_units(dataset: Dataset, config: JobConfig, variable: str, program: 
     """Return the findings on the units of the equation of `variable`; None if no unit is known.
 
     Args:
-        dataset: names the columns and the left-hand side.
-        config: resolved, its units by column; angles are in radians and have none.
-        variable: whose equation it is.
-        program: its right-hand side.
+        dataset: the dataset with the names of columns and left-hand sides.
+        config: the resolved configuration with units by column; angles are in radians and have no unit.
+        variable: the variable of the equation.
+        program: the right-hand side of the equation.
     """
     known = _units_of_columns(config)
     if not known:

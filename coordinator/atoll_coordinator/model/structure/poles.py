@@ -1,7 +1,8 @@
-"""Poles: where an equation has no finite value within the region that points visit.
+"""Poles: where an equation has no finite value within the region of some points.
 
-That region is sampled by the lines between points, each with another drawn once: a denominator that changes its sign
-along a line is zero somewhere on it. Where the equation stays bounded there, as sin(x)/x at 0, it has no pole.
+The region is sampled by lines between pairs of points. A denominator that changes its sign along a line is zero
+somewhere on it; bisection finds the zero. If the equation stays bounded there, as sin(x)/x at 0, it has no pole. Doubt:
+a denominator that touches zero without a change of sign is found only if one of its factors changes its sign.
 """
 
 from collections.abc import Iterator
@@ -16,23 +17,25 @@ from atoll_core.expression.program import Program
 
 _HALVINGS: Final = 50
 _NEAR: Final = (1e-4, 1e-5)
-"""Shares of a line, either side of a zero: a pole grows tenfold from the one to the other, a bounded value hardly."""
+"""Distances from a zero, as shares of a line: a pole grows tenfold from the first to the second, a bounded value
+hardly."""
 _GROWTH: Final = 10.0**0.5
 
 
 def find_poles(program: Program, points: FloatArray, ends: FloatArray | None = None) -> list[Program]:
-    """Return the parts of `program` whose zeros are its poles among `points` (V, R), each once.
+    """Return the parts of `program` whose zeros are its poles in the region of `points` (V, R), each once.
 
-    With `ends` (V, R) they are those on the lines to these, such as the next points of a trajectory.
+    With `ends` (V, R), only the lines from `points` to `ends` are sampled, for example to the next points of a
+    trajectory.
     """
     if ends is None:
         ends = points[:, np.random.default_rng(0).permutation(points.shape[1])]
-    parts = dict.fromkeys(node for place in range(len(program)) for node in _vanishing(program, place))
+    parts = dict.fromkeys(node for place in range(len(program)) for node in _singular_nodes(program, place))
     return [part for part in (_part(program, place) for place in parts) if _has_pole(program, part, points, ends)]
 
 
-def _vanishing(program: Program, place: int) -> Iterator[int]:
-    """Yield the nodes at whose zeros the node at `place` has no value."""
+def _singular_nodes(program: Program, place: int) -> Iterator[int]:
+    """Yield the nodes at whose zeros the node at `place` is not finite."""
     code = int(program.operators[place])
     left, right = int(program.left[place]), int(program.right[place])
     if code in (INVERSE, LOG):
@@ -44,7 +47,8 @@ def _vanishing(program: Program, place: int) -> Iterator[int]:
 
 
 def _factors(program: Program, place: int) -> Iterator[int]:
-    """Yield the factors of a node, of which one is zero where it is: an even power does not change its sign."""
+    """Yield the factors of a node; at a zero of the node, one factor is zero. An even power itself does not change its
+    sign."""
     code = int(program.operators[place])
     left, right = int(program.left[place]), int(program.right[place])
     if code == MULTIPLY:

@@ -47,7 +47,7 @@ class EventLog:
         self._clock = clock
         self._pending: list[EventRecord] = []
         self._refusals: set[tuple[str, str]] = set()
-        self.told: Callable[[EventKind, str | None], object] = lambda kind, job: None
+        self.on_event: Callable[[EventKind, str | None], object] = lambda kind, job: None
         """Called with kind and job of each recorded event."""
 
     def record(self, kind: EventKind, text: str, job: str | None = None, **values: Value) -> None:
@@ -56,12 +56,12 @@ class EventLog:
         level = logging.WARNING if kind in WARNINGS else logging.INFO
         _LOG.log(level, kind, extra=fields(job=job, **given, text=text))
         self._pending.append(EventRecord(job, self._clock(), kind, json.dumps({"text": text, **given})))
-        self.told(kind, job)
+        self.on_event(kind, job)
 
     def add_line(self, job: str | None, contents: Mapping[str, Any], time: str | None = None) -> None:
         """Record a line of a worker's log for a job (None: no particular job); `time` is ISO, None: now."""
         self._pending.append(EventRecord(job, time or self._clock(), "log", json.dumps(dict(contents))))
-        self.told("log", job)
+        self.on_event("log", job)
 
     def flush(self) -> None:
         """Write pending events to the store."""

@@ -90,7 +90,9 @@ class Followers:
         key = (question.job, viewer if question.job is None else None)
         topic = self._topics.get(key) or self._begin(key, now)
         if client not in topic.leases and len(self) >= MAX_FOLLOWERS:
-            raise RefusedError(f"{MAX_FOLLOWERS} programs follow jobs already; ask for the status now and then instead")
+            raise RefusedError(
+                f"{MAX_FOLLOWERS} programs follow jobs already; ask for the status instead, every few seconds"
+            )
         topic.leases[client] = now + LEASE_S
         return Following(lease_s=LEASE_S, change=self._missed(question, key, topic, now))
 

@@ -85,7 +85,7 @@ class ClientRequests:
             case messages.Submit():
                 return self._submit(client, body, submitter, viewer)
             case messages.Retry():
-                return self._submit(client, self._controller.again(body.job, body.again), submitter, viewer)
+                return self._submit(client, self._controller.submission_again(body.job, body.again), submitter, viewer)
             case messages.Cancel():
                 self._controller.cancel(body.job, now)
                 if body.job in self._controller.ending:  # the answer comes when the end is stored

@@ -94,39 +94,39 @@ class Uploads:
             if hashlib.sha256(upload.data).hexdigest() != upload.sha256:
                 raise RefusedError(f"part {upload.index + 1} of an upload was damaged in transit; send it again")
             require_fitting(upload.size, upload.index, upload.data)
-        who = self._who(upload.blob, user, session)
+        upload_id = self._id_of(upload.blob, user, session)
         if self.has(upload.blob, user, viewer, session) and self._store.has_blob(upload.blob):
             self.renew(upload.blob)
             return Uploaded(blob=upload.blob, missing=())
-        own = self._uploads.get(who)
+        own = self._uploads.get(upload_id)
         if own is not None and own.is_whole:  # it was deleted in the meantime
-            self._forget(who)
+            self._forget(upload_id)
             own = None
         if own is not None:
             own.heard = self._now()
         self._check_room(upload, own)
         if upload.data is not None:
-            own = self._take_chunk(who, own, upload, upload.data)
+            own = self._take_chunk(upload_id, own, upload, upload.data)
         count = own.count if own is not None and own.size == upload.size else 0
         return Uploaded(blob=upload.blob, missing=tuple(range(count, chunk_count(upload.size))))
 
     def _take_chunk(
-        self, who: tuple[str, str | None, str], own: _Upload | None, upload: Upload, data: bytes
+        self, upload_id: tuple[str, str | None, str], own: _Upload | None, upload: Upload, data: bytes
     ) -> _Upload | None:
         """Store a chunk if it is the next one; return the upload. Chunk 0 with another size begins a new upload."""
         if upload.index == 0 and (own is None or own.size != upload.size):
-            self._forget(who)
-            own = self._begin(who, upload)
+            self._forget(upload_id)
+            own = self._begin(upload_id, upload)
         if own is None or own.size != upload.size or own.count != upload.index:
             return own
         digest = own.hash.copy()
         digest.update(data)
         is_last = own.sent + len(data) == own.size
         if is_last and digest.hexdigest() != own.digest:
-            self._forget(who)
+            self._forget(upload_id)
             raise RemoteProtocolError(f"an upload of {own.size} bytes does not have the announced digest {own.digest}")
         if not self._store.put_chunk(own.key, upload.index, data, own.digest if is_last else None):
-            self._forget(who)  # it was deleted in the meantime
+            self._forget(upload_id)  # it was deleted in the meantime
             return None
         own.hash, own.count, own.sent = digest, own.count + 1, own.sent + len(data)
         self._sent[own.user] += len(data)
@@ -135,9 +135,9 @@ class Uploads:
             self._heard[own.digest] = self._now()
         return own
 
-    def _begin(self, who: tuple[str, str | None, str], upload: Upload) -> _Upload:
+    def _begin(self, upload_id: tuple[str, str | None, str], upload: Upload) -> _Upload:
         """Begin an upload; it has its own name if the same table is stored or another user is uploading it."""
-        digest, user, session = who
+        digest, user, session = upload_id
         own, total = self._begun[user, session], len(self._uploads)
         if own >= MOST_OF_USER or total >= MOST_OF_ALL:
             raise RefusedError(
@@ -147,28 +147,28 @@ class Uploads:
             )
         self._begun[user, session] += 1
         key = f"{digest} {user or session}" if digest in self._keys or self._store.is_begun(digest) else digest
-        begun = self._uploads[who] = _Upload(user, digest, upload.size, key, self._now())
+        begun = self._uploads[upload_id] = _Upload(user, digest, upload.size, key, self._now())
         self._keys.add(key)
         return begun
 
-    def _forget(self, who: tuple[str, str | None, str]) -> None:
+    def _forget(self, upload_id: tuple[str, str | None, str]) -> None:
         """Forget an upload, and delete its chunks unless it is complete."""
-        own = self._uploads.pop(who, None)
+        own = self._uploads.pop(upload_id, None)
         if own is None:
             return
         self._sent[own.user] -= own.sent
         if not self._sent[own.user]:
             del self._sent[own.user]
-        self._begun[who[1:]] -= 1
-        if not self._begun[who[1:]]:
-            del self._begun[who[1:]]
+        self._begun[upload_id[1:]] -= 1
+        if not self._begun[upload_id[1:]]:
+            del self._begun[upload_id[1:]]
         if not own.is_whole:
             self._keys.discard(own.key)
             if own.count and not self._store.has_blob(own.key):
                 self._store.delete_unused_blobs([own.key])
 
     @staticmethod
-    def _who(digest: str, user: str | None, session: str) -> tuple[str, str | None, str]:
+    def _id_of(digest: str, user: str | None, session: str) -> tuple[str, str | None, str]:
         return digest, user, "" if user is not None else session
 
     def renew(self, digest: str) -> None:
@@ -177,17 +177,17 @@ class Uploads:
 
     def has(self, digest: str, user: str | None, viewer: Viewer | None, session: str) -> bool:
         """Return whether a user has sent a whole table, or sees a job with it; always true without a viewer."""
-        own = self._uploads.get(self._who(digest, user, session))
+        own = self._uploads.get(self._id_of(digest, user, session))
         return viewer is None or (own is not None and own.is_whole) or self._store.uses_table(digest, viewer)
 
     def end(self, digest: str, user: str | None, session: str) -> None:
         """Record that a job of a user uses a table, which is then no longer an upload."""
-        self._forget(self._who(digest, user, session))
+        self._forget(self._id_of(digest, user, session))
 
     def pending_bytes(self, user: str | None, but: str, session: str) -> tuple[int, int]:
         """Return the bytes that a user, and all users, have uploaded and not submitted, without the user's table
         `but`."""
-        own = self._uploads.get(self._who(but, user, session))
+        own = self._uploads.get(self._id_of(but, user, session))
         left_out = own.sent if own is not None else 0
         return self._sent[user] - left_out, self._sent.total() - left_out
 
@@ -202,10 +202,10 @@ class Uploads:
     def _delete_expired(self) -> None:
         now = self._now()
         self._check_at = now + CHECK_INTERVAL_S
-        for who, own in [*self._uploads.items()]:
+        for upload_id, own in [*self._uploads.items()]:
             heard = max(own.heard, self._heard.get(own.digest, 0.0) if own.is_whole else 0.0)
             if now - heard > LEASE_S:
-                self._forget(who)
+                self._forget(upload_id)
         lasting = {own.digest if own.is_whole else own.key for own in self._uploads.values()}
         self._heard = {key: self._heard.get(key, now) for key in self._store.unused_blobs()}
         expired = [key for key, heard in self._heard.items() if now - heard > LEASE_S and key not in lasting]

@@ -1,4 +1,4 @@
-"""Waiting jobs and jobs that have places: which job is started, held or released next. Pure; seconds come in.
+"""Waiting jobs and jobs that have places: which job is started, held or released next. Pure; times are arguments.
 
 A job that is prepared or searched has a *place*; refining needs no place. `FairShare` decides which jobs have places,
 and charges users for the time for which their jobs have places. A job that loses its place to the job of another user

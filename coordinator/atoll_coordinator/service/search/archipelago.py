@@ -137,7 +137,7 @@ class Archipelago:
 
     @property
     def is_planned(self) -> bool:
-        """Whether another placement has been asked for already."""
+        """Whether another placement has been requested."""
         return self._wants_barrier or self._schedule.holds
 
     @property

@@ -45,9 +45,9 @@ class PullBudget:
         wanted = MAX_PULLS - self._pulls
         is_first = not self._written and next(iter(self._gathered), archipelago.key) == archipelago.key
         room = (MAX_BYTES - self.held_bytes) // CHUNK_SIZE - self._pulls
-        affordable = wanted if is_first else min(wanted, room)
-        self.is_short = self.is_short or affordable < wanted
-        pulls = archipelago.next_pulls(affordable)
+        length_limit = wanted if is_first else min(wanted, room)
+        self.is_short = self.is_short or length_limit < wanted
+        pulls = archipelago.next_pulls(length_limit)
         if pulls:
             self._gathered.setdefault(archipelago.key, 0)
         self._pulls += len(pulls)

@@ -398,7 +398,7 @@ class TaskController:
             self._read(TaskResult(task.id, task.term, task.job, task.function, parts, body.digest, body.seconds))
 
     def take_result(self, read: ResultRead, now: float) -> None:
-        """Handle the result of a task; without effect when the task has ended, or was lost, in the meantime.
+        """Handle the result of a task; without effect if the task has ended or was lost meanwhile.
 
         Raises:
             RemoteProtocolError: The result was damaged in transit; its worker sends it again.

@@ -1,7 +1,8 @@
 """Worker controller: handles greetings, heartbeats and silence of workers, and begins terms of archipelagos.
 
 Changes are stored before messages about them are sent. A step that concerns several jobs is guarded for each job, so
-that an error in one job does not affect the others. `LiveJobs.fail_job` fails jobs that have lost too many workers.
+that an error in one job does not affect the others. `LiveJobs.fail_job` fails a job if an island failed or too
+many workers were lost.
 """
 
 from collections.abc import Mapping, Sequence

@@ -25,16 +25,16 @@ ITEMS = list(range(23))
 
 
 def test_a_batch_is_what_is_made_of_each_item() -> None:
-    made = FUNCTIONS["test: power"](b"\x02", SQUARE.encoded([3, -4]))
-    assert SQUARE.decoded(made) == (9, 16)
+    made = FUNCTIONS["test: power"](b"\x02", SQUARE.encode([3, -4]))
+    assert SQUARE.decode(made) == (9, 16)
     with pytest.raises(RemoteProtocolError):
-        FUNCTIONS["test: power"](b"\x02", SQUARE.encoded([3])[:-1])
+        FUNCTIONS["test: power"](b"\x02", SQUARE.encode([3])[:-1])
 
 
 def test_a_context_is_built_once_for_many_batches() -> None:
     BUILT.clear()
     for _ in range(3):
-        assert ADD.decoded(FUNCTIONS["test: add"](bytes([7]), ADD.encoded([1]))) == ((8, "a"),)
+        assert ADD.decode(FUNCTIONS["test: add"](bytes([7]), ADD.encode([1]))) == ((8, "a"),)
     assert BUILT == [7]
 
 
@@ -55,9 +55,9 @@ def test_threads_of_this_process_compute_the_same() -> None:
 
 def test_branches_go_on_at_the_same_time_only_where_others_take_their_batches() -> None:
     meeting = threading.Barrier(2, timeout=20)
-    assert Spread(ScatteredBatches(2)).branches([meeting.wait, meeting.wait]) in ([0, 1], [1, 0])
+    assert Spread(ScatteredBatches(2)).run_calls([meeting.wait, meeting.wait]) in ([0, 1], [1, 0])
     threads = {threading.get_ident()}
-    assert set(Spread().branches([threading.get_ident] * 2)) == threads
+    assert set(Spread().run_calls([threading.get_ident] * 2)) == threads
 
 
 def test_names_are_used_once() -> None:

@@ -35,7 +35,7 @@ class Valley(Fitter):
         self.tried.append(at + step)
         return at + step, self.cost(at) - self.cost(at + step)
 
-    def settled(self, at):
+    def least_gain(self, at):
         return self.least
 
     def result(self, at):

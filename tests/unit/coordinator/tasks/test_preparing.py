@@ -8,7 +8,7 @@ from atoll_coordinator.model import pipeline
 from atoll_coordinator.model.pools import Law, Pool
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.building import KNOWN, VariableOutcome
-from atoll_coordinator.model.selection.shortcut import with_laws
+from atoll_coordinator.model.selection.shortcut import add_laws
 from atoll_coordinator.model.sparse import laws
 from atoll_coordinator.result.result import timed
 from atoll_coordinator.tasks.preparing import PreparationOutcome, prepare
@@ -32,7 +32,7 @@ def test_laws_among_many_variables_are_sought_once_in_a_job_and_are_the_same_aft
 ) -> None:
     sought, tasks, find = [], [], laws.find_short_laws
     monkeypatch.setattr(laws, "find_short_laws", lambda equations: sought.extend(equations) or find(equations))
-    monkeypatch.setattr(pipeline, "select_model", lambda task: tasks.append(with_laws(task)))
+    monkeypatch.setattr(pipeline, "select_model", lambda task: tasks.append(add_laws(task)))
     job, pools = outcome(), Searched("j", tuple(VariableOutcome(name, (), 1) for name in RING)).to_bytes()
     refine(job.encoded, pools, None, pipeline.refine_all)
     assert len(sought) == len(RING)
@@ -70,7 +70,7 @@ def test_refining_gets_the_time_that_is_left_and_what_was_prepared() -> None:
     got: list[object] = []
 
     def refiner(preparation, config, pools, deadline, laws) -> Refinement:
-        got.extend([preparation.dataset.variables, config, pools, deadline.left, laws])
+        got.extend([preparation.dataset.variables, config, pools, deadline.seconds_left, laws])
         return Refinement(warnings=("made",))
 
     made = refine(

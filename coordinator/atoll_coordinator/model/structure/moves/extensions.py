@@ -1,4 +1,4 @@
-"""Programs with one more part, which is small at first and may grow in a fit."""
+"""Extensions: programs with one more part, which is small at first and may grow in a fit."""
 
 import math
 from collections.abc import Collection, Iterator, Sequence
@@ -28,18 +28,17 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
     """Yield programs that differ from `program` by a small part at one node, collected; each structure once.
 
     A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
-    and a constant c that makes the new part small compared with n, in any units; or, which is no small change, n sin v
-    or n/sin v; cosines likewise. Only the `operators` (codes) that are allowed are brought in. Constants are not
-    fitted yet.
+    and a constant c that makes the new part small compared with n, in any units; Larger changes are n sin v and n/sin
+    v. Cosines are treated like sines. Only allowed `operators` (codes) are added. Constants are not fitted yet.
 
     Args:
-        program: over as many variables as there are `scales`.
-        scales: the size of each variable; 0 for those that may not be used.
+        program: a program with as many variables as `scales`.
+        scales: the size of each variable; 0 for variables that may not be used.
         operators: codes of operators that may be brought in.
     """
     nodes = _with_own_leaves(program.nodes())
     sizes = _sizes(nodes, scales)
-    yield from replace_each(program, nodes, operators, lambda index: _joined(index, scales, sizes[index]))
+    yield from replace_each(program, nodes, operators, lambda index: _additions(index, scales, sizes[index]))
 
 
 def further_terms(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
@@ -49,8 +48,8 @@ def further_terms(program: Program, scales: Sequence[float], operators: Collecti
     program, in any units.
 
     Args:
-        program: over as many variables as there are `scales`.
-        scales: the size of each variable; 0 for those that may not be used.
+        program: a program with as many variables as `scales`.
+        scales: the size of each variable; 0 for variables that may not be used.
         operators: codes of operators that may be brought in.
     """
     nodes = _with_own_leaves(program.nodes())
@@ -60,7 +59,7 @@ def further_terms(program: Program, scales: Sequence[float], operators: Collecti
 
 
 def _terms(node: int, scales: Sequence[float], size: float) -> Iterator[Expression]:
-    """Yield the sums of a node of that size and a small term."""
+    """Yield the sums of a node of this size and a small term."""
     little = SETTINGS.common.negligible * size
     leaves: list[tuple[Expression, float]] = [((VARIABLE, v), scale) for v, scale in enumerate(scales) if scale > 0.0]
     yield from ((ADD, node, (MULTIPLY, little / scale, leaf)) for leaf, scale in leaves)
@@ -71,17 +70,17 @@ def _terms(node: int, scales: Sequence[float], size: float) -> Iterator[Expressi
 
 
 def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
-    """Yield the few programs, collected, that need more fit steps than others to show their worth; each structure once.
+    """Yield the few programs, collected, that need many fit steps before they fit well; each structure once.
 
-    A variable becomes its sine or cosine; a sine or cosine the beginning of its Taylor series, with constants of its
-    own. Only the `operators` (codes) that are allowed are brought in.
+    A variable is replaced by its sine or cosine; a sine or cosine by the first terms of its Taylor series, with new
+    constants. Only allowed `operators` (codes) are added.
     """
     nodes = _with_own_leaves(program.nodes())
     yield from replace_each(program, nodes, operators, lambda index: _leaps_at(nodes, index))
 
 
-def _joined(node: int, scales: Sequence[float], size: float) -> Iterator[Expression]:
-    """Yield the expressions that may replace a node of that size."""
+def _additions(node: int, scales: Sequence[float], size: float) -> Iterator[Expression]:
+    """Yield the expressions that may replace a node of this size."""
     little = SETTINGS.common.negligible * size
     yield (ADD, node, little)
     for v, scale in enumerate(scales):
@@ -108,7 +107,7 @@ def _joined(node: int, scales: Sequence[float], size: float) -> Iterator[Express
 
 
 def _sizes(nodes: Sequence[Node], scales: Sequence[float]) -> list[float]:
-    """Return about how large each node is, sums being as large as their larger part; 1 where that is not known."""
+    """Return the approximate size of each node; a sum is as large as its larger part, and an unknown size is 1."""
     sizes: list[float] = []
     for code, left, right, value in nodes:
         if code == VARIABLE:
@@ -140,7 +139,7 @@ def _size_of(code: int, first: float, second: float) -> float:
 
 
 def _with_own_leaves(nodes: list[Node]) -> list[Node]:
-    """Return the nodes with a leaf of its own for every use of one, so that a single use can be changed."""
+    """Return the nodes with a separate leaf for every use, so that a single use can be changed."""
     builder = ProgramBuilder()
     places: list[int] = []
     for code, left, right, value in nodes:

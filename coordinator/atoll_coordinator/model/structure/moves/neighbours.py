@@ -1,4 +1,4 @@
-"""Programs one step away from a given one: a search that stops near the best description may have missed them."""
+"""Neighbours: programs with one node exchanged. A search that stops near the best description may have missed them."""
 
 from collections.abc import Collection, Iterator
 from typing import Final
@@ -14,21 +14,21 @@ _EXCHANGED: Final = {ADD: SUBTRACT, SUBTRACT: ADD, MULTIPLY: DIVIDE, DIVIDE: MUL
 def neighbours(program: Program, variables: Collection[int], operators: Collection[int]) -> Iterator[Program]:
     """Yield programs that differ from `program` in one place, collected; each structure once.
 
-    Their constants want to be fitted.
+    Their constants are not fitted yet.
 
-    At one node a leaf is exchanged for another, an operator for its relative, or a constant or variable is joined to
-    it. Only `variables` (their indices) and `operators` (codes) are brought in.
+    At one node, a leaf is exchanged for another leaf, an operator for a related one (+ and -, * and /, sin and cos), or
+    a constant or variable is added or multiplied. Only these `variables` (indices) and `operators` (codes) are used.
     """
     nodes = program.nodes()
     yield from replace_each(
         program,
         nodes,
         operators,
-        lambda index: (*_exchanged(nodes, index, variables), *_joined(index, variables)),
+        lambda index: (*_exchanges(nodes, index, variables), *_additions(index, variables)),
     )
 
 
-def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Iterator[Expression]:
+def _exchanges(nodes: list[Node], index: int, variables: Collection[int]) -> Iterator[Expression]:
     code, left, right, _ = nodes[index]
     if code in (VARIABLE, CONSTANT):
         yield from ((VARIABLE, variable) for variable in variables if (code, left) != (VARIABLE, variable))
@@ -42,7 +42,7 @@ def _exchanged(nodes: list[Node], index: int, variables: Collection[int]) -> Ite
         yield from cofunctions(code, nodes[left])
 
 
-def _joined(node: int, variables: Collection[int]) -> Iterator[Expression]:
+def _additions(node: int, variables: Collection[int]) -> Iterator[Expression]:
     yield (ADD, node, SETTINGS.common.negligible)
     yield (MULTIPLY, 1.0 + SETTINGS.common.negligible, node)
     for variable in variables:

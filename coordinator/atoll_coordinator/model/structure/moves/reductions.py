@@ -1,4 +1,4 @@
-"""Smaller programs: a program with one part removed."""
+"""Reductions: smaller programs with one part removed."""
 
 from collections.abc import Iterator
 from itertools import chain
@@ -12,18 +12,18 @@ _NEUTRAL: Final = (0.0, 1.0, -1.0)
 
 
 def reductions(program: Program) -> Iterator[Program]:
-    """Yield smaller programs, collected, whose constants want to be fitted; each structure once, from the output down.
+    """Yield smaller programs, collected, constants not fitted yet; each structure once, from the output down.
 
-    An operator gives way to an argument or a constant, a constant to 0, 1 or -1; a factor that two terms share is
-    taken out of their sum; the cosine of a multiple becomes a square; a constant and a quotient become one quotient;
-    a factor 1 + u with a constant in the place of 1 is multiplied out.
+    An operator is replaced by an argument or a constant, a constant by 0, 1 or -1; a factor that two terms share is
+    taken out of their sum; the cosine of a multiple becomes a square; a constant and a quotient become one quotient; a
+    factor c + u with a constant c is multiplied out as 1 + u.
     """
     nodes = program.nodes()
     known = {structure(program)}
     one_by_one = (
-        {index: replacement} for index in range(len(nodes) - 1, -1, -1) for replacement in _reduced_at(nodes, index)
+        {index: replacement} for index in range(len(nodes) - 1, -1, -1) for replacement in _reductions_at(nodes, index)
     )
-    for replacements in chain(one_by_one, _saturating(nodes)):
+    for replacements in chain(one_by_one, _saturations(nodes)):
         reduced = replace_nodes(nodes, replacements)
         if _weight(reduced) < _weight(program) and structure(reduced) not in known:
             known.add(structure(reduced))
@@ -35,7 +35,7 @@ def _weight(program: Program) -> tuple[int, int]:
     return len(program), sum(ARITY[code] for code in program.operators.tolist())
 
 
-def _reduced_at(nodes: list[Node], index: int) -> Iterator[Expression]:
+def _reductions_at(nodes: list[Node], index: int) -> Iterator[Expression]:
     """Yield the expressions that may replace node `index`."""
     code, left, right, _ = nodes[index]
     if code == CONSTANT:
@@ -47,15 +47,16 @@ def _reduced_at(nodes: list[Node], index: int) -> Iterator[Expression]:
     if code == SUBTRACT:
         yield (NEGATE, right)
     if code in (ADD, SUBTRACT):
-        yield from _factored(nodes, index)
+        yield from _factorizations(nodes, index)
     if code == MULTIPLY:
-        yield from _multiplied_out(nodes, index)
+        yield from _expansions(nodes, index)
     if code in (SIN, COS) and ARITY[nodes[left][0]] == 2:
         yield from cofunctions(code, nodes[left])
 
 
-def _multiplied_out(nodes: list[Node], index: int, constant: int | None = None) -> Iterator[Expression]:
-    """Yield a + a u for a product a (1 + u), likewise with differences, where a `constant` is 1: any, unless given."""
+def _expansions(nodes: list[Node], index: int, constant: int | None = None) -> Iterator[Expression]:
+    """Yield a + a u for a product a (c + u), and likewise for differences, as if the `constant` c were 1; None: any
+    constant."""
     _, left, right, _ = nodes[index]
     for factor, other in dict.fromkeys(((left, right), (right, left))):
         code, first, second, _ = nodes[other]
@@ -68,17 +69,17 @@ def _multiplied_out(nodes: list[Node], index: int, constant: int | None = None) 
 
 
 def multiply_out(program: Program, constant: int) -> Iterator[Program]:
-    """Yield programs in which products with a sum of this constant and something are multiplied out, as if it were 1.
+    """Yield programs in which a product with a sum that contains this constant is multiplied out, as if it were 1.
 
-    They lose the constant: b (y - x**2 y) is b y (1 - x**2) with one number less.
+    They have one constant less: b (y - x**2 y) instead of b y (c - x**2).
     """
     nodes = program.nodes()
     for index, (code, *_) in enumerate(nodes):
         if code == MULTIPLY:
-            yield from (replace_nodes(nodes, {index: sum_}) for sum_ in _multiplied_out(nodes, index, constant))
+            yield from (replace_nodes(nodes, {index: sum_}) for sum_ in _expansions(nodes, index, constant))
 
 
-def _saturating(nodes: list[Node]) -> Iterator[dict[int, Expression]]:
+def _saturations(nodes: list[Node]) -> Iterator[dict[int, Expression]]:
     """Yield replacements that make a sum with a constant k and a quotient a/(b + u) into k u/(b + u).
 
     Likewise for a/(b - u). They are equal if k b = -a.
@@ -103,8 +104,8 @@ def _saturating(nodes: list[Node]) -> Iterator[dict[int, Expression]]:
             yield from ({place: 0.0, index: saturated} for place in added if place != constant)
 
 
-def _factored(nodes: list[Node], index: int) -> Iterator[Expression]:
-    """Yield f (a + b) for a sum f a + f b, where a and b may be 1, and likewise for differences and quotients."""
+def _factorizations(nodes: list[Node], index: int) -> Iterator[Expression]:
+    """Yield f (a + b) for a sum f a + f b, and likewise for differences and quotients; a and b may be 1."""
     code, left, right, _ = nodes[index]
     for factor, join, a in _factors(nodes, left):
         for right_factor, right_join, b in _factors(nodes, right):
@@ -113,7 +114,7 @@ def _factored(nodes: list[Node], index: int) -> Iterator[Expression]:
 
 
 def _factors(nodes: list[Node], node: int) -> list[tuple[int, int, Expression]]:
-    """Return (f, MULTIPLY or DIVIDE, a) for each way to write the node as a f or a/f; a may be 1."""
+    """Return (f, MULTIPLY or DIVIDE, a) for each way to write the node as a*f or a/f; a may be 1."""
     code, left, right, _ = nodes[node]
     if code == MULTIPLY:
         return [(left, MULTIPLY, right), (right, MULTIPLY, left), (node, MULTIPLY, 1.0)]

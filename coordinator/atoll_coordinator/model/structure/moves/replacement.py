@@ -1,4 +1,4 @@
-"""One node of a program replaced by an expression, which every structural move does."""
+"""Replacement of one node of a program by an expression, which every structural move uses."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Final
@@ -8,18 +8,18 @@ from atoll_core.expression.program import Expression, Node, Program, ProgramBuil
 from atoll_core.expression.writing.shortest import collected
 
 FRESH_CONSTANT: Final = 1.5
-"""Where the fit of a constant begins that has no old value: a neutral one would not stay."""
+"""Start value of a new constant in a fit. The simplification would remove a neutral value such as 1."""
 
 
 def replace_node(nodes: list[Node], index: int, replacement: Expression) -> Program:
-    """Return the program, as a sum of products, in which `replacement` stands for node `index`, see `replace_nodes`."""
+    """Return the program, as a sum of products, with node `index` replaced; see `replace_nodes`."""
     return replace_nodes(nodes, {index: replacement})
 
 
 def replace_nodes(nodes: list[Node], replacements: Mapping[int, Expression]) -> Program:
-    """Return the program, as a sum of products, in which others stand for some nodes (by index).
+    """Return the program, as a sum of products, with some nodes (by index) replaced.
 
-    Nodes in a replacement are those up to its index, the old one included.
+    A replacement may refer to nodes up to its index, including the replaced node.
     """
     builder = ProgramBuilder()
     places: list[int] = []
@@ -32,13 +32,13 @@ def replace_nodes(nodes: list[Node], replacements: Mapping[int, Expression]) -> 
 def replace_each(
     program: Program, nodes: list[Node], operators: Collection[int], replacements: Callable[[int], Iterable[Expression]]
 ) -> Iterator[Program]:
-    """Yield the programs in which one node gives way to one of its `replacements`, collected; each structure once.
+    """Yield the programs in which one node is replaced by one of its `replacements`, collected; each structure once.
 
     Args:
-        program: the one to be changed, which is not yielded itself.
+        program: the program to be changed, which is not yielded.
         nodes: its nodes.
-        operators: codes; nothing else is brought in.
-        replacements: by the index of a node, the expressions that may replace it, see `replace_node`.
+        operators: codes of the operators that a replacement may contain.
+        replacements: returns the expressions that may replace the node of an index, see `replace_node`.
     """
     known = {structure(program)}
     for index in range(len(nodes)):

@@ -23,7 +23,7 @@ from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.model.refinement import Alternative, Refinement
 from atoll_coordinator.model.selection import joint_search, piece_lengths
-from atoll_coordinator.model.selection.candidates import collect_candidates, form
+from atoll_coordinator.model.selection.candidates import collect_candidates, form_key
 from atoll_coordinator.model.selection.score import FittedModel, Score
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
@@ -480,7 +480,7 @@ def test_origins_are_told_by_structure():
 
     def origins(name, *texts):
         by_structure = candidates[name].origins(compared[name])
-        return [by_structure.get(form(program)) for program in programs(*texts)]
+        return [by_structure.get(form_key(program)) for program in programs(*texts)]
 
     texts = ("7.0*x", "x + y", "2.0*x + 0.25*x*y", "x - y")
     assert origins("x", *texts) == ["front", "runner-up", "library", None]

@@ -340,7 +340,7 @@ def test_without_a_dispute_the_next_measurement_is_where_courses_are_farthest_fr
     x, _ = compare_predictions(one, truth, [], 1e-6)
     assert not x.is_disputed
     assert x.novelty == pytest.approx(np.median(np.concatenate(distances)))
-    assert x.measure_from == elsewhere.named_state(int(np.argmax([distance.max() for distance in distances])))
+    assert x.measure_from == elsewhere.initial_state(int(np.argmax([distance.max() for distance in distances])))
 
 
 def test_a_distance_is_the_largest_share_of_a_width_to_the_nearest_row():
@@ -424,7 +424,7 @@ def test_a_rival_is_disputed_where_it_weighs_most(lotka, truth):
     sizes = [np.abs(one[0] - two[0]).max() for one, two in zip(own, theirs, strict=True)]
     for odds in (0.25, 1.0):
         x, _ = compare_predictions(lotka, truth, [Other(other, 0, odds, odds)], 1e-6)
-        assert x.measure_from == elsewhere.named_state(int(np.argmax(sizes)))
+        assert x.measure_from == elsewhere.initial_state(int(np.argmax(sizes)))
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])

@@ -26,7 +26,7 @@ def decayed(rate, noise, text="-0.3*x", seed=0):
 
 def round_system(comparison, model):
     def growth(programs):
-        return comparison.measure(fit_initial_states(comparison, programs, model.fit)).misfit - model.misfit
+        return comparison.score_fit(fit_initial_states(comparison, programs, model.fit)).misfit - model.misfit
 
     return attach_estimates(comparison, model).simplify(growth)
 
@@ -93,7 +93,7 @@ def test_what_is_shown_misses_the_measurements_by_little_more():
         rounded = attach_estimates(decay, model).round_constants(2)
         held = decay.system(rounded.programs, [range(len(rounded.programs[0]))])
         fixed = decay.estimator.fit(held, None, 30)
-        assert abs(decay.measure(fixed).misfit - model.misfit) < 2.0
+        assert abs(decay.score_fit(fixed).misfit - model.misfit) < 2.0
 
 
 def test_a_fixed_equation_is_shown_as_it_is():
@@ -121,7 +121,7 @@ def test_too_many_constants_are_left_as_fitted():
     text = " - ".join(f"{0.2 + 0.001 * index}*x**{index}" for index in range(1, SETTINGS.effort.beam + 2))
     system = rounded.system([known.parsed(text)])
     fit = rounded.estimator.fit(system, 5, 0)
-    model = rounded.measure(fit)
+    model = rounded.score_fit(fit)
     assert len(constant_places(model.programs[0])) > SETTINGS.effort.beam
     assert round_system(rounded, model) == model.programs
 

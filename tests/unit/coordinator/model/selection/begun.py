@@ -21,9 +21,9 @@ def selected(known, text, noise=0.0, config=DEFAULT, starts=STARTS):
     prepared = prepare(table(known, starts, TIMES, noise, 150), config)
     candidates = collect_candidates(prepared.dataset, config, pools(prepared, h=(text,)))
     task = ModellingTask(prepared.dataset, prepared.recording, config, candidates)
-    comparison = task.compare(task.compared_measurements, task.variables)
+    comparison = task.make_comparison(task.compared_measurements, task.variables)
     model = comparison.fit_model([candidates["h"].front[0].program])
-    return SelectedModel(task, *comparison.calibrated(model))
+    return SelectedModel(task, *comparison.calibrate(model))
 
 
 def looked_again(name, selection):

@@ -27,10 +27,10 @@ def selection(starts=STARTS, known=(), data=None):
     preparation = prepare(table(SWING, starts, TIMES, 0.05, 130), config)
     candidates = {name: CandidateSet(known=SWING.parsed("y") if name in known else None) for name in ("x", "y")}
     task = ModellingTask(preparation.dataset, preparation.recording, config, candidates)
-    comparison = task.compare(task.measurements(task.variables), task.variables)
+    comparison = task.make_comparison(task.measurements(task.variables), task.variables)
     best = comparison.fit_model([SWING.parsed("y"), SWING.parsed(TRUTH)])
     comparison.narrow_down(best, 1, [SWING.parsed(text) for text in (TRUTH, *OTHERS)], ((12, 20),))
-    best = comparison.fit_beside(best, best.programs, 20)
+    best = comparison.fit_from(best, best.programs, 20)
     return SelectedModel(task, comparison, best)
 
 
@@ -87,7 +87,7 @@ def test_the_ranking_ends_with_the_work_of_a_part_however_many_alternatives_are_
         estimator.work += SETTINGS.effort.work // 3 + 1
         return [[SimpleNamespace(nats=selection.model.nats - 1.0)]]
 
-    monkeypatch.setattr(alternatives, "_all_alternatives", ever_shorter)
+    monkeypatch.setattr(alternatives, "_find_all_alternatives", ever_shorter)
     begun = SelectedModel(None, comparison, SimpleNamespace(nats=0.0))
     selection, models = alternatives._shortest(begun, np.zeros((1, 1)))
     assert looks == [0.0, -1.0, -2.0]

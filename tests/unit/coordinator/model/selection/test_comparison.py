@@ -17,7 +17,7 @@ from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import Constraints, ModelComparison
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
-from atoll_coordinator.model.selection.joint_search import exchange
+from atoll_coordinator.model.selection.joint_search import exchange_programs
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import measurements_of
@@ -99,13 +99,13 @@ def test_the_truth_has_the_shortest_description():
 def test_what_cannot_be_simulated_has_no_standing():
     assert lotka().fit_model([RIVALS[-1], OTHER]) is None
     near = lotka().fit_model([TRUTH, OTHER])
-    assert lotka().fit_exchanged(near, 0, RIVALS[-1], 5) is None
+    assert lotka().fit_replacement(near, 0, RIVALS[-1], 5) is None
 
 
 def test_an_exchange_leaves_the_other_equations_structure():
     comparison = lotka()
     near = comparison.fit_model([TRUTH, OTHER])
-    other = comparison.fit_exchanged(near, 0, RIVALS[0], 20)
+    other = comparison.fit_replacement(near, 0, RIVALS[0], 20)
     assert structure(other.programs[0]) == structure(RIVALS[0])
     assert structure(other.programs[1]) == structure(OTHER)
     assert other.nats > near.nats
@@ -117,7 +117,7 @@ def test_halving_keeps_the_best_and_notes_them():
     models = comparison.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 3), (20, 2)))
     assert structure(models[0].programs[0]) == structure(TRUTH)
     assert len(models) <= 2
-    assert comparison.tried == {(0, structure(model.programs[0])): model for model in models}
+    assert comparison.fitted_models == {(0, structure(model.programs[0])): model for model in models}
 
 
 def test_beyond_the_work_that_is_allowed_no_more_programs_are_taken_in(monkeypatch):
@@ -142,9 +142,9 @@ def test_only_a_shorter_description_replaces_what_was_noted():
     comparison = lotka()
     near = comparison.fit_model([TRUTH, OTHER])
     comparison.narrow_down(near, 0, [RIVALS[0]], ((30, 1),))
-    (best,) = comparison.tried.values()
+    (best,) = comparison.fitted_models.values()
     comparison.narrow_down(near, 0, [RIVALS[0]], ((0, 1),))
-    assert comparison.tried == {(0, structure(RIVALS[0])): best}
+    assert comparison.fitted_models == {(0, structure(RIVALS[0])): best}
 
 
 def test_models_of_one_function_differ_in_misfit():
@@ -152,7 +152,7 @@ def test_models_of_one_function_differ_in_misfit():
 
     def kept(*standings: tuple[float, float]) -> list[float]:
         models = [FittedModel((program,), None, misfit, nats) for misfit, nats in standings]
-        return [model.nats for model in comparison.distinct(models, 0)]
+        return [model.nats for model in comparison.distinct_models(models, 0)]
 
     assert kept((-100.0, 1.0), (-100.0 - 1e-5, 2.0), (-99.0, 3.0), (-99.0, 4.0)) == [1.0, 3.0]
     near = [(-99.0 + 1.01e-4 * step, float(step)) for step in range(-3, 4)]
@@ -196,7 +196,7 @@ def narrowed(fitting: ModelComparison, until: float = math.inf) -> tuple[list[by
     near = fitting.fit_model([RIVALS[0], OTHER])
     models = fitting.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4), (10, 3)), until)
     models += fitting.fit_all([(program, OTHER) for program in RIVALS], 6, (5,))
-    fitting, calibrated = fitting.calibrated(models[0])
+    fitting, calibrated = fitting.calibrate(models[0])
     models += [calibrated, *fitting.narrow_down(calibrated, 1, [*RIVALS, OTHER], ((2, 9),), until)]
     models += fitting.fit_all([(program, OTHER) for program in RIVALS])
     return [bits(model) for model in models], fitting.estimator.work
@@ -297,12 +297,12 @@ def test_a_constant_beside_redundant_ones_keeps_its_variance():
 def calibrated(comparison: ModelComparison, *programs: Program) -> tuple[ModelComparison, FittedModel]:
     model = comparison.fit_model(list(programs), 40)
     assert model is not None
-    return comparison.calibrated(model)
+    return comparison.calibrate(model)
 
 
 def has_room(comparison: ModelComparison, *programs: Program) -> bool:
     comparison, model = calibrated(comparison, *programs)
-    return comparison.score.has_room(model)
+    return comparison.score.may_be_improved(model)
 
 
 def long_lotka(noise: float, seed: int = 0) -> ModelComparison:
@@ -357,7 +357,7 @@ def test_outliers_leave_no_room():
     comparison = compare(LOTKA, replace(rows, measured=measured), 1e-10)
     comparison, model = calibrated(comparison, TRUTH, OTHER)
     assert model.fit.squares[1] > 1.25 * rows.noise[1] ** 2
-    assert not comparison.score.has_room(model)
+    assert not comparison.score.may_be_improved(model)
     assert has_room(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER)
 
 
@@ -392,10 +392,10 @@ def test_what_the_equations_miss_is_not_taken_for_errors_that_go_together():
     preparation = prepare(read_table([EXAMPLES / "lynx_hare.csv"], config.data), config)
     states = ("hare", "lynx")
     task = ModellingTask(preparation.dataset, preparation.recording, config, dict.fromkeys(states, CandidateSet()))
-    comparison = task.compare(task.measurements(states), states)
+    comparison = task.make_comparison(task.measurements(states), states)
     names = preparation.dataset.names
     programs = [from_infix(text, names) for text in ("hare*(0.5 - 0.025*lynx)", "0.025*lynx*(hare - 33.0)")]
-    comparison, _ = comparison.calibrated(comparison.fit_model(programs))
+    comparison, _ = comparison.calibrate(comparison.fit_model(programs))
     assert comparison.score.errors is None
 
 
@@ -417,14 +417,14 @@ def test_errors_of_a_sensor_are_held_for_all_systems():
         <= 1.25
         < np.sqrt(begun.fit.squares[0]) / comparison.estimator.measurements.noise[0]
     )
-    comparison, model = comparison.calibrated(begun)
+    comparison, model = comparison.calibrate(begun)
     assert comparison.score.errors is not None
     assert comparison.score.errors.shares[0] > 0.5
     assert model.fit.errors.decays.tolist() == comparison.score.errors.decays.tolist()
-    white = comparison.score.whitened(model.fit)[0]
+    white = comparison.score.whiten(model.fit)[0]
     assert abs(float(white[1:] @ white[:-1]) / float(white @ white)) < 0.15
-    assert not comparison.score.has_room(model)
-    longer = comparison.fit_exchanged(model, 0, DECAY.parsed("0.01 - 0.4*x"), 40)
+    assert not comparison.score.may_be_improved(model)
+    longer = comparison.fit_replacement(model, 0, DECAY.parsed("0.01 - 0.4*x"), 40)
     assert longer.fit.errors.shares.tolist() == comparison.score.errors.shares.tolist()
     assert longer.nats > model.nats + 4.0
     assert comparison.score.inflation(model) == pytest.approx(1.0, abs=0.1)
@@ -435,7 +435,7 @@ def test_errors_of_a_sensor_are_held_for_all_systems():
 
 def test_what_a_law_misses_is_no_error_of_a_sensor():
     comparison, wrong = drifting("1.0 - 0.4*x*x")
-    comparison, model = comparison.calibrated(wrong)
+    comparison, model = comparison.calibrate(wrong)
     assert comparison.score.errors is None
     assert comparison.score.excess(model) > 1.25
 
@@ -445,14 +445,14 @@ def test_equations_exchanged_as_if_the_best_stayed_the_same_are_those_exchanged_
     ends = []
     for spread in (Spread(), Spread(ScatteredBatches(3))):
         comparison = lotka(spread=spread)
-        comparison, model = comparison.calibrated(comparison.fit_model(begun))
-        best = exchange(comparison, model, [[TRUTH, *RIVALS], [OTHER, LOTKA.parsed("1.0*y - 0.5*y*y")]])
+        comparison, model = comparison.calibrate(comparison.fit_model(begun))
+        best = exchange_programs(comparison, model, [[TRUTH, *RIVALS], [OTHER, LOTKA.parsed("1.0*y - 0.5*y*y")]])
         ends.append(
             (
                 best.nats,
                 encode_value(best.programs, tuple[Program, ...]),
                 comparison.estimator.work,
-                len(comparison.tried),
+                len(comparison.fitted_models),
             )
         )
     assert ends[0] == ends[1]
@@ -461,7 +461,7 @@ def test_equations_exchanged_as_if_the_best_stayed_the_same_are_those_exchanged_
 def test_nothing_is_foreseen_of_one_equation_or_where_nobody_takes_batches():
     for made, equations in ((lotka(), (0, 1)), (lotka(spread=Spread(ScatteredBatches(3))), (0,))):
         near = made.fit_model([TRUTH, OTHER])
-        assert made.foresee(near, {equation: [TRUTH] for equation in equations}, ((6, 1),)) == {}
+        assert made.prefetch_models(near, {equation: [TRUTH] for equation in equations}, ((6, 1),)) == {}
 
 
 @pytest.mark.parametrize(("input_error", "wins"), [(0.0, 1), (0.02, 0)])

@@ -59,12 +59,12 @@ def test_a_shared_constant_is_one_number_and_costs_one():
     grouped = comparison(0.02)
     apart = grouped.fit_model([LOGISTIC])
     node = constant_places(LOGISTIC)[1]
-    together = grouped.fit_beside(apart, apart.programs, shared={(((0, node), 1.0),)})
+    together = grouped.fit_from(apart, apart.programs, shared={(((0, node), 1.0),)})
     assert together.fit.system.count == 4
     assert np.ptp(by_group(together)[:, 1]) == 0.0
     assert together.nats < apart.nats
     rate = constant_places(LOGISTIC)[0]
-    assert grouped.fit_beside(apart, apart.programs, shared={(((0, rate), 1.0),)}).nats > apart.nats + 10.0
+    assert grouped.fit_from(apart, apart.programs, shared={(((0, rate), 1.0),)}).nats > apart.nats + 10.0
 
 
 def test_sensitivities_are_those_of_finite_differences():
@@ -81,7 +81,7 @@ def test_sensitivities_are_those_of_finite_differences():
 def test_an_exchanged_equation_begins_from_each_groups_own_constants():
     grouped = comparison()
     model = grouped.fit_model([GROWTHS[0].parsed("0.3*x")])
-    fitted = grouped.fit_exchanged(model, 0, LOGISTIC, 40)
+    fitted = grouped.fit_replacement(model, 0, LOGISTIC, 40)
     assert by_group(fitted)[:, 0] == pytest.approx(RATES, rel=1e-3)
 
 

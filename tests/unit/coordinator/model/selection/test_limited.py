@@ -32,7 +32,7 @@ def refined(monkeypatch, stage):
     return refine_all(prepared, CONFIG, pools(prepared, **WILD), Deadline(100.0, lambda: seconds[0]))
 
 
-@pytest.mark.parametrize("stage", ["laws_in_short_pieces", "select_by_laws"])
+@pytest.mark.parametrize("stage", ["fit_laws_in_short_pieces", "select_laws"])
 def test_laws_are_shown_where_there_was_no_time_for_others(monkeypatch, stage):
     monkeypatch.setattr("atoll_coordinator.model.selection.shortcut.fit_laws_together", lambda *_: None)
     made = refined(monkeypatch, stage)

@@ -28,7 +28,7 @@ def selected(texts, noise, config=CONFIG, **options):
     candidates = {name: CandidateSet() for name in SWING.states}
     task = ModellingTask(prepared.dataset, prepared.recording, config, candidates, **options)
     model = task.comparison.fit_model([from_infix(text, SWING.names) for text in texts])
-    return SelectedModel(task, *task.comparison.calibrated(model))
+    return SelectedModel(task, *task.comparison.calibrate(model))
 
 
 def terms(selection):
@@ -47,7 +47,7 @@ def test_each_equation_gains_and_loses_terms_as_the_trajectories_have_it(texts):
 
 def test_a_missing_term_is_found_where_the_residuals_seem_to_leave_no_room(monkeypatch):
     before = selected(("y", "-2.1*x"), noise=0.2)
-    monkeypatch.setattr(Score, "room", lambda *_: 0.0)
+    monkeypatch.setattr(Score, "possible_gain", lambda *_: 0.0)
     assert terms(looked_again("terms hidden by noise", before)) == [{"y"}, {"x", "y"}]
 
 
@@ -56,7 +56,11 @@ def test_an_equation_with_functions_gives_way_to_a_sum_of_products_and_stays_its
     before = replace(before, lists=[[SWING.parsed("y")], [SWING.parsed("-1.5*x")]])
     after = looked_again("terms hidden by noise", before)
     assert terms(after) == [{"y"}, {"x", "y"}]
-    kept = {SWING.text(model.programs[1]) for (equation, _), model in after.comparison.tried.items() if equation == 1}
+    kept = {
+        SWING.text(model.programs[1])
+        for (equation, _), model in after.comparison.fitted_models.items()
+        if equation == 1
+    }
     assert any("sin" in text for text in kept)
 
 

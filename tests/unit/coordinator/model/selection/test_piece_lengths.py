@@ -9,7 +9,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
+from atoll_coordinator.model.selection.piece_lengths import piece_remarks, refit_on_all_rows
 from atoll_coordinator.model.selection.stages import select_model
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
@@ -49,7 +49,7 @@ def test_regular_trajectories_are_simulated_in_whole():
     selection = select_model(task)
     assert selection.task.piece == task.piece
     assert np.diff(selection.comparison.estimator.measurements.bounds, axis=1).ravel().tolist() == [220, 220]
-    assert list(remarks(selection.task)) == []
+    assert list(piece_remarks(selection.task)) == []
 
 
 def chaotic():
@@ -63,7 +63,7 @@ def chaotic():
 def test_chaotic_ones_are_simulated_in_pieces_and_that_is_said():
     selection = select_model(chaotic())
     assert selection.task.piece in SETTINGS.shooting.lengths
-    (remark,) = remarks(selection.task)
+    (remark,) = piece_remarks(selection.task)
     assert f"pieces of {selection.task.piece} rows" in remark
     assert "500 rows" in remark
 
@@ -79,11 +79,11 @@ def test_a_choice_on_some_rows_is_fitted_to_all():
     starts = [[1.0 + 0.3 * index, 2.0] for index in range(20)]
     selection = select_model(field_of(SWING, starts, 0.1 * np.arange(80.0), 0.03, **SWING_TEXTS))
     assert selection.comparison.estimator.measurements.rows < 1_600
-    whole = on_all_rows(selection)
+    whole = refit_on_all_rows(selection)
     assert whole.comparison.estimator.measurements.rows == 1_600
     values = np.sort(np.abs(whole.model.fit.system.values))
     assert values == pytest.approx([0.3, 2.0], rel=0.02)
-    assert on_all_rows(whole) is whole
+    assert refit_on_all_rows(whole) is whole
 
 
 def test_errors_of_the_integration_do_not_show_in_the_constants_of_all_rows():
@@ -91,7 +91,7 @@ def test_errors_of_the_integration_do_not_show_in_the_constants_of_all_rows():
     task = field_of(SWING, ([1.0, 2.0], [0.5, -1.0], [2.0, 0.0], [0.0, 1.5]), times, 0.02, **SWING_TEXTS)
     names, known = task.dataset.names, task.candidates
     programs = [known[name].front[0].program for name in task.variables]
-    comparison = task.compare(task.measurements(task.variables), task.variables)
+    comparison = task.make_comparison(task.measurements(task.variables), task.variables)
     chosen = SelectedModel(task, comparison, comparison.fit_model(programs, 40))
     exact = ModelComparison(MultipleShooting(task.measurements(task.variables), 1e-10), names)
     exact = exact.fit_model(programs, 40)
@@ -101,4 +101,4 @@ def test_errors_of_the_integration_do_not_show_in_the_constants_of_all_rows():
         return np.abs((model.fit.system.values - exact.fit.system.values) / errors).max()
 
     assert distance(chosen.model) > 0.3
-    assert distance(on_all_rows(chosen).model) < 0.05
+    assert distance(refit_on_all_rows(chosen).model) < 0.05

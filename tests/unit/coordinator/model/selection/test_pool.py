@@ -42,7 +42,7 @@ def proposer(texts, asked=None):
 def test_a_better_system_takes_the_place_of_the_best(task):
     pool = CandidatePool(task, task.comparison, {})
     pool.add(proposer(WRONG))
-    assert not pool.suffices
+    assert not pool.is_sufficient
     pool.add(proposer(TRUTH))
     assert [len(candidates) for candidates in pool.lists] == [2, 2]
     assert structure(pool.best.programs[0]) == structure(SPIRAL.parsed("b - 0.3*a"))
@@ -56,7 +56,7 @@ def test_beside_a_system_that_leaves_noise_alone_only_what_is_short_is_taken_in(
     pool.add(proposer(LONG, asked))
     assert all(math.isfinite(most) for most in asked[2:])
     assert pool.lists == before
-    assert not pool.comparison.score.has_room(pool.best)
+    assert not pool.comparison.score.may_be_improved(pool.best)
 
 
 def test_a_system_that_is_longer_than_laws_are_ends_no_stage(monkeypatch):
@@ -65,13 +65,13 @@ def test_a_system_that_is_longer_than_laws_are_ends_no_stage(monkeypatch):
     candidates = collect_candidates(measured.dataset, CONFIG, pools(measured, a=("b",), b=("-a",)))
     exact = ModellingTask(measured.dataset, measured.recording, CONFIG, candidates)
     pool = CandidatePool(exact, exact.comparison, {})
-    monkeypatch.setattr(Score, "has_room", lambda *_: False)
+    monkeypatch.setattr(Score, "may_be_improved", lambda *_: False)
     pool.add(proposer(LONG))
     assert pool.longest > SETTINGS.selection.usual_length
-    assert not pool.suffices
+    assert not pool.is_sufficient
     pool.add(proposer(TRUTH))
     assert pool.longest < SETTINGS.selection.usual_length
-    assert pool.suffices
+    assert pool.is_sufficient
 
 
 def test_equations_that_are_given_have_no_other_candidates(task):

@@ -22,7 +22,7 @@ def test_a_law_is_found_in_a_longer_candidate():
     selection = selected(POWERS, SHORT, 1e-5, JobConfig(), ([0.45],))
     law = selection.comparison.fit_model([parsed("0.8*h**0.75 - 1.5*h*h*h")])
     long = parsed("0.9*h**0.7 - 1.45*h**3.03 - 0.01*sin(h)")
-    assert selection.comparison.score.length(long) > selection.comparison.score.affordable(selection.model, 0)
+    assert selection.comparison.score.length(long) > selection.comparison.score.length_limit(selection.model, 0)
     found = looked_again("candidates less one part", replace(selection, lists=[[long]]))
     assert found.model.nats == pytest.approx(law.nats, abs=1e-3)
     assert found.model.nats < selection.model.nats

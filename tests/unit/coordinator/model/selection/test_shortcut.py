@@ -12,7 +12,7 @@ from atoll_coordinator.model.pools import Law, Member
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection import proposals
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.shortcut import select_by_laws, with_laws
+from atoll_coordinator.model.selection.shortcut import add_laws, select_laws
 from atoll_coordinator.model.selection.stages import select_model
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import PRESETS
@@ -52,26 +52,26 @@ def test_lorenz_by_a_solver_of_tolerance_1e_6_has_no_further_terms():
 
 @pytest.mark.slow
 def test_pieces_are_as_long_as_errors_of_the_size_of_the_noise_stay_small():
-    lengths = [select_by_laws(with_laws(task_of(1000, noise, trajectories=2))).task.piece for noise in (0.002, 0.05)]
+    lengths = [select_laws(add_laws(task_of(1000, noise, trajectories=2))).task.piece for noise in (0.002, 0.05)]
     assert lengths[0] > 1.3 * lengths[1]
 
 
 def test_without_a_law_at_the_noise_level_the_long_way_is_taken():
-    task = with_laws(task_of(150, 0.05))
-    assert select_by_laws(task) is None
+    task = add_laws(task_of(150, 0.05))
+    assert select_laws(task) is None
     assert task.longest == 150
 
 
 @pytest.mark.slow
 def test_pieces_without_noise_are_no_longer_than_double_precision_determines_constants_from():
     """Errors grow e-fold in 0.9: over 250 rows of 0.02 a hundred-fold, and a thousand-fold where they grow fastest."""
-    assert select_by_laws(with_laws(task_of(1000, 0.0, step=0.02, trajectories=3))).task.piece < 300
+    assert select_laws(add_laws(task_of(1000, 0.0, step=0.02, trajectories=3))).task.piece < 300
 
 
 @cache
 def clean_task():
     """Return the task of one long trajectory without noise."""
-    return with_laws(task_of(800, 0.0, step=0.02))
+    return add_laws(task_of(800, 0.0, step=0.02))
 
 
 def converged_task(texts, *, with_law):
@@ -88,7 +88,7 @@ def converged_task(texts, *, with_law):
 def test_equations_that_a_search_without_noise_has_converged_to_stand_beside_laws_and_in_their_place():
     texts = ("10*(y - x)", "x*(28 - z) - y", "x*y - 2.5*z - 1/6*z")
     for with_law in (True, False):
-        selected = select_by_laws(converged_task(texts, with_law=with_law))
+        selected = select_laws(converged_task(texts, with_law=with_law))
         for name, program in zip(NAMES, selected.model.programs, strict=True):
             assert monomials(to_infix(program, NAMES)) == TERMS[name], name
 
@@ -96,7 +96,7 @@ def test_equations_that_a_search_without_noise_has_converged_to_stand_beside_law
 @pytest.mark.slow
 def test_equations_without_a_law_must_be_exact_for_no_search_around_them():
     texts = ("10*(y - x)", "x*(28 - z) - y", "x*y")
-    assert select_by_laws(converged_task(texts, with_law=False)) is None
+    assert select_laws(converged_task(texts, with_law=False)) is None
 
 
 WRONG = "x1*x0 - x2*x3"
@@ -116,11 +116,11 @@ def forms(programs):
 
 
 def test_one_wrong_law_gives_way_to_another_candidate_and_leaves_the_others_as_they_are(monkeypatch):
-    monkeypatch.setattr(proposals, "_sums", lambda *_: ())
+    monkeypatch.setattr(proposals, "_pursue", lambda *_: ())
     preparation, laws = ring_with_a_wrong_law()
     candidates = {name: CandidateSet() for name in RING}
     candidates["x2"] = CandidateSet((Member(from_infix("x0*x1 - 0.9*x2", RING), 0.1, 0.01),))
     task = ModellingTask(preparation.dataset, preparation.recording, SUMS, candidates, among_many=laws)
-    assert select_by_laws(with_laws(task)) is None
+    assert select_laws(add_laws(task)) is None
     selected = select_model(task)
     assert forms(selected.model.programs[:5]) == forms(from_infix(text, RING) for text in TRUTHS.values())

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.selection.candidates import collect_candidates
-from atoll_coordinator.model.selection.solver_errors import without_solver_errors
+from atoll_coordinator.model.selection.solver_errors import subtract_solver_errors
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.data.dataset import FloatArray
@@ -52,9 +52,9 @@ def corrected(
     given = {name: (name,) for name in prepared.dataset.names}
     candidates = collect_candidates(prepared.dataset, CONFIG, pools(prepared, **given))
     task = ModellingTask(prepared.dataset, prepared.recording, CONFIG, candidates)
-    comparison = task.compare(task.compared_measurements, task.variables)
+    comparison = task.make_comparison(task.compared_measurements, task.variables)
     fit = comparison.fit_model([known.parsed(text) for text in texts], lengths=(10,))
-    return without_solver_errors(task, fit.fit)
+    return subtract_solver_errors(task, fit.fit)
 
 
 @pytest.mark.parametrize(("method", "rtol"), [("RK45", 1e-3), ("RK45", 1e-6), ("LSODA", 1e-3)])
@@ -100,11 +100,11 @@ def test_a_held_out_trajectory_that_cannot_be_solved_leaves_the_table_as_it_is(f
     recording = replace(prepared.recording, trajectories=(*others, last))
     candidates = collect_candidates(prepared.dataset, ROOTS, pools(prepared, x=("x",)))
     task = ModellingTask(prepared.dataset, recording, ROOTS, candidates)
-    comparison = task.compare(task.compared_measurements, task.variables)
+    comparison = task.make_comparison(task.compared_measurements, task.variables)
     fit = comparison.fit_model([known.parsed("0.9 - sqrt(x)")], lengths=(10,))
-    assert without_solver_errors(task, fit.fit) is None
+    assert subtract_solver_errors(task, fit.fit) is None
     task = replace(task, recording=prepared.recording)
-    assert without_solver_errors(task, fit.fit) is not None
+    assert subtract_solver_errors(task, fit.fit) is not None
 
 
 @pytest.mark.slow

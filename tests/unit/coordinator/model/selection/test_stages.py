@@ -7,7 +7,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection.candidates import collect_candidates
-from atoll_coordinator.model.selection.shortcut import with_laws
+from atoll_coordinator.model.selection.shortcut import add_laws
 from atoll_coordinator.model.selection.stages import STAGES, Choice
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import BudgetConfig, JobConfig, SpaceConfig
@@ -16,7 +16,7 @@ from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
 def final_candidates(task):
     """Return the candidates of each equation that are searched."""
-    choice = Choice(with_laws(task))
+    choice = Choice(add_laws(task))
     for stage in STAGES:
         if stage.name == "search among the candidates":
             break
@@ -57,11 +57,14 @@ def test_trajectories_show_that_the_equation_of_a_converged_search_only_comes_cl
 SPIRAL = Known(("a", "b"), lambda _, z: [-0.2 * z[0] + z[1], -z[0]])
 
 
-@pytest.mark.parametrize(("lawful", "sizes"), [(("a",), (1, 2)), (("a", "b"), (2, 2))])
-def test_an_equation_among_many_that_has_a_law_has_no_other_candidates_unless_all_have(lawful, sizes):
+@pytest.mark.parametrize(("rate_law_variables", "sizes"), [(("a",), (1, 2)), (("a", "b"), (2, 2))])
+def test_an_equation_among_many_that_has_a_law_has_no_other_candidates_unless_all_have(rate_law_variables, sizes):
     measured = prepare(table(SPIRAL, ([3.0, 1.0], [1.0, 2.0]), 0.1 * np.arange(40.0)), NO_LIBRARIES)
     entries = pools(measured, a=("b", "-a"), b=("b", "-b"))
-    laws = {name: (Law(SPIRAL.parsed("b - 0.3*a"), 10.0, 0.5, is_tested=True, is_of_rates=True),) for name in lawful}
+    laws = {
+        name: (Law(SPIRAL.parsed("b - 0.3*a"), 10.0, 0.5, is_tested=True, is_of_rates=True),)
+        for name in rate_law_variables
+    }
     candidates = collect_candidates(measured.dataset, NO_LIBRARIES, entries)
     task = ModellingTask(measured.dataset, measured.recording, NO_LIBRARIES, candidates, laws=laws)
     lists = final_candidates(task)

@@ -87,7 +87,7 @@ def test_whitened_residuals_do_not_go_together():
     weights = np.where(np.arange(2000) % 7 == 0, 0.0, 4.0)[None]
     rows = Innovations(np.array([[0, 2000]]), np.ones(2000), weights)
     model = ErrorModel(np.ones(1), np.ones(1), np.full(1, DECAY))
-    white = rows.whitened(errors, model)
+    white = rows.whiten(errors, model)
     squares, _ = rows.squares(errors, model)
     assert (white[weights == 0.0] == 0.0).all()
     assert float((weights * white**2).sum()) == pytest.approx(squares[0])

@@ -142,7 +142,7 @@ def test_segments_cover_every_row_once_and_have_about_the_length(rows, length):
 @pytest.mark.parametrize("most", [130, 200, 600])
 def test_thinned_rows_are_pieces_of_the_trajectories(most):
     rows = measurements_of(recording(SWING, STARTS[:2], lengths_of(1203, 400), noise=0.1), [0, 1])
-    thinned = rows.thinned(most)
+    thinned = rows.thin(most)
     assert most // 2 <= thinned.rows <= 1.5 * most
     assert thinned.bounds[:, 0].tolist() == [0, *thinned.bounds[:-1, 1].tolist()]
     assert thinned.bounds[-1, 1] == thinned.rows
@@ -173,7 +173,7 @@ def test_thinned_rows_come_from_all_trajectories_and_from_late_rows_as_from_earl
         **dict.fromkeys(("measured", "weights", "smoothed"), blank),
         **dict.fromkeys(("inputs", "input_slopes"), blank[:0]),
     )
-    thinned = whole.thinned(most)
+    thinned = whole.thin(most)
     pieces, places = len(thinned.bounds), 10.0 * thinned.times / rows
     if pieces >= 6:
         assert places.min() < 0.3
@@ -202,7 +202,7 @@ def test_pieces_are_as_long_as_asked_for_at_most():
 
 def test_few_rows_are_not_thinned():
     rows = measurements_of(swinging(), [0, 1])
-    assert rows.thinned(61) is rows
+    assert rows.thin(61) is rows
 
 
 def test_limits_leave_room_on_both_sides():

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from atoll_coordinator.model.inference.prediction import _OtherInitialStates
-from atoll_coordinator.model.shooting.points_between import points_beside, points_between, without_kept
+from atoll_coordinator.model.shooting.points_between import points_between, points_in_boxes, remove_conserved_directions
 from tests.unit.coordinator.model.shooting.made import Known, measurements
 
 TIMES = np.linspace(0.0, 12.0, 60)
@@ -26,7 +26,7 @@ def test_points_between_keep_a_weighted_sum_that_is_measured_to_be_constant():
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_moves_of_smoothed_points_keep_sums_that_are_constant_but_for_noise(noise):
     """Smoothing leaves a part of the noise."""
-    moves = without_kept(np.eye(3), course(0.3 * noise), np.full(3, noise))
+    moves = remove_conserved_directions(np.eye(3), course(0.3 * noise), np.full(3, noise))
     np.testing.assert_allclose(moves @ [1.0, 1.0, 2.0], 0.0, atol=max(noise, 1e-8))
 
 
@@ -34,18 +34,18 @@ def test_what_varies_more_than_the_noise_is_no_sum_that_is_kept():
     points = course()
     points[2] += 0.05 * np.sin(TIMES)
     moves = np.eye(3)
-    np.testing.assert_allclose(without_kept(moves, points, np.full(3, 1e-3)), moves)
-    assert not np.allclose(without_kept(moves, points, np.full(3, 0.1)), moves)
+    np.testing.assert_allclose(remove_conserved_directions(moves, points, np.full(3, 1e-3)), moves)
+    assert not np.allclose(remove_conserved_directions(moves, points, np.full(3, 0.1)), moves)
 
 
 def test_few_rows_show_no_sum():
     moves = np.eye(3)
-    np.testing.assert_array_equal(without_kept(moves, course()[:, :3], np.zeros(3)), moves)
+    np.testing.assert_array_equal(remove_conserved_directions(moves, course()[:, :3], np.zeros(3)), moves)
 
 
 def test_inputs_stay_as_they_are_at_a_measured_point():
     points = np.vstack([course(), TIMES])
-    beside = points_beside(points, 3)
+    beside = points_in_boxes(points, 3)
     assert np.isin(beside[:, 3], TIMES).all()
 
 

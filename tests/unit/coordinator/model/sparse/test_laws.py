@@ -6,9 +6,9 @@ from scipy import special
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.sparse.atoms import product_atoms, products
-from atoll_coordinator.model.sparse.laws import find_laws, laws_among_many, settled_variables
+from atoll_coordinator.model.sparse.laws import find_laws, find_laws_among_many, settled_variables
 from atoll_coordinator.model.sparse.regression import Regression
-from atoll_coordinator.model.sparse.rows import Measured, weak_rows
+from atoll_coordinator.model.sparse.rows import MeasuredRows, weak_rows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BudgetConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.expression.operators import BY_NAME
@@ -26,7 +26,7 @@ def laws_of(preparation, name, columns=(0, 1, 2), **options):
 
 
 def settled_of(preparation, config):
-    return settled_variables(preparation, config, laws_among_many(preparation, config))
+    return settled_variables(preparation, config, find_laws_among_many(preparation, config))
 
 
 def terms(law):
@@ -117,7 +117,7 @@ def test_windows_that_differ_much_in_variance_decide_the_terms_of_a_state_in_bur
     values = np.array([6.0 * np.sin(times), np.exp(-6.0 * np.cos(times) + 0.1 * times - 3.0), np.cos(0.37 * times)])
     sizes = 0.02 * values.std(axis=1)
     noisy = values + sizes[:, None] * generator.normal(size=values.shape)
-    measured_states = Measured(times, ((0, len(times)),), noisy, values, sizes)
+    measured_states = MeasuredRows(times, ((0, len(times)),), noisy, values, sizes)
     form = weak_rows(measured_states, 1, 12)
     wrong = products((0, 1, 2), 2)
     found = Regression(form, product_atoms(noisy, wrong)).search(range(len(wrong)))
@@ -132,10 +132,10 @@ def test_fitted_coefficients_are_no_degrees_of_freedom_of_what_a_law_leaves():
     values = np.array([np.sin(times) + 0.3 * np.sin(2.3 * times), np.cos(times) + 0.69 * np.cos(2.3 * times)])
     sizes = 0.02 * values.std(axis=1)
     noisy = values + sizes[:, None] * generator.normal(size=values.shape)
-    form = weak_rows(Measured(times, ((0, len(times)),), noisy, values, sizes), 0, 20)
+    form = weak_rows(MeasuredRows(times, ((0, len(times)),), noisy, values, sizes), 0, 20)
     for degree, count in ((1, 3), (2, 6), (3, 10)):
         regression = Regression(form, product_atoms(noisy, products((0, 1), degree)))
-        found, free = regression.refitted(range(count), np.ones(len(form.sides))), form.independent - count
+        found, free = regression.refit(range(count), np.ones(len(form.sides))), form.independent - count
         assert found.assessment.probability == pytest.approx(special.chdtrc(free, free * found.excess**2))
 
 

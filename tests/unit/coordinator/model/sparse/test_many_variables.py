@@ -63,9 +63,9 @@ def test_what_no_short_sum_describes_has_no_law():
 
 def test_rows_known_as_well_as_the_trusted_ones_are_trusted():
     alike = RateRows(np.ones((1, 10)), np.arange(10.0), np.ones(10))
-    assert len(alike.decisive.sides) == 10
+    assert len(alike.trusted.sides) == 10
     different = RateRows(np.ones((1, 10)), np.arange(10.0), 1.0 + np.arange(10.0))
-    assert different.decisive.sides.tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert different.trusted.sides.tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
 def equations(operators=OPERATORS):

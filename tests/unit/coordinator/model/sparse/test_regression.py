@@ -9,9 +9,9 @@ from atoll_coordinator.model.sparse.atoms import product_atoms
 from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
 from atoll_coordinator.model.sparse.regression import (
     Regression,
-    eliminated,
-    improved,
-    selected_forward,
+    descend,
+    eliminate_columns,
+    select_forward,
     shortest,
 )
 from atoll_coordinator.model.sparse.rows import RateRows
@@ -32,8 +32,8 @@ def test_terms_leave_as_long_as_that_is_shorter_by_more_than_the_least_gain():
     def fewer(fit):
         return (Fit(tuple(other for other in fit.kept if other != term)) for term in fit.kept)
 
-    assert improved(Fit((1, 2, 7, 3)), fewer).kept == (1, 2, 7)
-    assert improved(Fit((1, 2, 7, 3)), fewer, 4.0).kept == (1, 2, 7, 3)
+    assert descend(Fit((1, 2, 7, 3)), fewer).kept == (1, 2, 7)
+    assert descend(Fit((1, 2, 7, 3)), fewer, 4.0).kept == (1, 2, 7, 3)
     assert shortest([None]) is None
 
 
@@ -42,7 +42,7 @@ def test_the_column_that_explains_most_comes_first():
     columns = generator.normal(size=(6, 100))
     columns[5] = columns[0]
     side = 5.0 * columns[4] + columns[1]
-    steps = list(selected_forward(columns, side))
+    steps = list(select_forward(columns, side))
     chosen = [place for place, _ in steps]
     assert chosen[:2] == [4, 1]
     assert steps[1][1] < 1e-20 * float(side @ side)
@@ -50,11 +50,11 @@ def test_the_column_that_explains_most_comes_first():
 
 
 def test_nothing_is_chosen_where_no_column_is_left():
-    assert list(selected_forward(np.array([[1.0, 1.0]]), np.array([1.0, 2.0]))) == [(0, pytest.approx(0.5))]
+    assert list(select_forward(np.array([[1.0, 1.0]]), np.array([1.0, 2.0]))) == [(0, pytest.approx(0.5))]
 
 
 def run(columns, side, errors=None):
-    path = eliminated(columns, side, errors)
+    path = eliminate_columns(columns, side, errors)
     return path.order, path.squares, path.coefficients
 
 
@@ -79,7 +79,7 @@ def test_steps_are_those_of_least_squares():
         assert solved_side[step, kept] == pytest.approx(solution, rel=1e-9)
         assert squares[step] == pytest.approx(left, rel=1e-9)
     assert squares[-1] == pytest.approx(float(side @ side))
-    first = eliminated(columns, side, steps=1)
+    first = eliminate_columns(columns, side, steps=1)
     assert first.factors(0) == pytest.approx(solved_side[0], rel=1e-12)
     assert set(order[-2:]) == {0, 3}
 
@@ -130,7 +130,7 @@ def test_rows_that_err_far_more_than_they_should_count_little():
     _, regression = rows_of(
         errors, lambda columns: columns.T @ [1.0, -2e-3, 0.0] + errors * generator.normal(size=300) + outliers
     )
-    fit = regression.refitted((0, 1), 1.0 / errors)
+    fit = regression.refit((0, 1), 1.0 / errors)
     assert fit.coefficients == pytest.approx([1.0, -2e-3], abs=5e-4)
     assert fit.excess < 2.0
     assert fit.assessment.weights[:60].max() < 0.1 * fit.assessment.weights[60:].mean()
@@ -142,6 +142,6 @@ def test_without_outliers_a_fit_is_least_squares():
     noise = errors * generator.normal(size=300)
     rows, regression = rows_of(errors, lambda columns: columns.T @ [2.0, -1e-3, 5e2] + noise)
     expected = np.linalg.lstsq((rows.inputs / errors).T, rows.sides / errors, rcond=None)[0]
-    fit = regression.refitted((0, 1, 2), 1.0 / errors)
+    fit = regression.refit((0, 1, 2), 1.0 / errors)
     assert fit.coefficients == pytest.approx(expected, rel=0.2)
     assert 0.8 < fit.excess < 1.2

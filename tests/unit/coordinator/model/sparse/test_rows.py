@@ -6,7 +6,7 @@ from scipy.integrate import quad
 
 from atoll_coordinator.model.sparse.atoms import product_atoms
 from atoll_coordinator.model.sparse.many_variables import _short_windows, _weights, window_rows
-from atoll_coordinator.model.sparse.rows import Measured, _stretches, rate_rows, weak_rows
+from atoll_coordinator.model.sparse.rows import MeasuredRows, _stretches, rate_rows, weak_rows
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.sparse.enzyme import NAMES, prepared
 
@@ -18,7 +18,7 @@ def curves(rows=400, noise=0.0, seed=0):
     times = 0.02 * np.arange(float(rows))
     smooth = np.array([np.sin(times), np.cos(times)])
     values = smooth + noise * np.random.default_rng(seed).normal(size=smooth.shape)
-    return Measured(times, ((0, rows // 2), (rows // 2, rows)), values, smooth, np.array([noise, noise]))
+    return MeasuredRows(times, ((0, rows // 2), (rows // 2, rows)), values, smooth, np.array([noise, noise]))
 
 
 def atoms(form, terms):
@@ -106,14 +106,14 @@ def test_errors_reach_the_neighbours_of_the_same_trajectory():
     last = int(np.flatnonzero(np.diff(rows.first) >= rows.bump.shape[1])[0])
     errors = np.zeros(len(rows.first))
     errors[last] = -2.0
-    assert np.flatnonzero(rows.widened(errors)).tolist() == [last - 1, last]
+    assert np.flatnonzero(rows.widen(errors)).tolist() == [last - 1, last]
 
 
 def test_so_many_windows_stand_for_all_and_begin_early_and_late():
     runs, rows = 5000, 20
     numbers = np.arange(float(runs * rows))[None]
     ranges = tuple((rows * run, rows * (run + 1)) for run in range(runs))
-    windows = _short_windows(Measured(numbers[0], ranges, numbers, numbers, np.zeros(1)), 0, 2)
+    windows = _short_windows(MeasuredRows(numbers[0], ranges, numbers, numbers, np.zeros(1)), 0, 2)
     assert SETTINGS.rows.most <= len(windows.first) < 2 * SETTINGS.rows.most
     assert windows.share == 1.0
     assert set((windows.first % rows).tolist()) == set(range(0, 16, 2))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.sparse.laws import screened, with_screened_variables
+from atoll_coordinator.model.sparse.laws import screen_columns, screen_variables
 from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import PRESETS
 from atoll_core.data.table import Table
@@ -26,10 +26,10 @@ def prepared(config):
 def test_of_many_variables_those_that_matter_are_taken():
     names = tuple(f"x{place}" for place in range(40))
     rows, _ = rows_of("8 - x5 + x6*x4 - x3*x4", names, 700)
-    kept = screened(rows, range(40))
+    kept = screen_columns(rows, range(40))
     assert {3, 4, 5, 6} <= set(kept)
     assert len(kept) <= 8
-    assert screened(rows, (1, 7, 9)) == (1, 7, 9)
+    assert screen_columns(rows, (1, 7, 9)) == (1, 7, 9)
 
 
 def test_what_the_user_allows_stays():
@@ -37,7 +37,7 @@ def test_what_the_user_allows_stays():
     preparation = prepared(config)
     space = config.space.model_copy(update={"variables_of": {"x3": ("x3", "x15")}})
     resolved = resolve(config.model_copy(update={"space": space}), preparation.dataset)
-    search_space = with_screened_variables(preparation, resolved).space
+    search_space = screen_variables(preparation, resolved).space
     assert search_space.variables_of["x3"] == ("x3", "x15")
     assert set(search_space.variables_of) == set(STATES)
     assert all(1 <= len(names) <= 8 for names in search_space.variables_of.values())
@@ -48,4 +48,4 @@ def test_a_few_variables_are_all_taken():
     config = PRESETS["default"]
     preparation = prepared(config.model_copy(update={"data": config.data.model_copy(update={"states": STATES[:5]})}))
     resolved = resolve(config, preparation.dataset)
-    assert with_screened_variables(preparation, resolved) is resolved
+    assert screen_variables(preparation, resolved) is resolved

@@ -61,7 +61,7 @@ class Lab:
             lambda client, payload: self.told.append((client, decode(payload, JobChange))),
         )  # fmt: skip
         self.controller.changed = self.followers.touch
-        self.controller.events.told = lambda kind, job: self.followers.touch(job)
+        self.controller.events.on_event = lambda kind, job: self.followers.touch(job)
         self.users: tuple[UserView, ...] = ()
         self.clients = ClientRequests(
             self.controller, store, self.authorization, deletion, lambda: self.now, self.coordinator, self.followers
