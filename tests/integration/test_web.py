@@ -151,7 +151,7 @@ def test_a_job_by_http_ends_as_one_by_the_command_line_and_its_stream_survives_k
         again = done(place, "coordinator", "submit", "d.csv", "--seed", "3", "--id", "j2", "--json", "--connect", url)
         assert json.loads(again.stdout)["digest"] == alone["digest"], again.stderr
         refused = done(place, "coordinator", "ping", "--connect", f"{page.base}/?token=another")
-        assert (refused.returncode, "token is not known" in refused.stderr) == (2, True)
+        assert (refused.returncode, "token is unknown" in refused.stderr) == (2, True)
         assert page.ask("DELETE", "jobs/j1")[0] == 204
         assert page.ask("GET", "jobs/j1")[0] == 404
         process.send_signal(signal.SIGTERM)

@@ -89,6 +89,6 @@ def test_the_ranking_ends_with_the_work_of_a_part_however_many_alternatives_are_
 
     monkeypatch.setattr(alternatives, "_find_all_alternatives", ever_shorter)
     begun = SelectedModel(None, comparison, SimpleNamespace(nats=0.0))
-    selection, models = alternatives._shortest(begun, np.zeros((1, 1)))
+    selection, models = alternatives._select_shortest(begun, np.zeros((1, 1)))
     assert looks == [0.0, -1.0, -2.0]
     assert (selection.model.nats, models[0][0].nats) == (-2.0, -3.0)
