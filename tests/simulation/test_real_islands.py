@@ -103,7 +103,7 @@ def test_real_islands_go_on_from_their_states_as_if_nothing_had_happened(monkeyp
     """Checkpoints at every epoch: a worker dies after the first, and another leaves at the same time."""
     calm = answer(workers=1, seed=0)
     monkeypatch.setattr("atoll_coordinator.service.search.archipelago.FIRST_INTERVAL", 1)
-    monkeypatch.setattr("atoll_coordinator.service.search.checkpoints.LEAST_INTERVAL", 1)
+    monkeypatch.setattr("atoll_coordinator.service.search.checkpoint_schedule.LEAST_INTERVAL", 1)
     world = World(workers=3, seed=1, expected=3, compute=RealCompute, prepare=prepare, refiner=unrefined, slowness=20.0)
 
     def strike() -> None:

@@ -55,7 +55,7 @@ _MOST_OUTLIERS: Final = 0.1
 _MANY_OUTLIERS: Final = "; so many outliers suggest that rows are too far apart for --robust, not that they are wrong"
 
 
-def assemble_given(
+def assemble_with_given_sides(
     measurements: Measurements,
     weights: FloatArray | None,
     selected: list[int],
@@ -296,7 +296,7 @@ def _prepare(examination: Examination, config: JobConfig) -> Preparation:
     weights = normalize_weights(measurements.weights)
     if measurements.trajectories is None:
         rows = select_weighty_rows(weights, measurements.searched_rows)
-        return assemble_given(measurements, weights, rows, equations, symbols)
+        return assemble_with_given_sides(measurements, weights, rows, equations, symbols)
 
     differentiation = Differentiation(options.order, config.preset == "paper", options.robust)
     whole, estimates = measurements, estimate_driven_states(measurements, weights, differentiation)

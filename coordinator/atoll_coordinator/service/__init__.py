@@ -12,6 +12,6 @@ A task: `tasks.task_controller` -> `tasks.task_table` (plan) -> a lease -> a wor
 A report: `service_loop` -> `job_controller.add_report` -> `jobs.job` -> `search.archipelago` -> `search.collector`.
 A worker's death: `workers.worker_controller` -> `workers.membership` (expire) -> `workers.crash_loops` ->
 `workers.placing` -> a placement under a new term.
-A commit: heartbeat with snapshots -> `search.pull_budget` (pulls) -> `search.checkpoints` (gathering) ->
+A commit: heartbeat with snapshots -> `search.pull_budget` (pulls) -> `search.checkpoint_schedule` (gathering) ->
 `tasks.background` -> `job_controller` (commit) -> `workers.channel`.
 """

@@ -67,7 +67,7 @@ from atoll_coordinator.service.scheduling.fair_share import TaskTurns, Turn
 from atoll_coordinator.service.scheduling.job_queue import NO_TIME, JobQueue, pause_reason
 from atoll_coordinator.service.scheduling.limits import DAY_S, TaskTime
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoints import StoredSearchState
+from atoll_coordinator.service.search.checkpoint_schedule import StoredSearchState
 from atoll_coordinator.service.search.ending import Cut
 from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer

@@ -13,7 +13,8 @@ from typing import Any, Final
 
 from atoll.client.client import Client
 from atoll_coordinator.service.requests import deletion
-from atoll_coordinator.service.search import archipelago, checkpoints
+from atoll_coordinator.service.search import archipelago
+from atoll_coordinator.service.search import checkpoint_schedule as checkpoints
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, RefusedError, UnreachableError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView

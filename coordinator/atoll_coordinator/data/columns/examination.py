@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.columns.finding import ExaminedColumns, Finding
+from atoll_coordinator.data.columns.examined_columns import ExaminedColumns, Finding
 from atoll_coordinator.data.columns.motion import check_map, check_second_order
 from atoll_coordinator.data.columns.values import (
     check_clipping,

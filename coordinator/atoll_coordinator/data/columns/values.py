@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.columns.finding import (
+from atoll_coordinator.data.columns.examined_columns import (
     ExaminedColumns,
     Finding,
     Parts,

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.columns.finding import dot
+from atoll_coordinator.data.columns.examined_columns import dot
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, StateEstimate, estimate_states
 from atoll_coordinator.data.differentiation.interpolation import make_signal
 from atoll_coordinator.data.differentiation.kernels.stencils import moments

@@ -155,14 +155,14 @@ def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measure
         columns[name] = columns[name] * RADIANS_PER_DEGREE
     if roles.is_given:
         return Measurements(roles, columns, ranges, held_out, None, tuple(warnings))
-    trajectories = _split_trajectories(table, roles, rows, ranges, columns)
+    trajectories = _trajectories_of_ranges(table, roles, rows, ranges, columns)
     if roles.time is not None:
         check_rates(roles.time, trajectories.times, trajectories.states, config.order)
     groups = _name_groups(table, roles, trajectories.names, first_rows, held_out)
     return Measurements(roles, columns, ranges, held_out, trajectories, tuple(warnings), groups)
 
 
-def _split_trajectories(
+def _trajectories_of_ranges(
     table: Table, roles: Roles, rows: list[int], ranges: Sequence[Range], columns: Mapping[str, FloatArray]
 ) -> Trajectories:
     """Return names, times and states along each trajectory.

@@ -97,7 +97,7 @@ def residual_statistics(
         errors = innovations
         square = float(sum(series @ series for series in errors))
         correlations, weights = _correlations(errors, square, parameters)
-    pattern_probability = _pattern_probability(errors, correlations, weights)
+    pattern_probability = _normal_pattern(errors, correlations, weights)
     if covariance is not None and len(covariance) == rows and rows - parameters >= 1.0 and correlations:
         correlations[0], pattern_probability = _exact_pattern(errors, square, covariance, _count_lags(rows, parameters))
     is_testable = rows - parameters >= 1.0
@@ -112,9 +112,7 @@ def residual_statistics(
     )
 
 
-def _pattern_probability(
-    errors: Sequence[FloatArray], correlations: Sequence[float], variances: Sequence[float]
-) -> float:
+def _normal_pattern(errors: Sequence[FloatArray], correlations: Sequence[float], variances: Sequence[float]) -> float:
     """Return the probability of at least this sum of correlations in noise, which is about normal."""
     from scipy import special
 

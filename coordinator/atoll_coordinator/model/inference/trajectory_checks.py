@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from atoll_coordinator.data.columns.finding import listed
+from atoll_coordinator.data.columns.examined_columns import listed
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
 from atoll_coordinator.model.inference.checks import (
     UNSIMULATED,

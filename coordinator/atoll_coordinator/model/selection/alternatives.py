@@ -2,8 +2,8 @@
 
 How it works. For each equation, the programs that were already fitted in its place and programs that agree with it
 along the measured curves are fitted again. Equivalent equations are dropped. If an alternative is shorter than the
-model, it becomes the model, and its alternatives are ranked. The shortest description always stays the model;
-alternatives that are nearly as short make its verdict doubtful, even if they predict worse.
+model, it becomes the model, and its alternatives are ranked. The shortest description stays the model unless the
+allowed work ends first; alternatives that are nearly as short make its verdict doubtful, even if they predict worse.
 
 Doubts. Only equations that a search has proposed can appear. Two equations are compared at the points of the dataset
 and at a few points off the curves; a difference elsewhere is not seen.

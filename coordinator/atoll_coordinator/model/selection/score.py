@@ -166,7 +166,7 @@ class Score:
     def score_fit(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model of a fit, with its misfit and length in nats."""
         misfit = self._misfit_of(fit.system).total(self.squares(fit)) + self._resting_misfit(fit)
-        return FittedModel(fit.system.programs[self.leading :], fit, misfit, self._length(misfit, fit.system))
+        return FittedModel(fit.system.programs[self.leading :], fit, misfit, self._with_prices(misfit, fit.system))
 
     def calibrate(self, fit: TrajectoryFit) -> tuple["Score", TrajectoryFit]:
         """Return the score with errors estimated from the residuals of a fit, and the fit repeated with these errors.
@@ -188,7 +188,7 @@ class Score:
         noise = self._independent_noise(roughness(self.estimator.measurements, residuals), free)
         return replace(self, roughness=noise, rows=free)
 
-    def _length(self, misfit: float, system: System) -> float:
+    def _with_prices(self, misfit: float, system: System) -> float:
         """Return the nats of a system with this misfit."""
         return system_length(misfit, system.programs[self.leading :], 1, self._constants_length(system))
 

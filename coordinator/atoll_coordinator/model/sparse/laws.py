@@ -267,7 +267,7 @@ class _Windows:
 def _search_law(regression: Regression, terms: tuple[Product, ...]) -> tuple[Law, ...]:
     """Return the law that a search from the sum of these products finds; empty without one."""
     places = {atom.shape.factors: place for place, atom in enumerate(regression.atoms)}
-    found = regression.search([places[term] for term in terms])
+    found = regression.select_terms([places[term] for term in terms])
     if found is None or found.assessment is None:
         return ()
     return (Law(found.sum_of_products(), found.nats, found.excess, True, probability=found.assessment.probability),)

@@ -237,7 +237,7 @@ def _short_sum(equation: Equation) -> Sum | None:
             if equation.is_law(best):
                 return best
         regression = Regression(rows, product_atoms(rows.inputs, terms))
-        best = shortest([best, regression.search(range(len(terms)), 1.0 / rows.side_errors)])
+        best = shortest([best, regression.select_terms(range(len(terms)), 1.0 / rows.side_errors)])
         if rows.is_precise and equation.is_law(best):
             return best
     return _add_functions(equation, best, sizes) if len(sizes) <= len(_DEGREES[:2]) else best
@@ -297,7 +297,7 @@ def _search_sum(
         starts = [[place for place, atom in enumerate(library) if atom.shape.factors in factors]]
         orders = [len(atom.shape.factors) for atom in library]
         starts += [[place for place, order in enumerate(orders) if order <= degree] for degree in {*orders} - {0}]
-        found = shortest(regression.search([*start, *inside], weights) for start in starts if [*start, *inside])
+        found = shortest(regression.select_terms([*start, *inside], weights) for start in starts if [*start, *inside])
         found = None if found is None else fit_inner_constants(found)
         if found is None or (best is not None and not found.nats < best.nats - SETTINGS.selection.least_gain):
             return best

@@ -198,7 +198,7 @@ class Regression:
         """Whether all columns are finite, and there are fewer columns than rows."""
         return self.is_finite and len(self.atoms) < len(self.rows.sides)
 
-    def search(self, start: Sequence[int], weights: FloatArray | None = None) -> Sum | None:
+    def select_terms(self, start: Sequence[int], weights: FloatArray | None = None) -> Sum | None:
         """Return the sum at which a search from the terms `start` (indices) ends; None if the terms cannot be fitted.
 
         The first weights are equal, or come from a fit of the terms `start` with `weights`. Later weights come from the

@@ -5,7 +5,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from atoll_coordinator.service.search.checkpoints import StoredSearchState
+from atoll_coordinator.service.search.checkpoint_schedule import StoredSearchState
 from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core import ENGINE_REVISION, VERSION
 from atoll_core.config import JobConfig

@@ -11,7 +11,7 @@ from atoll_coordinator.data.recording import STENCIL_ROWS, Recording
 from atoll_coordinator.model.description_length import count_constants, front_length
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.search.archipelago import Archipelago
-from atoll_coordinator.service.search.checkpoints import StoredSearchState
+from atoll_coordinator.service.search.checkpoint_schedule import StoredSearchState
 from atoll_coordinator.service.search.collector import DivergedError, Measure
 from atoll_coordinator.service.search.ending import Cut, SearchLimits, Stagnation
 from atoll_coordinator.service.store.jobs import JobRecord

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from atoll_coordinator.service.search.checkpoints import (
+from atoll_coordinator.service.search.checkpoint_schedule import (
     FIRST_INTERVAL,
     Gathering,
     StoredSearchState,

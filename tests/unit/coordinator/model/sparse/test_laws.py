@@ -120,7 +120,7 @@ def test_windows_that_differ_much_in_variance_decide_the_terms_of_a_state_in_bur
     measured_states = MeasuredRows(times, ((0, len(times)),), noisy, values, sizes)
     form = weak_rows(measured_states, 1, 12)
     wrong = products((0, 1, 2), 2)
-    found = Regression(form, product_atoms(noisy, wrong)).search(range(len(wrong)))
+    found = Regression(form, product_atoms(noisy, wrong)).select_terms(range(len(wrong)))
     assert monomials(to_infix(found.program(), NAMES)) == {"y", "x*y"}
     assert 0.7 < found.excess < 1.3
 

@@ -3,7 +3,7 @@
 import pytest
 
 from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
+from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
 from atoll_coordinator.service.search.ending import SearchLimits, Stagnation
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll_coordinator.service.search import checkpoints
+from atoll_coordinator.service.search import checkpoint_schedule as checkpoints
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import States

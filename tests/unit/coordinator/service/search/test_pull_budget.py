@@ -4,7 +4,7 @@ import pytest
 
 from atoll_coordinator.service.search import pull_budget as module
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
+from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
 from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.ending import SearchLimits, Stagnation
 from atoll_coordinator.service.search.pull_budget import PullBudget
