@@ -129,6 +129,7 @@ async def _exit_code_of_fork(task: Reading) -> int:
         await ended.wait()
     finally:
         loop.remove_reader(process.sentinel)
+        process.kill()  # a fork that has just begun has no group of its own yet
         with contextlib.suppress(OSError):
             os.killpg(process.pid or 0, signal.SIGKILL)
         process.join()
@@ -137,6 +138,7 @@ async def _exit_code_of_fork(task: Reading) -> int:
 
 def _read(task: Reading) -> None:
     """Read in a fork, and exit without the interpreter's cleanup, because a file could disturb it."""
+    os.setpgid(0, 0)  # first, so that a cancelled request finds the group of this fork and its children
     from atoll.web.reading_process import answer
 
     os._exit(answer(task))

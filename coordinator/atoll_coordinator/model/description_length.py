@@ -164,7 +164,7 @@ def system_length(misfit: float, programs: Sequence[Program], constants: int, co
     """Return the description length of a fitted system: misfit + structures + k/2 ln N (Schwarz 1978).
 
     Args:
-        misfit: see `trajectory_misfit`.
+        misfit: see `TrajectoryMisfit`.
         programs: the equations that were not given by the user.
         constants: k, the number of fitted constants.
         constant_nats: nats of one constant, see `constant_nats_of`.

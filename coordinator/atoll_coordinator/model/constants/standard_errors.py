@@ -83,8 +83,8 @@ def estimate_covariance(
 
 def _invert_normal(diagonal: FloatArray, normal: FloatArray) -> tuple[FloatArray, Flags]:
     """Return the inverse of the normal matrix, and which constants are not determined."""
-    least = np.maximum(_CANCELLED_SHARE * np.nan_to_num(diagonal), 1e-100)
-    scale = np.sqrt(np.clip(np.nan_to_num(np.diag(normal)), least, 1e100))
+    least = np.maximum(_CANCELLED_SHARE * np.nan_to_num(diagonal), 1e-300)
+    scale = np.sqrt(np.clip(np.nan_to_num(np.diag(normal)), least, 1e300))
     with np.errstate(all="ignore"):
         unit = np.nan_to_num(normal / np.outer(scale, scale), posinf=0.0, neginf=0.0)
     try:

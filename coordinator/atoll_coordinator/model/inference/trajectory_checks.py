@@ -520,6 +520,7 @@ class UnsimulatedChecks(TrajectoryChecks):
 
     unknown_inputs: ClassVar = {}
     odds_of_alternatives = 0.0
+    prediction = None
     __init__ = EquationChecks.__init__
 
     def check_simulation(self) -> Finding:

@@ -140,7 +140,8 @@ def exchange_programs(
                 models = comparison.narrow_down(best, equation, promising_lists.get(equation, ()), rounds, until)
             if models and models[0].nats < best.nats - SETTINGS.selection.least_gain:
                 best = models[0]
-        if best.nats > before.nats - SETTINGS.selection.least_gain:
+        is_settled = best.nats > before.nats - SETTINGS.selection.least_gain
+        if is_settled and comparison.estimator.work < until and not comparison.score.is_exact(best):
             best = _exchange_two(comparison, best)
         if best.nats > before.nats - SETTINGS.selection.least_gain or comparison.estimator.work >= until:
             return best
@@ -155,9 +156,10 @@ def _exchange_two(comparison: ModelComparison, best: FittedModel) -> FittedModel
     was 2 nats shorter. The pairs whose alternatives are closest are fitted.
     """
     alternatives: list[list[tuple[float, Program]]] = [[] for _ in best.programs]
-    for (equation, _), model in comparison.fitted_models.items():
-        excess = model.nats - best.nats
-        if excess < SETTINGS.inference.distinct_nats and equation not in comparison.fixed:
+    own_forms = [structure(program) for program in best.programs]
+    for (equation, form), model in comparison.fitted_models.items():
+        excess, is_free = model.nats - best.nats, equation not in comparison.fixed
+        if is_free and form != own_forms[equation] and excess < SETTINGS.inference.distinct_nats:
             alternatives[equation].append((excess, model.programs[equation]))
     pairs = [
         (one + other, first, second, program, partner)

@@ -25,7 +25,7 @@ the least sum of squared residuals over the variances of the errors. Segments gr
    (`system.Sharing`).
 
 Doubts. Variances are estimated by their mode given the residuals, not integrated out: the weight of a state that a
-model fits exactly follows from `InterpolationSettings.smallest_noise`. Two rules were tuned on one machine: when a step
+model fits exactly follows from `SmoothingSettings.smallest_noise`. Two rules were tuned on one machine: when a step
 is first integrated without sensitivities, and how many integration steps are free. They change the counted work, and
 hence where a search stops, but no fit. Letters: D states, P fitted constants, L numbers of a segment, G segments, N
 rows, O measured states.
