@@ -179,7 +179,7 @@ def test_who_has_no_token_gives_it_in_a_field(stage: Stage) -> None:
         check(tab)
         tab.get_by_label("Token").fill("another-wrong-token")
         tab.get_by_role("button", name="Continue").click()
-        tab.get_by_text("This token is not known", exact=False).wait_for()
+        tab.get_by_text("This token is unknown", exact=False).wait_for()
         tab.get_by_label("Token").fill(f"{stage.page.base}/?token={TOKEN}")
         tab.get_by_role("button", name="Continue").click()
         tab.get_by_text("signed in").wait_for()
