@@ -46,6 +46,8 @@ _UNDETERMINED_LOADING: Final = 1e-6
 _CANCELLED_SHARE: Final = 1e-13
 """Diagonal elements of the reduced over the full normal matrix below this ratio are rounding errors: initial states can
 then replace the constant."""
+_SMALLEST_CURVATURE: Final = 1e-200
+"""Guard: diagonal elements between this and its inverse have variances, and products of two of them, in range."""
 _ERROR_ON_BOUND: Final = 1e-9
 """Standard error that is assumed for a constant on its bound, over its size."""
 
@@ -83,8 +85,8 @@ def estimate_covariance(
 
 def _invert_normal(diagonal: FloatArray, normal: FloatArray) -> tuple[FloatArray, Flags]:
     """Return the inverse of the normal matrix, and which constants are not determined."""
-    least = np.maximum(_CANCELLED_SHARE * np.nan_to_num(diagonal), 1e-300)
-    scale = np.sqrt(np.clip(np.nan_to_num(np.diag(normal)), least, 1e300))
+    least = np.maximum(_CANCELLED_SHARE * np.nan_to_num(diagonal), _SMALLEST_CURVATURE)
+    scale = np.sqrt(np.clip(np.nan_to_num(np.diag(normal)), least, 1.0 / _SMALLEST_CURVATURE))
     with np.errstate(all="ignore"):
         unit = np.nan_to_num(normal / np.outer(scale, scale), posinf=0.0, neginf=0.0)
     try:

@@ -216,6 +216,24 @@ def test_nothing_is_left_of_what_was_sent(readers, tmp_path, monkeypatch) -> Non
     assert [*tmp_path.iterdir()] == []
 
 
+def test_a_cancelled_request_ends_its_reader_before_it_has_read(readers, tmp_path) -> None:
+    """The fork is killed even before it has a process group; otherwise the loop waits until the file is read."""
+    file = tmp_path / "files" / "a.csv"
+    file.parent.mkdir()
+    file.write_bytes(CSV)
+
+    async def go() -> None:
+        readers.start()
+        task = asyncio.create_task(readers.read([file], "{}", "text/csv", "outline"))
+        await asyncio.sleep(0)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    asyncio.run(go())
+    assert not (tmp_path / "answer").exists()
+
+
 def test_one_user_sends_few_files_at_a_time_and_others_go_on(readers) -> None:
     """Bodies that never end keep their places; whoever else sends a file has others."""
 

@@ -25,7 +25,7 @@ def test_what_takes_long_to_load_is_not_loaded_for_it():
     """scipy.stats takes longer than many a refinement."""
     code = (
         "import sys, numpy as np; "
-        "from atoll_coordinator.model.constants.standard_errors import one_sided_reaches as its; "
+        "from atoll_coordinator.model.constants.standard_errors import one_sided_interval_lengths as its; "
         "its(np.eye(1), None, np.array([True])); print('scipy.stats' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
