@@ -2,8 +2,9 @@
 
 How it works. For each equation, the programs that were already fitted in its place and programs that agree with it
 along the measured curves are fitted again. Equivalent equations are dropped. If an alternative is shorter than the
-model, it becomes the model, and its alternatives are ranked. The shortest description stays the model unless the
-allowed work ends first; alternatives that are nearly as short make its verdict doubtful, even if they predict worse.
+model, it becomes the model, and its alternatives are ranked. The shortest description stays the model, unless the
+allowed work ends first, or a shorter equation equals it on all rows of a table with inputs. Alternatives that are
+nearly as short make its verdict doubtful, even if they predict worse.
 
 Doubts. Only equations that a search has proposed can appear. Two equations are compared at the points of the dataset
 and at a few points off the curves; a difference elsewhere is not seen.
@@ -59,6 +60,9 @@ def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
         inputs: points (V, R) at which equations are compared.
     """
     selection, alternatives = _select_shortest(selection, inputs)
+    simplest = _select_simplest_on_rows(selection, inputs)
+    if simplest is not selection:
+        selection, alternatives = simplest, _find_all_alternatives(simplest, inputs)
     is_held_out = any(trajectory.held_out for trajectory in selection.task.recording.trajectories)
     validation = Validation(selection.comparison)
     own = validation.of(selection.model) if validation.is_possible and not is_held_out else None
@@ -87,6 +91,42 @@ def _select_shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[Sele
         if is_used_up or best.nats > selection.model.nats - SETTINGS.selection.least_gain:
             return selection, alternatives
         selection = replace(selection, model=best)
+
+
+def _select_simplest_on_rows(selection: SelectedModel, inputs: FloatArray) -> SelectedModel:
+    """Return the selection, with shorter equations in place of equations that are a multiple of them at all rows.
+
+    For an input that switches between 0 and 1, 2.3*u/(0.16 + u**2) equals 2*u on all rows. The two differ only while
+    the input changes between two rows, where it was not measured, so that a better fit there is no evidence.
+    """
+    comparison = selection.comparison
+    if not len(comparison.estimator.measurements.inputs):
+        return selection
+    for equation, own in enumerate(selection.model.programs):
+        if equation in comparison.fixed:
+            continue
+        values, longest = values_of(own, inputs), comparison.score.length(own) - SETTINGS.selection.least_gain
+        candidates = [
+            model.programs[equation] for (one, _), model in comparison.fitted_models.items() if one == equation
+        ]
+        candidates += selection.lists[equation] if selection.lists else []
+        distinct = {structure(program): program for program in candidates}
+        for program in sorted(distinct.values(), key=comparison.score.length):
+            if comparison.score.length(program) >= longest:
+                break
+            if _is_multiple(values_of(program, inputs), values):
+                model = comparison.fit_replacement(selection.model, equation, program, SETTINGS.effort.steps)
+                selection = selection if model is None else replace(selection, model=model)
+                break
+    return selection
+
+
+def _is_multiple(values: FloatArray, others: FloatArray) -> bool:
+    """Return whether `others` (R,) are a multiple of `values` (R,) up to rounding."""
+    with np.errstate(all="ignore"):
+        size = float(values @ values)
+        rest = others - values * (float(values @ others) / size if size > 0.0 else 0.0)
+        return bool(float(rest @ rest) <= EXACT_ERROR**2 * float(others @ others))
 
 
 def _find_all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list[FittedModel]]:
