@@ -118,6 +118,13 @@ class Score:
         """Standard deviations (O,) below which errors are integration errors."""
         return max(SETTINGS.shooting.exact, self.estimator.measurements.input_error) * self._scales
 
+    @property
+    def _least_squares(self) -> FloatArray:
+        """Mean squares (O,) of residuals below which nothing is gained: integration errors, or less than rounding
+        errors are by chance, so that a function that follows the steps of rounded values has no advantage."""
+        rounding, least = self.estimator.measurements.rounding, self.least_errors**2
+        return least if rounding is None else np.maximum(least, rounding**2 / _variance_factors(self.counts))
+
     @cached_property
     def pieces(self) -> FloatArray:
         """Number of independent numbers in the systematic errors of each state (O,)."""
@@ -138,7 +145,7 @@ class Score:
         return TrajectoryMisfit(
             np.where(is_noisy, variances / spread, variances),
             np.where(is_noisy, variances * spread, variances),
-            self.least_errors**2,
+            self._least_squares,
             np.where(is_noisy, self.counts, self.pieces),
             self.pieces,
             np.where(is_noisy, self.pieces, SETTINGS.selection.systematic_numbers),

@@ -50,7 +50,7 @@ class Measurements:
     (U, N). `variables` has the names of the components of a point: D states, then U inputs. `groups` has the index of
     the group of each trajectory, if groups have their own constants; None: all share them. `input_error` is the
     interpolation error of input curves over their standard deviations; simulated states have about the same relative
-    error.
+    error. `rounding` (O,) are the standard deviations of the rounding errors of the measured values; None: not rounded.
     """
 
     bounds: Ints
@@ -73,6 +73,7 @@ class Measurements:
     resting: npt.NDArray[np.bool_] | None = None
     groups: Ints | None = None
     input_error: float = 0.0
+    rounding: FloatArray | None = None
 
     @property
     def rows(self) -> int:
@@ -230,8 +231,17 @@ def measurements_of(
         resting=resting if resting.any() else None,
         groups=np.array([recording.groups.index(part.group) for part in parts], np.int64) if recording.groups else None,
         input_error=recording.input_error,
+        rounding=_rounding(recording, chosen, variances),
     )
     return _where_inputs_are_known(whole, parts, others)
+
+
+def _rounding(recording: Recording, chosen: Sequence[int], variances: Sequence[VarianceModel]) -> FloatArray | None:
+    quantisations = [recording.smoothing[index].quantisation for index in chosen]
+    if not any(quantisations):
+        return None
+    errors = [0.0 if known is None else known.error for known in quantisations]
+    return np.array([error * variance.scale for error, variance in zip(errors, variances, strict=True)])
 
 
 def _where_inputs_are_known(whole: Measurements, parts: Sequence[Trajectory], others: Sequence[int]) -> Measurements:

@@ -26,6 +26,7 @@ from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance, 
 from atoll_coordinator.settings import SETTINGS, EffortSettings
 from atoll_core.config import DataConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset
+from atoll_core.data.table import Table
 from atoll_core.expression.program import Program, structure
 from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.expression.text.parsing import from_infix
@@ -35,6 +36,7 @@ from tests.unit.coordinator.model.shooting.made import (
     DECAY,
     LOTKA,
     LOTKA_TEXT,
+    SWING,
     Known,
     compare,
     measurements,
@@ -94,6 +96,22 @@ def test_the_truth_has_the_shortest_description():
     assert structure(models[0].programs[0]) == structure(TRUTH)
     assert [model.nats for model in models] == sorted(model.nats for model in models)
     assert len(models) == len(RIVALS)  # the exponential cannot be simulated
+
+
+def test_residuals_smaller_than_rounding_errors_gain_nothing():
+    times = np.linspace(0.0, 20.0, 300)
+    states = np.round([np.cos(times), -np.sin(times)])
+    rows = np.arange(300, dtype=np.int64)
+    rounded = Table(("t", "x", "v"), ("",) * 3, np.array([times, *states]), (0,), ("a.csv",), 0 * rows, rows + 2, ())
+    measured = measurements_of(prepare(rounded, JobConfig()).recording, [0, 1])
+    misfit = compare(SWING, measured).score.misfit
+    assert (
+        misfit.total(np.array([0.07, 0.005]))
+        == misfit.total(np.array([0.07, 0.05]))
+        < misfit.total(np.array([0.07, 0.2]))
+    )
+    unrounded = compare(SWING, replace(measured, rounding=None)).score.misfit
+    assert unrounded.total(np.array([0.07, 0.005])) < unrounded.total(np.array([0.07, 0.05])) - 10.0
 
 
 def test_what_cannot_be_simulated_has_no_standing():
