@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from atoll_coordinator.data.recording import STENCIL_ROWS, Recording
-from atoll_coordinator.model.description_length import count_constants, front_length
 from atoll_coordinator.model.refinement import Refinement
+from atoll_coordinator.model.selection.front_member import count_constants, front_length
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.checkpoint_schedule import StoredSearchState
 from atoll_coordinator.service.search.collector import DivergedError, Measure
@@ -201,7 +201,7 @@ class Job:
             self.started_at = now
 
     def hold(self, is_held: bool) -> list[JobAction]:
-        """Set whether the job is held; `workers.placing.Scheduler` then stops or continues its islands."""
+        """Set whether the job is held; `workers.placement.Placer` then stops or continues its islands."""
         self.is_held = is_held
         return []
 
