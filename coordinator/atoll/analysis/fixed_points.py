@@ -142,7 +142,7 @@ class FixedSet:
 
     @property
     def is_straight(self) -> bool:
-        """Whether a curve is a line."""
+        """Whether a curve is a straight line."""
         chord = self.course[-1] - self.course[0]
         size = float(chord @ chord)
         if self.dimension > 1 or not size > 0.0:

@@ -1,4 +1,4 @@
-"""Limit cycles from long simulations, their first near return to a Poincaré section, and Newton's method.
+"""Limit cycles by Newton's method, from the first near return of long simulations to a Poincaré section.
 
 Newton's method solves phi_T(x) = x and a phase condition for the state x and the period T; phi_T is the flow over the
 time T. The derivative of phi_T is the monodromy matrix, which solves the variational equations (Guckenheimer and Holmes
@@ -72,8 +72,8 @@ _CLOSING_ERROR: Final = 1e-8
 """Largest distance between the ends of a closed cycle, in widths of the box: ten times the integration error."""
 
 _NEUTRAL: Final = 1e-4
-"""A multiplier nearer to 1, or to the unit circle, counts as 1, or as on the circle. The error of a double multiplier
-is the square root of `_CLOSING_ERROR`."""
+"""A multiplier at a smaller distance from 1 (or from the unit circle) counts as 1 (or as on the circle). The error of a
+double multiplier is the square root of `_CLOSING_ERROR`."""
 
 _NEUTRAL_IN_PLANE: Final = 1e-7
 """The same limit for two states, where the multiplier is an integral: a hundred times the integration tolerance."""

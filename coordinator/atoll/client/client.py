@@ -163,7 +163,7 @@ class Client:
             f"{chunk_count(len(data))} parts are still missing; see its log"
         )
 
-    def hand_in(  # what a job is
+    def hand_in(
         self, job: str, name: str, config: JobConfig, data: bytes, priority: int = 0, *, shared: bool = False
     ) -> JobView:
         """Upload `data` and submit a job on it; repeat both if the table was deleted after the upload."""
@@ -172,7 +172,7 @@ class Client:
                 return self.submit(job, name, config, self.upload(data), priority, shared=shared)
         return self.submit(job, name, config, self.upload(data), priority, shared=shared)
 
-    def submit(  # what a job is
+    def submit(
         self, job: str, name: str, config: JobConfig, table: str, priority: int = 0, *, shared: bool = False
     ) -> JobView:
         """Submit a job with the id `job` on the uploaded table with digest `table`; all users see a `shared` job."""

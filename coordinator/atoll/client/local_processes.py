@@ -33,7 +33,7 @@ def start_in_new_session(
 ) -> "subprocess.Popen[bytes]":
     """Start a program in a new session, because only this process should handle Ctrl-C on the terminal.
 
-    Its environment is our environment with `given` and without certificates: local traffic is not encrypted.
+    It gets our environment variables and the `given` ones, but no certificates, because local traffic is not encrypted.
     """
     certificates = {variable for variable, _ in TLS_OPTIONS.values()}
     environment = {name: value for name, value in os.environ.items() if name not in certificates}

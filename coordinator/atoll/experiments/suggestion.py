@@ -192,7 +192,7 @@ class Suggestion:
                 f"with {certainty_text_of(least)} certainty{each}"
             )
         if rest:
-            parts.append(f"may not distinguish 1 from {enumerated([*map(str, rest)])}")
+            parts.append(f"may fail to distinguish 1 from {enumerated([*map(str, rest)])}")
         return ", ".join(parts)
 
     @property

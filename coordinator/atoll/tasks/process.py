@@ -9,7 +9,7 @@ does not depend on who computed a batch, or when. A batch that fails at a helper
 taken, this process also computes the oldest batch of a helper after a while; the first result is used.
 
 Doubtful: the waiting time for a helper (`LATE` times the longest batch here) is a guess, so a slow helper costs a batch
-that is computed twice. `Team.workers` counts only helpers that asked recently. Light to import.
+that is computed twice. `Team.workers` counts only helpers that asked recently.
 """
 
 import contextlib

@@ -76,7 +76,9 @@ class Access:
             sentence = (
                 f"the header {twice} occurs twice" if twice else "content-length and transfer-encoding both occur"
             )
-            return Problem(400, sentence + ", so a proxy may read another request; send one", {"connection": "close"})
+            return Problem(
+                400, sentence + ", so a proxy may read another request; send only one", {"connection": "close"}
+            )
         host = _name(headers.get("host", ""))
         if host not in self.hosts:
             return Problem(

@@ -2,7 +2,7 @@
 
 ``serve`` runs a router, a coordinator and a store for workers and clients on any machine. ``router`` runs a router
 without a coordinator. It has two uses: the workers of a site share one connection to the central router; or connections
-stay open while the coordinator behind it (`serve --router`) is restarted.
+stay open while the coordinator behind the router (`serve --router`) is restarted.
 """
 
 import argparse
@@ -43,7 +43,7 @@ _LOCAL: Final = ("127.0.0.1", "localhost")
 
 
 def read_options(options: argparse.Namespace, router: str | None = None) -> tuple[Destination, RoleBindings | None]:
-    """Start logging; return the address to listen at or of the `router` to join, and the roles. Raises UsageError."""
+    """Start logging; return the address to listen at (or of the `router` to join) and the roles. Raises UsageError."""
     credentials = credentials_of(vars(options), os.environ, "serve" if router is None else "connect")
     at = destination(options.listen if router is None else router, credentials, listens=router is None)
     if at.others:
@@ -72,7 +72,7 @@ def warnings_of(at: Destination, role_bindings: RoleBindings | None) -> list[str
         ]
     if at.credentials is None:
         return []
-    lines = [f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {at.credentials.authority}"]
+    lines = [f"every program needs --tls-ca, --tls-cert and --tls-key; the authority is {at.credentials.authority}"]
     if role_bindings is None:
         lines.append(
             "no roster: every owner of a certificate of that authority can compute, submit and cancel (see --roster)"
@@ -278,8 +278,8 @@ def restore(options: argparse.Namespace) -> int:
     lines += [f"the old store is now {former}; remove it when you no longer need it"] if former is not None else []
     if store.aside and former is None:
         lines.append(
-            "the folder had files with the last writes of a store that is no longer there; they are now "
-            f"{', '.join(map(str, store.aside))}; to open that store, move them next to it under its name"
+            "the folder had SQLite files with the last writes of a store that is missing; these files are now "
+            f"{', '.join(map(str, store.aside))}; to open that store, move them next to it and rename them after it"
         )
     say(as_json(facts) if options.json else "\n".join(lines))
     return DONE
