@@ -110,7 +110,7 @@ def assemble_differentiated(
     values += [estimate.velocity for estimate in estimates if roles.velocities]
     values += [np.concatenate(parts) for parts in measurements.inputs]
     targets = [
-        _target(name, roles.left_hand_side(name), estimate, selected.searched)
+        _derivative_target(name, roles.left_hand_side(name), estimate, selected.searched)
         for name, estimate in zip(roles.states, estimates, strict=True)
     ]
     sought = tuple(target for target in targets if target.variable in equations)
@@ -133,7 +133,7 @@ def _take_rows(dataset: Dataset, rows: list[int]) -> Dataset:
     return replace(dataset, inputs=inputs, targets=tuple(targets), groups=groups)
 
 
-def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Target:
+def _derivative_target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Target:
     """Return the target over all rows, with the uncertainty and the standard deviation of the selected rows.
 
     A noise-free derivative that changes from row to row by no more than its uncertainty may be constant. Its size then

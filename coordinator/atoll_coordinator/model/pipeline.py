@@ -6,7 +6,7 @@
    (regression/equation.py). The steps below do not apply.
 4. With trajectories, equations of noise-free targets that converged are fitted to these first: they are candidates.
 5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model. The table
-   in selection/stages.py lists the order of proposals and the conditions under which no more are refinement.
+   in selection/model_selection.py lists the order of proposals and the conditions under which no more are refinement.
 6. The model is compared with its alternatives, gets errors of its constants, is simulated and judged
    (inference/conclusion.py).
 
@@ -31,8 +31,8 @@ from atoll_coordinator.model.refinement import Refined, Refinement
 from atoll_coordinator.model.regression.equation import WeightedRows, fit_equation
 from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
+from atoll_coordinator.model.selection.model_selection import operator_remarks, select_model
 from atoll_coordinator.model.selection.shortcut import add_laws, laws_at_noise_level
-from atoll_coordinator.model.selection.stages import operator_remarks, select_model
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
 from atoll_coordinator.model.stochastic.process_choice import ProcessChoice

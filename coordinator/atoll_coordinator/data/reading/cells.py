@@ -131,7 +131,7 @@ def place(lines: Sequence[int], row: int) -> str:
     return f"line {lines[row]}" if lines[row] else f"row {row + 1}"
 
 
-def read_numbers(
+def parse_numbers(
     file: str, columns: Mapping[str, Sequence[str]], lines: Sequence[int], separator: str
 ) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
     """Return the numbers of the columns of one file, by name, and remarks on how they were read.

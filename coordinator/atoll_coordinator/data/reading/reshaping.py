@@ -27,8 +27,8 @@ from atoll_coordinator.data.reading.cells import (
     is_text,
     number,
     on_one_line,
+    parse_numbers,
     place,
-    read_numbers,
 )
 from atoll_coordinator.data.reading.dates import MONTHS, is_date, is_datum, read_dates
 from atoll_coordinator.data.reading.raw_table import RawTable
@@ -436,7 +436,7 @@ def _long_table(file: str, raw: RawTable, config: DataConfig) -> _LongTable | No
 def _times_of_rows(long: _LongTable, runs: Sequence[tuple[str, ...]]) -> list[float | None]:
     texts, lines = long.cells[long.time], long.raw.lines
     if not is_date(next((text for text in texts if not is_missing(text)), "")):
-        numbers, _ = read_numbers(long.file, {long.time: texts}, lines, long.raw.separator)
+        numbers, _ = parse_numbers(long.file, {long.time: texts}, lines, long.raw.separator)
         return [None if math.isnan(value) else float(value) for value in numbers[long.time]]
     series = [*zip(runs, long.cells[long.observable], strict=True)]
     starts = [row for row in range(len(series)) if not row or series[row] != series[row - 1]]

@@ -117,7 +117,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
             parse_unit(unit)
         except UsageError as error:
             raise UsageError(f"--unit for '{name}': {error}") from error
-    roles = assigned(table.names, config, trajectory)
+    roles = assign_roles_by_name(table.names, config, trajectory)
     text_time = next((name for name in TIME_NAMES if name in table.skipped), None)
     if roles.time is None and not roles.is_given and text_time is not None:
         reason = f"column '{text_time}' of {table.files[0]} holds text that is neither a number nor a date"
@@ -127,7 +127,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
     return roles, config
 
 
-def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
+def assign_roles_by_name(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
     """Return the roles of columns by their names, without any checks."""
     time = find_time_column(names, config)
     taken = {time, trajectory, config.group, config.target, config.weights, *config.inputs, *(config.derivatives or ())}

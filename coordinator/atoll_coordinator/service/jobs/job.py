@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from atoll_coordinator.data.recording import STENCIL_ROWS, Recording
-from atoll_coordinator.model.description_length import count_constants, front_length
 from atoll_coordinator.model.refinement import Refinement
+from atoll_coordinator.model.selection.front_member import count_constants, front_length
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.checkpoint_schedule import StoredSearchState
 from atoll_coordinator.service.search.collector import DivergedError, Measure

@@ -17,7 +17,7 @@ from typing import Final, Literal
 from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
-from atoll_coordinator.service.store.searches import Death
+from atoll_coordinator.service.store.checkpoints import Death
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.membership import Membership
 
