@@ -6,12 +6,12 @@
 ``store`` is the durable memory. Imports go down this list only.
 
 A job: `requests.clients` -> `job_controller.submit` -> `scheduling.job_queue` -> `tasks.task_controller` (prepare) ->
-`job_controller` (search) -> `workers.placing` -> `search.collector` (cut) -> `tasks.task_controller` (refine) ->
+`job_controller` (search) -> `workers.placement` -> `search.collector` (cut) -> `tasks.task_controller` (refine) ->
 `job_controller` (end) -> `store`.
 A task: `tasks.task_controller` -> `tasks.task_table` (plan) -> a lease -> a worker's result -> `tasks.background`.
 A report: `service_loop` -> `job_controller.add_report` -> `jobs.job` -> `search.archipelago` -> `search.collector`.
 A worker's death: `workers.worker_controller` -> `workers.membership` (expire) -> `workers.crash_loops` ->
-`workers.placing` -> a placement under a new term.
+`workers.placement` -> a placement under a new term.
 A commit: heartbeat with snapshots -> `search.pull_budget` (pulls) -> `search.checkpoint_schedule` (gathering) ->
 `tasks.background` -> `job_controller` (commit) -> `workers.channel`.
 """

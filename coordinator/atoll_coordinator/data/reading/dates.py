@@ -258,7 +258,7 @@ def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], lines: 
     zones = {not is_clock and match["zone"] is not None for match in present}
     if len(zones) > 1:
         raise DataError(f"{column} gives a time zone in some rows only; give it in all or in none")
-    form = form or _order(column, matches, starts)
+    form = form or _day_month_order(column, matches, starts)
     values: list[int | None] = []
     for row, match in enumerate(matches):
         try:
@@ -307,7 +307,7 @@ def _date(match: _Match, form: str) -> int:
     return midnight + _clock(match) - ahead
 
 
-def _order(column: str, matches: Sequence[_Match | None], starts: Sequence[int]) -> str:
+def _day_month_order(column: str, matches: Sequence[_Match | None], starts: Sequence[int]) -> str:
     """Return whether day or month comes first; dots, numbers above 12 and ascending dates decide, in this order."""
     present = [match for match in matches if match is not None]
     mark = present[0]["mark"]

@@ -199,7 +199,7 @@ class Job:
             self.started_at = now
 
     def hold(self, is_held: bool) -> list[JobAction]:
-        """Let its islands stop at their next checkpoints, or continue; `workers.placing.Scheduler` does this."""
+        """Let its islands stop at their next checkpoints, or continue; `workers.placement.Placer` does this."""
         self.is_held = is_held
         return []
 

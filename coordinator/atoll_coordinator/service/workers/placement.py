@@ -2,8 +2,8 @@
 
 Placements decide when and where islands are computed, and never their results.
 
-`Scheduler.plan` visits all archipelagos at each event that may change something. A placement that has lost a worker
-ends at once, and the next term continues from the last commit. For all other changes (a leaving worker, a better
+`Placer.plan_placements` visits all archipelagos at each event that may change something. A placement that has lost a
+worker ends at once, and the next term continues from the last commit. For all other changes (a leaving worker, a better
 balance, a held job) the archipelago first gets a barrier, so that no work is lost. Soon after a placement there is no
 barrier, because little has been computed. *Doubts.* The load of a worker is its number of islands; differences between
 islands or machines are not measured.
@@ -75,7 +75,7 @@ class PlacementPlan:
     released: list[Placement] = field(default_factory=list)
 
 
-class Scheduler:
+class Placer:
     """Plans the placements of all archipelagos on the present workers."""
 
     def __init__(self, membership: Membership, quarantine: Quarantine, expected_workers: int = 1) -> None:
@@ -86,7 +86,7 @@ class Scheduler:
         self._first_ready_at: float | None = None
         self._sizes: dict[str, int] = {}
 
-    def plan(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> PlacementPlan:
+    def plan_placements(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> PlacementPlan:
         """Plan terms for archipelagos that have no workers or lost workers, or could use more; `now` in bus seconds.
 
         Archipelagos whose placements end are unplaced; archipelagos that should move get a barrier. Each is handled
