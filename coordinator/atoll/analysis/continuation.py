@@ -39,7 +39,7 @@ _COMPARED_POINTS: Final = 32
 """Number of points at which a term is compared with the derivative with respect to a constant."""
 
 _SAME_FUNCTION: Final = 1e-9
-"""Largest relative difference of the two if they are the same function: rounding errors."""
+"""Largest relative difference between both if they are the same function: rounding errors."""
 
 _SHORTEST: Final = 1e-6
 """Shortest step along a curve."""

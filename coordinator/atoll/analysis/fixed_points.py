@@ -49,7 +49,8 @@ _SINGULAR: Final = 1e-4
 """Smallest singular value of a Jacobian, as a share of the largest, below which it counts as singular."""
 
 MOST_POINTS: Final = 100
-"""Largest number of distinct points. More points belong to a curve or a surface, and this number is enough for it."""
+"""Largest number of distinct points. More points only occur on a curve or a surface, for which this number is
+enough."""
 
 _SMALLEST_DISTANCE: Final = 1e-5
 """Smallest distance of distinct points, in widths of the box."""
@@ -86,7 +87,7 @@ MOST_SETS: Final = 10
 
 _NEIGHBOUR: Final = 0.01
 """Distance, in widths, at which neighbours of a point are searched. Half the distance is searched too: a curve has
-neighbours at both."""
+neighbours at both distances."""
 
 _STEP: Final = 0.02
 """Distance of consecutive points of a curve, in widths."""

@@ -79,7 +79,7 @@ _NEUTRAL_IN_PLANE: Final = 1e-7
 """The same limit for two states, where the multiplier is an integral: a hundred times the integration tolerance."""
 
 _LARGEST_ERROR: Final = 0.01
-"""Largest error of a cycle, as a share of its extent: the closing error over the contraction in a period."""
+"""Largest error of a cycle, as a share of its extent: the closing error divided by the contraction in a period."""
 
 _SMALL_EXTENT: Final = 0.01
 """Extent of an orbit, in widths of the box. Errors of smaller orbits are relative to the box, not to their extent."""

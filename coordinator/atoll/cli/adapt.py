@@ -48,7 +48,7 @@ class BatchError(AtollError):
 
 @dataclass(frozen=True)
 class Listing:
-    """A command that lists jobs, and how to read its output; `state` belongs to all jobs (None: the output has it)."""
+    """A command that lists jobs, and how to read its output; None as `state`: the output has the state of each job."""
 
     words: tuple[str, ...]
     state: BatchState | None = None

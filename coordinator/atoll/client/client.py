@@ -6,7 +6,7 @@ public method is one request or a loop of requests. A repeated request has no fu
 chunk or worker: the same job id with the same contents is the same job. Every wait has a limit, and the error at its
 end names the missing answer. Large data travel in chunks, checked by SHA-256. One thread owns a client and its bus.
 
-Doubtful: a coordinator with another store has another cluster, so a client that outlives such a change gets no answers;
+Doubtful: a coordinator with another store has another cluster, so after such a change an open client gets no answers;
 its owner must open a new client (as `atoll.web.gateway` does). Changes that arrive during another request are kept in a
 queue of `MAX_CHANGES`; after an overflow the subscription asks for the lost changes again, which costs one request.
 """

@@ -2,7 +2,7 @@
 
 Requests about jobs need a token, unless ``--look-without-token`` lets programs of this machine read without one. The
 page uses no cookies, so that no other page can act with a browser's credentials. Requests from pages of other sites are
-refused nevertheless. This includes read-only requests, because they may take seconds of the coordinator.
+refused nevertheless. This includes read-only requests, because an answer may cost the coordinator seconds.
 """
 
 import hashlib

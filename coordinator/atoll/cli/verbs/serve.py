@@ -89,7 +89,7 @@ def is_loopback(host: str) -> bool:
 
 
 def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
-    """Return the addresses to connect to, first for other machines; with a certificate, only hosts that it names."""
+    """Return the addresses to connect to, other machines' addresses first; with a certificate, only its host names."""
     address = at.address
     if is_behind_router or address.is_socket:
         return [str(address)]
