@@ -73,7 +73,7 @@ LONGEST: Final = 0.05
 """Longest step along a branch, in ranges of the parameter, widths of the box, and shares of the period."""
 
 _LONGEST_PERIOD: Final = 100.0
-"""Longest period of a branch, in first periods of this branch: near a homoclinic orbit, periods grow without bound."""
+"""Longest period of a branch over its first period: near a homoclinic orbit, periods grow without bound."""
 
 PERIOD_DOUBLING: Final = "period doubling"
 TORUS: Final = "torus"

@@ -96,7 +96,7 @@ _MOST_CURVE_STEPS: Final = 400
 """Largest number of steps along a curve in each direction."""
 
 _CURVE_DISTANCE: Final = 2e-3
-"""Largest distance, in widths, of a point that belongs to a followed curve: the chords of a curve are more accurate."""
+"""Largest distance, in widths, between a followed curve and a point on it: the chords of a curve are more accurate."""
 
 _EXAMPLES: Final = 9
 """Number of points of a curve or a surface that are classified."""
@@ -378,7 +378,7 @@ def _eigenvalues(
     """Return the eigenvalues (D,) of the Jacobian `matrix` by descending real part, and the uncertainty of each (D,).
 
     To first order, an error E of the matrix A changes an eigenvalue by y^H E x / y^H x, with its right eigenvector x
-    and left eigenvector y. This has no bound if eigenvectors coincide, but the change is at most about
+    and left eigenvector y. This estimate has no bound if eigenvectors coincide, but the change is at most about
     |A| (|E|/|A|)^(1/D). Eigenvalues within their uncertainty become 0. For k directions `along` a set, the k smallest
     eigenvalues become 0 too.
     """

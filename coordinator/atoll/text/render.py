@@ -526,7 +526,7 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
 
 
 def _written_out(equation: Equation, names: Sequence[str]) -> list[str]:
-    """Return the expression with its constants as numbers, if the displayed one has other numbers, such as 1/4 for 4."""
+    """Return the expression with its constants as numbers, if the displayed one has others, such as 1/4 for 4."""
     text = equation.expression or ""
     program = from_infix(text, names)
     as_shown = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))

@@ -221,7 +221,7 @@ def router_greeting(here: Destination, upstream: list[str], role_bindings: RoleB
 
 
 def _log_coordinator(bus: "ZenohBus", principal: str, stop: threading.Event) -> None:
-    """Log when a coordinator is found or lost, until `stop` is set; a router has no use without a coordinator."""
+    """Log when a coordinator is found or lost, until `stop` is set; a router without a coordinator is useless."""
     known: str | None = None
     reminded_at = -_REMIND_S
     while not stop.is_set():
