@@ -102,7 +102,7 @@ def cell_of(value: object) -> str:
             return value.isoformat()
         case fractions.Fraction():
             return NumberCell(float(value))
-        case numbers.Real():  # NumPy's
+        case numbers.Real():  # also the numbers of NumPy
             return NumberCell(value)
     return str(value)
 
@@ -208,7 +208,7 @@ def _is_plain_decimal(cell: str) -> bool:
 
 
 def _has_decimals(cells: Sequence[str]) -> bool:
-    """Tell whether any point in the text cells of a column is a decimal point: it cannot separate thousands."""
+    """Tell whether any point in the text cells of a column is a decimal point, since it cannot separate thousands."""
     return any("." in cell and not _THOUSANDS.fullmatch(cell) for cell in _text_cells(cells))
 
 

@@ -339,7 +339,7 @@ def _steps(values: Sequence[int | None], starts: Sequence[int]) -> Iterator[int]
 
 
 def _add_days_after_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple[int | None, ...]:
-    """Add a day from where a clock time falls by more than half a day within a trajectory."""
+    """Where a clock time falls by more than half a day, add a day to this row and the rest of its trajectory."""
     day, added, last = NANOSECONDS["d"], 0, None
     counted: list[int | None] = []
     begins = set(starts)
@@ -364,8 +364,8 @@ def times_of(columns: Sequence[Dates], starts: Sequence[int], unit: str | None) 
     """Return the times (N,) of one column over all files read together, their unit, a remark, their origin.
 
     `columns` are the dates in each file, of one kind; `starts` the rows at which trajectories begin, counted over all
-    files. Without a `unit`, it is the longest of days, hours, minutes and seconds that does not exceed the median step
-    between rows. Raises DataError if no date is known, or if `unit` is no unit of dates.
+    files. Without a `unit`, the unit is the longest of days, hours, minutes and seconds that does not exceed the median
+    step between rows. Raises DataError if no date is known, or if `unit` is no unit of dates.
     """
     if unit is not None and unit not in _UNIT_OF_NAME:
         raise DataError(f"dates are counted in {', '.join(NANOSECONDS)}, but '{unit}' is wanted; choose one of these")

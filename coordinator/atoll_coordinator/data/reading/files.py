@@ -66,8 +66,9 @@ _REFUSED: Final = {
 class FileColumns:
     """The columns of one file by name, each with its unit.
 
-    `skipped` are the text columns, `remarks` say how it was read. `labels` are the texts of a column of trajectories or
-    groups, which are numbered from 1 in it. `left_out` names other parts of the file that were not read.
+    `skipped` are the text columns, `remarks` say how the file was read. `labels` are the texts of a column of
+    trajectories or groups; the column has the number of each text, from 1. `left_out` names other parts of the file
+    that were not read.
     """
 
     file: str
@@ -84,8 +85,8 @@ class FileColumns:
 def read_table(paths: Sequence[Path], config: DataConfig, time_units: Mapping[str, str] | None = None) -> Table:
     """Read `paths` in order as one table; raises DataError with one sentence about the part that cannot be read.
 
-    `time_units` gives by column the unit in which dates are counted, and so do the units of `config`; without a unit,
-    the steps between dates decide.
+    `time_units` and the units of `config` give the unit in which the dates of a column are counted. Without a unit, the
+    steps between dates decide.
     """
     if not paths:
         raise DataError("no data file was given; name at least one, such as a CSV file")
@@ -317,8 +318,8 @@ def _with_common_labels(
 def _without_empty(table: Table, config: DataConfig) -> Table:
     """Return the table without columns that are empty in all rows, such as columns of disconnected instruments.
 
-    Columns that options name, or with the default names of the time or the trajectories, stay. If no column would be
-    left to have an equation, all stay; later checks refuse them.
+    Columns that options name stay, as do columns with the default name of the time or the trajectories. If no column
+    would be left to have an equation, all columns stay, and later checks refuse them.
     """
     trajectory = find_trajectory_column(table.names, config)
     needed = {*named_columns(config), *TIME_NAMES, trajectory}

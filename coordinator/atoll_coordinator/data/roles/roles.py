@@ -227,9 +227,10 @@ def _missing_time_error(table: Table, states: Sequence[str], config: DataConfig)
 
 
 def _restarts(table: Table, name: str) -> int | None:
-    """Return how often the numbers of a column do not increase within a trajectory, as times do not at a restart.
+    """Return how many numbers of a column are not above the previous number, as at a restart of the time.
 
-    None if they cannot be times: the rows between two such places are too few for a trajectory.
+    Steps between two trajectories do not count. The result is None if the numbers cannot be times, because two restarts
+    have too few rows between them for a trajectory.
     """
     steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
     ends = np.flatnonzero(~(steps > 0.0))

@@ -34,8 +34,8 @@ class CheckpointStore(JobStore):
         """Raise the terms of archipelagos and store their placements, all in one transaction.
 
         Args:
-            archipelagos: by job and variable.
-            place: returns the placement of archipelago number `index` under its new `term`.
+            archipelagos: The archipelagos, each as a job and a variable.
+            place: Returns the placement of archipelago number `index` under its new `term`.
         """
         with self._transaction() as sql:
             for index, key in enumerate(archipelagos):

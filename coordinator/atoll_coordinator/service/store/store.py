@@ -1,9 +1,9 @@
 """The coordinator's durable memory, in SQLite. Every method is one transaction.
 
-Any thread may call. When a method returns, its changes are on the disk (``synchronous=FULL``), so that a message sent
-afterwards never has to be withdrawn. The store does not interpret contents, which are JSON text and bytes. The parts
-are in `jobs`, `checkpoints`, `blobs`, `events` and `holdings`. This module has the methods that change several parts in
-one transaction.
+Methods may be called from any thread. When a method returns, its changes are on the disk (``synchronous=FULL``), so
+that a message sent afterwards never has to be withdrawn. The store does not interpret contents, which are JSON text and
+bytes. The parts are in `jobs`, `checkpoints`, `blobs`, `events` and `holdings`. This module has the methods that change
+several parts in one transaction.
 
 *Doubts.* Five classes share one connection by inheritance, so that one transaction can change several tables. Names of
 methods must therefore be unique over all parts.
@@ -55,8 +55,9 @@ class Store(CheckpointStore, BlobStore, EventStore, HoldingStore):
         """Store the prepared data of a job: its dataset, and the rest until the job ends.
 
         Without the rest, equations found by the search could be neither shown nor refined after a restart. Return the
-        digest of the dataset that was stored before, if any. If that dataset is different and a search from it is
-        stored, it is kept. Without effect if the job has ended. Each chunk is one transaction. Call it in a separate
+        digest of the dataset that was stored before, if any. That earlier dataset is kept if it is different and a
+        search from it is stored. Without effect if the job has ended. Each chunk is one transaction. Call it in a
+        separate
         thread: other threads wait for one chunk at most.
         """
         made = {hashlib.sha256(data).hexdigest(): data for data in (dataset, prepared)}
@@ -110,7 +111,7 @@ class Store(CheckpointStore, BlobStore, EventStore, HoldingStore):
             return True
 
     def first_to_delete(self) -> JobRecord | None:
-        """Return the job to delete for space: the oldest ended one of the user with the most freeable bytes."""
+        """Return the job to delete for space: the oldest ended job of the user with the most freeable bytes."""
         with self._reading() as sql:
             owner = holdings.most_freeable(sql)
             return job_table.oldest_ended(sql, Viewer(owner or None)) if owner is not None else None

@@ -112,7 +112,7 @@ class Task:
 
     @property
     def limit_s(self) -> float:
-        """Seconds after its lease from which it is treated as hung."""
+        """The task is treated as hung this number of seconds after its lease."""
         return max(LIMIT_S, self.seconds or 0.0)
 
     def step(self, step: Step) -> None:
