@@ -320,7 +320,7 @@ class IntegrationBatch:
     def _accept(
         self, rows: np.ndarray, size: FloatArray, until: float, after: FloatArray, wrong: FloatArray, power: float
     ) -> np.ndarray:
-        """Accept the steps with small errors; return which steps these are (N,). `wrong` (N, D): error over tolerance."""
+        """Accept the steps with small errors; return which these are (N,). `wrong` (N, D): error over tolerance."""
         with np.errstate(all="ignore"):
             error = np.sqrt(np.mean(wrong**2, axis=1))
             error = np.where(np.isfinite(error), error, 1e10)
