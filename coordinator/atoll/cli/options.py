@@ -194,7 +194,7 @@ _SERVICE: Final = (
         "write the addresses to connect to into this file, once they are ready; for island-worker --connect-file",
     ),
     add_tls_options,
-    _value("--roster", "FILE", 'roles by the names in certificates (TOML: lab1 = "worker")'),
+    _value("--roster", "FILE", 'roles of the names in certificates (TOML: lab1 = "worker")'),
     add_log_options,
 )  # fmt: skip
 _JOB: Final = (

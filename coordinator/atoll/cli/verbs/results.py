@@ -264,7 +264,7 @@ def _write_report(path: Path, options: argparse.Namespace) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"the folder {folder} cannot be made ({error.strerror}); name another") from error
+        raise UsageError(f"the folder {folder} cannot be created ({error.strerror}); name another") from error
     for name, text in page.pictures.items():
         write_text(folder / name, text)
     note(f"{len(page.pictures)} pictures in {folder}")

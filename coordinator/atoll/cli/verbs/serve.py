@@ -302,7 +302,7 @@ def serve(options: argparse.Namespace) -> int:
     limits = _limits(options)
     if options.http is not None and role_bindings is not None and options.http_users is None:
         raise UsageError(
-            "--http was given with --roster but without --http-users; give it, for the rights of users on the page"
+            "--http was given with --roster but without --http-users; give this file, which has the users of the page"
         )
     if options.standby:
         refuse_network(Path(options.state))
