@@ -331,7 +331,7 @@ def _length(step: FloatArray) -> float:
 
 
 def _find_special_points(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
-    """Return the special points between two points, each with its kind: there a test changes its sign.
+    """Return the special points between two points, each with its kind. At a special point a test changes its sign.
 
     At a branch point the test for a fold may also change its sign, but this is not a fold.
     """

@@ -24,7 +24,7 @@ ROWS: Final = 2000
 """Number of rows of a simulation that is compared with a measured trajectory."""
 
 _FEWEST_GAPS: Final = 2
-"""Smallest number of intervals between upward crossings of the mean that give a period: two have a spread."""
+"""Smallest number of intervals between upward crossings of the mean for a period; their spread needs two."""
 
 _ORBIT_DURATIONS: Final = 8.0
 """Duration of the simulation that finds the period of a closed orbit, in durations of the measured trajectory. If the

@@ -233,7 +233,8 @@ def _is_at_rest(end: FloatArray, point: FixedPoint, box: Box) -> bool:
 def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> float | None:
     """Return the time of the first near return to the section through `start` (D,); None without a near return.
 
-    The section is orthogonal to the flow. A return is near if its distance is about as small as the smallest one.
+    The section is orthogonal to the flow. A return is near if its distance is about as small as the smallest distance
+    of all returns.
     """
     normal = flow.rates(start) / box.widths
     if not np.isfinite(normal).all() or not np.abs(normal).max() > 0.0:

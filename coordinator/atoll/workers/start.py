@@ -107,7 +107,8 @@ class Handle(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """End all programs after they have handed over their islands. Repeatable; later machines start no program."""
+        """End all programs after they have handed over their islands. Repeatable. Machines that join later start no
+        program."""
 
     def check(self) -> None:
         """Raise AtollError if the program has ended on a machine, with the meaning of its exit code."""
