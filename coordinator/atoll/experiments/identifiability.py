@@ -463,7 +463,7 @@ MOST_CONSTANTS: Final = 60
 """Largest number of profiled constants; more would take minutes."""
 _RESTARTS: Final = 2
 _IMPROVEMENT: Final = 0.01
-"""Smallest decrease in deviance of a better fit that a profile has found."""
+"""A fit on a profile is better than the best fit if its deviance is lower by at least this amount."""
 
 _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
     (False, False): "determined",
