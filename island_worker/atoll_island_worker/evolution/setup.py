@@ -31,7 +31,8 @@ from atoll_island_worker.evolution.structures import (
 )
 
 LEAST_INNER = 2
-"""Number of constants inside terms that may always be fitted; with more rows, a quarter of the rows (ADR 0005)."""
+"""Number of constants inside terms that may be fitted with any number of rows. With many rows, a quarter of their
+number may be fitted (ADR 0005)."""
 
 LEAST_SHARE = 2
 """An island keeps at least this number of runners-up of each complexity, unless fewer are wanted."""

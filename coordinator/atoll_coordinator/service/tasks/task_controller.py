@@ -47,8 +47,8 @@ HELP_AFTER_S: Final = 1.0
 """Seconds after which a running task gets helpers; the process of a helper takes about this time to start."""
 
 SETTLED_S: Final = 2.5
-"""Seconds after a lease from which heartbeats must show the task; otherwise the lease was lost. Heartbeats are sent
-once a second."""
+"""This number of seconds after a lease, heartbeats must show the task; otherwise the lease was lost. Heartbeats are
+sent once a second."""
 
 
 @dataclass(slots=True)
