@@ -100,8 +100,7 @@ class IslandSetup:
         return entry(*arguments)
 
     def outward(self, entry: FrontEntry) -> FrontEntry:
-        """Return a front member for use outside of the island: over all variables, not only the variables allowed
-        here."""
+        """Return a front member whose program refers to all variables, for use outside of the island."""
         if not self.is_narrowed:
             return entry
         program = Program.from_bytes(entry.program, len(self.columns))
