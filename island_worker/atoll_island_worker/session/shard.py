@@ -2,7 +2,7 @@
 
 An island waits for exactly the senders that the reshuffle of the last epoch names, and gets all immigrants together. So
 the times and the order of arrivals do not change the computed bits. Migrants are pulled: when the first island here
-begins an epoch, this worker requests the emigrants of that epoch from every other worker, which answers when its
+begins an epoch, this worker requests the emigrants of that epoch from every other worker. Each worker answers when its
 islands have finished the epoch. A pull that ends without migrants is repeated at a tick. If a term begins at a
 checkpoint, the states of its islands are pulled from the coordinator in the same way.
 
