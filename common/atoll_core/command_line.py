@@ -35,7 +35,7 @@ class Parser(argparse.ArgumentParser):
         """Parse the words of a command line; raises UsageError, which suggests an option similar to an unknown one."""
         options, left = self.parse_known_args(args, namespace or argparse.Namespace())
         if left:
-            used = self._used(options)
+            used = self._verb_parser(options)
             hint = did_you_mean(left[0].partition("=")[0], used._option_string_actions) if left[0][:1] == "-" else ""
             kind = "unknown option" if left[0][:1] == "-" else "one word too many:"
             raise UsageError(f"{kind} {' '.join(left)}; see {used.prog} --help{hint}")
@@ -52,8 +52,8 @@ class Parser(argparse.ArgumentParser):
         except OSError as error:
             raise unwritable(error) from error
 
-    def _used(self, options: argparse.Namespace) -> argparse.ArgumentParser:
-        """Return the parser of the verb, or this one without a verb."""
+    def _verb_parser(self, options: argparse.Namespace) -> argparse.ArgumentParser:
+        """Return the parser of the verb, or this parser if there is no verb."""
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):
                 verb: argparse.ArgumentParser | None = action.choices.get(getattr(options, action.dest))
@@ -61,7 +61,7 @@ class Parser(argparse.ArgumentParser):
         return self
 
     def error(self, message: str) -> NoReturn:
-        text, hint = _reworded(message)
+        text, hint = _reword(message)
         raise UsageError(f"{text}; see {self.prog} --help{hint}")
 
 
@@ -70,7 +70,7 @@ def unwritable(error: OSError) -> AtollError:
     return AtollError(f"the output cannot be written ({error.strerror}); make room, or send it elsewhere")
 
 
-def _reworded(message: str) -> tuple[str, str]:
+def _reword(message: str) -> tuple[str, str]:
     """Return argparse's message in our order (what was found, what was expected), and a suggestion or ""."""
     choice = re.fullmatch(r"argument (.+): invalid choice: (.+) \(choose from (.+)\)", message)
     if choice:

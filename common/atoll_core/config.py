@@ -18,7 +18,7 @@ Agreement = Literal["difference", "relative"]
 BASE_OPERATORS: Final = ("+", "-", "*", "/", "sin", "cos")
 """Operators with which a search begins."""
 FURTHER_OPERATORS: Final = ("exp", "log", "sqrt", "abs", "tanh", "pow")
-"""Operators that are tried, too, if the user names no operators and `BASE_OPERATORS` may not give the shortest
+"""Operators that are also tried if the user names no operators and `BASE_OPERATORS` may not give the shortest
 description."""
 
 PAPER_TERMINALS = 7
@@ -65,7 +65,7 @@ def _without(retired: Mapping[str, object]) -> Callable[[object], object]:
 
 
 class Angle(Frozen):
-    """One state that is an angle: it is unwrapped before smoothing."""
+    """One state or input that is an angle; its values are unwrapped before smoothing."""
 
     column: str
     degrees: bool = False
@@ -74,12 +74,12 @@ class Angle(Frozen):
 class DataConfig(Frozen):
     """How the columns of the table are to be read. Names are column names as in the header, without units."""
 
-    time: str | None = Field(default=None, description="time column; `t` or `time` unless named")
+    time: str | None = Field(default=None, description="time column (default: `t` or `time`)")
     step: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = Field(
         default=None, description="time between rows of a table without a time column"
     )
     states: tuple[str, ...] | None = Field(
-        default=None, description="state columns; all other numeric columns unless named"
+        default=None, description="state columns (default: all other numeric columns)"
     )
     inputs: tuple[str, ...] = Field(
         default=(), description="columns that are variables without an equation; may name time"
@@ -108,14 +108,12 @@ class DataConfig(Frozen):
     hold: tuple[str, ...] = Field(
         default=(), description="inputs that keep the value of a row until the next row (zero-order hold)"
     )
-    group: str | None = Field(
-        default=None, description="column: trajectories with equal values share constants, others have own"
-    )
+    group: str | None = Field(default=None, description="column; trajectories with equal values in it share constants")
     per_trajectory: bool = Field(default=False, description="each trajectory has separate constants")
     units: dict[str, str] = Field(default_factory=dict, description="units of columns, by name; they override headers")
     missing: Literal["refuse", "drop"] = Field(default="refuse", description="what to do with NaN and infinity")
     sheet: str | None = Field(
-        default=None, description="sheet of an Excel workbook; the first with a table unless named"
+        default=None, description="sheet of an Excel workbook (default: the first sheet with a table)"
     )
     missing_values: tuple[float, ...] = Field(
         default=(), description="numbers that stand for missing values, which are dropped, such as -9999"
@@ -126,11 +124,11 @@ class SpaceConfig(Frozen):
     """The space of expressions."""
 
     operators: tuple[str, ...] | None = Field(
-        default=None, description="None: + - * / sin cos, and the others where they may improve the equation"
+        default=None, description="None: + - * / sin cos, and further ones if they may improve the equation"
     )
     operators_of: dict[str, tuple[str, ...]] = Field(default_factory=dict, description="per equation; overrides")
     variables_of: dict[str, tuple[str, ...]] = Field(
-        default_factory=dict, description="per equation, the variables that it may use; all unless named"
+        default_factory=dict, description="per equation, the variables that it may use (default: all)"
     )
     required_of: dict[str, tuple[str, ...]] = Field(
         default_factory=dict, description="per equation, the variables that it must have"
@@ -173,7 +171,7 @@ class PriorConfig(Frozen):
     )
     known: dict[str, str] = Field(default_factory=dict, description="known equations, which are not searched")
     bounds: dict[str, tuple[str, ...]] = Field(
-        default_factory=dict, description="on constants, such as c > 0, by left-hand side, or * for all equations"
+        default_factory=dict, description="bounds on constants, such as c > 0, by left-hand side; * for all equations"
     )
 
 
@@ -186,10 +184,10 @@ class EvolutionConfig(Frozen):
     mutation: Probability = Field(default=0.05, description="per node")
     loss: Loss = "mae"
     constant_fit_steps: Annotated[int, Field(ge=0, le=100)] = Field(
-        default=4, description="Levenberg-Marquardt steps a child"
+        default=4, description="Levenberg-Marquardt steps per child"
     )
     constant_fit_gate: Annotated[float, Field(gt=0.0)] = Field(
-        default=0.25, description="steps are taken when a child's loss is at most this share of its worse parent's"
+        default=0.25, description="a child is fitted if its loss is at most this multiple of its worse parent's loss"
     )
     linear_terms: Annotated[int, Field(ge=0, le=4)] = Field(
         default=4, description="top-level terms fitted linearly; 0: none"
@@ -204,7 +202,7 @@ class EvolutionConfig(Frozen):
     refit_interval: PositiveInt = Field(default=10, description="generations between offers to the front")
     runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
         default=None,
-        description="next best of each complexity kept next to the front; None: 0, or 8 with noisy targets",
+        description="runners-up kept for each complexity; None: 0, or 8 with noisy targets",
     )
 
 

@@ -38,8 +38,8 @@ class Field(NamedTuple):
 class AtollError(Exception):
     """Root of all errors that are meant for users; `exit_code` is the exit code of the program.
 
-    Options and advice differ between Python and the command line: the text of the error is for Python,
-    `on_command_line` for programs, and `fields` are the names of the options in the sentence.
+    Options and advice differ between Python and the command line: the text of the error is for Python, and
+    `on_command_line` is its text for the command line. `fields` are the names of the options in the sentence.
     """
 
     exit_code = 1

@@ -26,8 +26,8 @@ _context: ContextVar[Mapping[str, object]] = ContextVar("fields of all log lines
 def about(**values: object) -> Iterator[None]:
     """Add these fields, such as `job` or `task`, to every line that is logged in this block; None adds nothing.
 
-    A line's own fields take precedence, and inner blocks over outer ones. The context belongs to the thread, or the
-    asyncio task, that entered the block.
+    A line's own fields take precedence over the fields of blocks, and inner blocks over outer blocks. The context
+    belongs to the thread, or the asyncio task, that entered the block.
     """
     token = _context.set({**_context.get(), **_without_none(values)})
     try:

@@ -28,7 +28,7 @@ _VARIABLES: Final[Mapping[str, tuple[str, str | None]]] = {
     "lsf": ("LSB_JOBID", None),
     "sge": ("JOB_ID", "SGE_ROOT"),
 }
-"""By batch system: the variable with the job's id, and another variable that must be set, too (None: no other)."""
+"""By batch system: the variable with the job's id, and another variable that must also be set (None: no other)."""
 
 _IN_NAME: Final = re.compile(rf"-(?:{'|'.join(_VARIABLES)})([0-9]+)-")
 
@@ -43,7 +43,7 @@ def batch_job(environment: Mapping[str, str]) -> str:
 
 
 def job_of(worker: str) -> str | None:
-    """Return the number of the batch job in a worker's name, None without one; ``coordinator adapt`` needs it."""
+    """Return the number of the batch job in a worker's name, None if it has none; ``coordinator adapt`` needs it."""
     found = _IN_NAME.search(worker)
     return found[1] if found else None
 
@@ -70,7 +70,7 @@ def affinity() -> int:
 
 
 def cgroup_quota(own: Path = _OWN_CGROUP, root: Path = _CGROUPS) -> float | None:
-    """Return the smallest CPU quota, in cores, of this process's control group and its parents; None without one."""
+    """Return the smallest CPU quota, in cores, of this process's control group and its parents; None: no quota."""
     quotas = []
     for folder in _folders(own, root):
         version_2 = _read(folder / "cpu.max").split()
@@ -123,7 +123,7 @@ def is_networked(kind: str | None) -> bool:
 
 
 def user_folder(variable: str, usual: str) -> Path:
-    """Return the folder that `variable` names, else `usual` in the home folder, else a temporary one of this user.
+    """Return the folder that `variable` names, else `usual` in the home folder, else a temporary folder of this user.
 
     `variable` is an environment variable such as ``XDG_CACHE_HOME``. Users without an entry in the list of users, as in
     some containers, have no home folder. Raises UsageError where the temporary folder belongs to another user.

@@ -52,7 +52,7 @@ def flush_streams() -> None:
 
 
 def open_closed_streams() -> None:
-    """Open standard streams that were closed before the start to nowhere, so that no file gets their descriptors."""
+    """Connect standard streams that are closed to the null device, so that no other file gets their descriptors."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
     os.close(number)

@@ -55,9 +55,9 @@ class _Hold:
 
 @contextmanager
 def interrupts_held_back() -> Iterator[None]:
-    """Raise an interrupt that arrives inside the block at its end.
+    """Hold back an interrupt that arrives inside the block, and raise it at the end of the block.
 
-    For calls of foreign code that calls us back in the main thread and swallows exceptions raised there.
+    This is for calls of foreign code that calls us back in the main thread and swallows exceptions raised there.
     """
     _Hold.depth += 1
     try:
@@ -77,7 +77,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def raising_interrupts() -> AbstractContextManager[None]:
-    """Return a context that raises KeyboardInterrupt for Ctrl-C, SIGTERM and hang-up, also in the background."""
+    """Return a context that raises KeyboardInterrupt for Ctrl-C, SIGTERM and hang-up, also for a background program."""
     return handling(dict.fromkeys((signal.SIGINT, *termination_signals()), _interrupt))
 
 
@@ -109,7 +109,7 @@ def exiting() -> AbstractContextManager[None]:
 def draining(parent: int | None, leave: Callable[[], None]) -> AbstractContextManager[None]:
     """Return a context in which the first SIGTERM or hang-up calls `leave`, and the second raises SystemExit(0).
 
-    The system sends the same signal when the process `parent` dies; this process then ends at the first.
+    The system sends the same signal when the process `parent` dies; this process then ends at the first signal.
     """
     has_left = False
 
@@ -129,7 +129,7 @@ def _exit(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def end_at_interrupts() -> None:
-    """Let Ctrl-C end the process at once until `raise_interrupts` is called, unless it is ignored."""
+    """Let Ctrl-C end the process at once until `raise_interrupts` is called, unless Ctrl-C is ignored."""
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, _end_at_once)
 

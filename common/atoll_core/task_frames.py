@@ -136,7 +136,7 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class ProcessMessage:
-    """Posted to the worker's loop: a message of its process. `life` counts the processes that it has started."""
+    """Posted to the worker's loop: a message of its task process. `life` is the process's number on this worker."""
 
     life: int
     message: "FromProcess"

@@ -5,9 +5,9 @@ A bus and threads do not survive a fork. So this process opens no bus and starts
 forked, and every worker opens its own bus. On systems where a fork is not safe (macOS, Windows), workers are new
 interpreters.
 
-`Supervisor` polls the children: a restart may fork at any time, so this process must have one thread only, and the
-children are few. A child that dies is started again after a growing pause (`RestartPolicy`), unless it ended in order,
-was refused, or died too often. A child reports the reason of its end through a pipe (`ExitReasons`); the same reason of
+`Supervisor` polls the children, since there are few of them. It uses no further thread, because a restart may fork at
+any time. A child that dies is started again after a growing pause (`RestartPolicy`), unless it ended in order, was
+refused, or died too often. A child reports the reason of its end through a pipe (`ExitReasons`); the same reason of
 several children is printed once.
 
 No child outlives its parent. Each child has its own session, so that Ctrl-C on the terminal reaches only the parent,
@@ -63,7 +63,7 @@ def can_fork() -> bool:
 
 
 class Forked:
-    """A fork of this process, with those methods of `subprocess.Popen` that end a process."""
+    """A fork of this process, with the methods of `subprocess.Popen` that end a process."""
 
     def __init__(self, work: Callable[[], int]) -> None:
         """Fork; the child runs `work` in its own session and ends with the exit code that `work` returns."""
@@ -317,7 +317,7 @@ class Supervisor:
         self._handled = 0
 
     def run(self, parent: int | None = None) -> int:
-        """Watch the children until all have ended for good; return the worst exit code, or 130 after a Ctrl-C.
+        """Watch the children until all have finally ended; return the worst exit code, or 130 after a Ctrl-C.
 
         SIGTERM and Ctrl-C are passed on as SIGTERM. Children that have not ended after `_STOP_LIMIT_S` (plus `grace_s`
         after a SIGTERM) are killed; a second signal kills them at once. The death of the process `parent` counts as a
@@ -365,7 +365,8 @@ class Supervisor:
     def _begin(self, process: _Process, now: float) -> None:
         """Start a process.
 
-        If the system starts none, the first start of a worker raises the error; later it counts as a death.
+        If the system starts no process, the first start of a worker raises the error; later a failed start counts as a
+        death.
         """
         process.policy.begin(now)
         try:

@@ -25,7 +25,7 @@ from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.background import CheckpointWritten
 from atoll_coordinator.service.workers.channel import WorkerChannel
-from atoll_coordinator.service.workers.placing import Scheduler
+from atoll_coordinator.service.workers.placement import Placer
 from atoll_core.errors import AtollError, RefusedError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Event, Link, Reply
@@ -49,7 +49,7 @@ LEFT_OUT_ALWAYS = {
     (RequestDispatcher, "_tell_worker"),
     (JobController, "_end_broken"),
     (JobController, "_end_without_job"),
-    (Scheduler, "plan"),  # is called with all jobs
+    (Placer, "plan_placements"),  # is called with all jobs
     (Store, "job"),
     (Store, "commit_result"),
 }

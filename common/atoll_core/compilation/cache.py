@@ -1,10 +1,10 @@
 """Compile the kernels of a package once per machine; choose the folder of the compiled kernels; show the progress.
 
 There is one folder for each package and each digest of all source text that is compiled into its kernels. Checkouts,
-wheels and copies with equal sources therefore share machine code. Machine code of other sources is never loaded. A
-change in the kernels of one program leaves the kernels of the other program compiled. A marker file for each kind of
-processor and compiler says that all kernels of the package have been compiled. If several processes find nothing
-compiled, one process compiles. The others wait and then load.
+wheels and copies with equal sources therefore share machine code. Machine code of other sources is never loaded. If the
+kernels of one program change, the kernels of the other program stay compiled. A marker file for each kind of processor
+and compiler says that all kernels of the package have been compiled. If several processes find nothing compiled, one
+process compiles. The others wait and then load.
 """
 
 import contextlib
@@ -94,11 +94,11 @@ def is_compiled(package: str) -> bool:
 
 def marker(package: str) -> Path:
     """Return the file that exists if all kernels of a package have been compiled for this machine."""
-    return cache_directory(package) / f"ready-{_machine()}"
+    return cache_directory(package) / f"ready-{_machine_digest()}"
 
 
-def _machine() -> str:
-    """Return a digest of all facts, except the source text of the kernels, by which numba finds its machine code."""
+def _machine_digest() -> str:
+    """Return a digest of everything by which numba finds machine code, except the source text of the kernels."""
     parts = [platform.python_version(), platform.machine(), _processor()]
     parts += [version(name) for name in ("numba", "llvmlite", "numpy")]
     parts += [f"{name}={os.environ.get(name, '')}" for name in _SETTINGS]
@@ -175,9 +175,9 @@ def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, re
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
     if not is_compiled(package):  # otherwise a read-only folder is enough
-        with _locked(_make(cache_directory(package)) / "lock", report):
+        with _hold_lock(_make(cache_directory(package)) / "lock", report):
             if not is_compiled(package):
-                with _counted(kernels, report):
+                with _report_counts(kernels, report):
                     exercise()
                 marker(package).touch()
                 return
@@ -198,7 +198,7 @@ def _make(directory: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _counted(kernels: int, report: Report) -> Iterator[None]:
+def _report_counts(kernels: int, report: Report) -> Iterator[None]:
     """Report how many kernels are compiled: at the beginning, after each kernel, and at the end."""
     done = 0
 
@@ -218,7 +218,7 @@ def _counted(kernels: int, report: Report) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _locked(path: Path, report: Report) -> Iterator[None]:
+def _hold_lock(path: Path, report: Report) -> Iterator[None]:
     """Hold the lock file at `path`, so that one process compiles; the system frees the lock when a process dies."""
     import fcntl
 

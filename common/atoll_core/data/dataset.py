@@ -47,7 +47,7 @@ class Target:
 
     @property
     def is_noisy(self) -> bool:
-        """Whether the true equation would have residuals so large that errors alone cannot identify it."""
+        """Whether noise is so large that the size of residuals alone cannot identify the true equation."""
         return self.noise > 0.0 or self.uncertainty >= CLEAN_UNCERTAINTY
 
     def normalized(self, error: float) -> float:
@@ -84,7 +84,7 @@ class Problem:
     groups: IntArray | None = None
 
     def of_group(self, group: int) -> "Problem":
-        """Return the problem on the rows of one group; this problem where there are no groups."""
+        """Return the problem on the rows of one group, or this problem if there are no groups."""
         if self.groups is None:
             return self
         rows = np.flatnonzero(self.groups == group)
@@ -115,11 +115,11 @@ class Dataset:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """Names of the equations in their order, known ones included."""
+        """Names of all equations, including known equations, in their order."""
         return tuple(target.variable for target in self.targets)
 
     def problem(self, variable: str) -> Problem:
-        """Return the regression problem of `variable`; raises KeyError for an unknown one."""
+        """Return the regression problem of `variable`; raises KeyError if `variable` is unknown."""
         for target in self.targets:
             if target.variable == variable:
                 return Problem(self.names, self.inputs, target, self.groups)

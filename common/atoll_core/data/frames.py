@@ -53,7 +53,7 @@ _LIBRARIES: Final[tuple[str, ...]] = get_args(FrameLibrary)
 def frame_of(columns: Mapping[str, object], library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
     """Return columns of one length by name, arrays (N,) or lists, as a frame of a library.
 
-    Raises UsageError where the library is neither of them, or is not installed.
+    Raises UsageError if the library is neither polars nor pandas, or is not installed.
     """
     if library not in _LIBRARIES:
         raise UsageError(f"a frame is of {' or '.join(_LIBRARIES)}, but {shown(library)} was given")

@@ -21,7 +21,7 @@ from atoll_core.wire.codec import BROKEN, decode_arrays, encode_arrays
 
 S = TypeVar("S", bound=np.generic)
 MANY = 5
-"""Largest number of rows that a message lists; then it gives their total number."""
+"""Largest number of rows that a message lists; if there are more, it lists the first rows and the total number."""
 MIDNIGHT: Final = "midnight"
 
 

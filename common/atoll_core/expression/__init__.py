@@ -6,6 +6,6 @@
 - `evaluation` computes values and derivatives after the search, by numpy or as Python functions; `kernels` compute them
   during the search, as machine code.
 - `derivative` makes programs of derivatives.
-- `restrictions` are users' conditions on an equation. `unit_coefficients` makes coefficients of one explicit.
+- `restrictions` are users' conditions on an equation. `unit_coefficients` makes coefficients equal to 1 explicit.
 - `operation_list` arranges a program as a list that the search evolves.
 """

@@ -49,7 +49,7 @@ def with_variables(program: Program, first: int) -> Program:
 
 
 class _DerivativeDraft(ProgramBuilder):
-    """A program under construction without factors of one, double signs and operators on constants.
+    """A program under construction without factors equal to 1, double signs and operators on constants.
 
     Every bit of the values stays the same.
     """

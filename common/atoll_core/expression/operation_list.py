@@ -80,7 +80,9 @@ class _Rewriting(ProgramBuilder):
             allowed = next((pair for pair in neutral if pair[0] in self._operators), None)
             if allowed is None:
                 names = _names(self._operators)
-                raise UsageError(f"is a single variable or number, which {names} cannot leave as it is")
+                raise UsageError(
+                    f"is a single variable or number, but a list needs an operator, and {names} would change the value"
+                )
             output = self.add(allowed[0], output, self.constant(allowed[1]))
         return live_nodes(self.nodes, output)
 

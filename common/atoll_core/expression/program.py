@@ -163,7 +163,7 @@ class ProgramBuilder:
         return code, left, right, value.hex()
 
     def append(self, code: int, left: int = 0, right: int = 0, value: float = 0.0) -> int:
-        """Return the index of a new node that is not merged with equal ones: constants can be fitted separately."""
+        """Return the index of a new node that is not merged with equal nodes: constants can be fitted separately."""
         self.nodes.append((code, left, right, value))
         return len(self.nodes) - 1
 
@@ -172,7 +172,7 @@ class ProgramBuilder:
         return self.add(CONSTANT, value=value)
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
-        """Return the index of an operator on earlier nodes; `right` is 0 for a unary one."""
+        """Return the index of an operator on earlier nodes; `right` is 0 for a unary operator."""
         return self.add(code, left, right)
 
     def copy(self, nodes: Iterable[Node], places: Sequence[int] = (), *, merges_constants: bool = True) -> list[int]:

@@ -26,19 +26,20 @@ from atoll_core.expression.writing.expansion import Role, Shape, expand_program,
 from atoll_core.expression.writing.sums_of_products import ONE, UndefinedError
 
 EVERY: Final = "c"
-"""Means every constant, unless a variable has this name."""
+"""In a bound, this name means every constant, unless a variable has the name."""
 ALSO_EVERY: Final = "constants"
 INNER: Final = "inner"
-"""Means the numbers inside terms."""
+"""In a bound, this name means the numbers inside terms."""
 ALL_EQUATIONS: Final = "*"
-"""Means all equations, instead of the name of one."""
+"""This text stands for all equations, in place of the name of one equation."""
 EXAMPLES: Final = "c > 0, 0 < c < 10, |c| < 5, x: x*y < 0 or inner > 0"
 ROUNDING: Final = 1e-9
 """Relative tolerance of a bound: the rounding errors of rewriting an equation."""
 
 _FIRST: Final = 0.0101
 _STEP: Final = 0.0007
-"""Constants for `_roles_of`: numbers that no rewriting treats specially, as integers, halves or multiples of pi/4."""
+"""Constants for `_roles_of`: numbers that no rewriting treats specially. Integers, halves and multiples of pi/4 are
+treated specially."""
 
 Scope = Literal["every", "inner", "term"]
 _COMPARISON: Final = re.compile(r"<=|>=|<|>")
@@ -56,7 +57,7 @@ class ConstantBound:
     shape: Shape = None
 
     def covers(self, shape: Shape, *, is_inner: bool) -> bool:
-        """Tell whether it applies to the coefficient of a term of this shape, or to the numbers inside it."""
+        """Tell whether the bound applies to the coefficient of a term of this shape, or to the term's inner numbers."""
         if self.scope == "term":
             return not is_inner and shape == self.shape
         return self.scope == "every" or is_inner
@@ -121,7 +122,7 @@ def _number(text: str, whole: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Governed:
-    """A bound and the numbers of an equation to which it applies; `is_active` if one of them lies on an end of it."""
+    """A bound and the numbers to which it applies in an equation; `is_active` if a number lies on an end of it."""
 
     bound: ConstantBound
     values: tuple[float, ...]
@@ -135,13 +136,13 @@ class EquationBounds:
     bounds: tuple[ConstantBound, ...]
 
     def range_of(self, shape: Shape, *, is_inner: bool) -> tuple[float, float]:
-        """Return the smallest and the largest allowed number; the first is the larger one if none is allowed."""
+        """Return the smallest and the largest allowed number; if no number is allowed, the first is larger."""
         covering = [bound for bound in self.bounds if bound.covers(shape, is_inner=is_inner)]
         lower = max((bound.lower for bound in covering), default=-math.inf)
         return lower, min((bound.upper for bound in covering), default=math.inf)
 
     def laid_out(self, program: Program) -> Program | None:
-        """Return `program` with brackets expanded and bounded factors of one as constants; None if impossible.
+        """Return `program` with brackets expanded and bounded factors equal to 1 as constants; None if impossible.
 
         A program that is laid out already is returned unchanged, for any values of its constants.
         """
@@ -157,7 +158,7 @@ class EquationBounds:
         return None if expansion is None else expansion.program
 
     def is_written(self, shape: Shape, value: float) -> bool:
-        """Tell whether a coefficient of one or minus one must be a constant."""
+        """Tell whether a coefficient equal to 1 or -1 must be a constant."""
         return not self._holds(shape, value, is_inner=False)
 
     def _roles_of(self, program: Program) -> tuple[Role, ...] | None:
@@ -220,7 +221,7 @@ class EquationBounds:
 
 
 def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
-    """Return all numbers with the shape of their term and whether they are inside it; raises UndefinedError."""
+    """Return each number with the shape of its term and whether it is inside the term; raises UndefinedError."""
     numbers: list[tuple[Shape, float, bool]] = []
     for monomial, coefficient in terms_of(program):
         shape = shape_of(monomial)

@@ -15,7 +15,7 @@ from atoll_core.expression.program import Node, Program, ProgramBuilder, moved
 
 
 def _strict(name: str) -> Callable[..., float]:
-    """Return the kernels' elementary function of that name."""
+    """Return the elementary function of this name that the kernels use."""
 
     def function(*arguments: float) -> float:
         # Imported here: it loads the compiler, which is not needed to print expressions.
@@ -39,7 +39,7 @@ def simplify_program(program: Program, *, merges_constants: bool = True) -> Prog
 
     Nodes on which the output does not depend are removed; an operator on constants becomes its value, if finite; equal
     nodes become one, where ``a + b`` equals ``b + a`` and ``a*a`` equals ``a**2``. With `merges_constants` equal
-    constants become one, too; without it they can be fitted separately. Pure and deterministic.
+    constants are merged as well; without it they can be fitted separately. Pure and deterministic.
     """
     builder = _Simplifier(merges_constants)
     output = builder.copy(program.nodes(), merges_constants=merges_constants)[-1]

@@ -1,8 +1,8 @@
-"""Make coefficients of one, which are not written, explicit: without them, standard errors would be too small.
+"""Make coefficients equal to 1, which are not written, explicit: without them, standard errors would be too small.
 
 In ``3*x - x**2`` the coefficient 1 of x**2 was estimated from the data just like the 3 of x. Standard errors are
-therefore computed for all coefficients together: each term of a sum has one, and so has a product outside of a sum.
-Factors inside functions stay implicit, and of several factors that only scale each other one stays implicit.
+therefore computed for all coefficients together: each term of a sum has one coefficient, and so has a product outside
+of a sum. Factors inside functions stay implicit. If several factors only scale each other, one of them stays implicit.
 """
 
 from collections.abc import Collection, Iterator
@@ -18,10 +18,10 @@ ONE: Final = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ExplicitCoefficients:
-    """A program with its factors of one as constants.
+    """A program whose factors equal to 1 are constants.
 
     `origins` has for each constant of `program`, in node order, its number among the constants of the original program;
-    None for a new factor of one. `terms` has the terms of these new factors, in the same order.
+    None for a new factor equal to 1. `terms` has the terms of these new factors, in the same order.
     """
 
     program: Program
@@ -30,14 +30,14 @@ class ExplicitCoefficients:
 
 
 def make_coefficients_explicit(program: Program) -> ExplicitCoefficients:
-    """Return `program` with its factors of one as constants; it has the same values."""
+    """Return `program` with its factors equal to 1 as constants; it has the same values."""
     draft = _CoefficientDraft(program.nodes())
     output = draft.rewrite(len(program) - 1, has_factor=False)
     return draft.finished(output)
 
 
 def write_factors(explicit: ExplicitCoefficients, fitted: Program, chosen: Collection[int]) -> Program:
-    """Return the original program with the factors of the `chosen` terms written out; the other factors are one.
+    """Return the original program with the factors of the `chosen` terms written out; the other factors are 1.
 
     `fitted` is the program of `explicit` with other values of constants.
     """
@@ -104,8 +104,11 @@ class _CoefficientDraft:
             yield index
 
     def _product(self, index: int, *, has_factor: bool) -> int:
-        """Add a factor to a product: its constant if it has one, else factors in a sum that it contains, else a factor
-        of the whole product."""
+        """Give a product a factor, and return its new place.
+
+        The factor is its constant if it has one; else the factors in a sum that the product contains; else a factor of
+        the whole product.
+        """
         _, left, right, _ = self._old[index]
         if has_factor or self._holds_factor(index):
             return self._new.append(op.MULTIPLY, self._scaled(left), self._scaled(right))

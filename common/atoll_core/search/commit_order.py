@@ -32,7 +32,7 @@ class Position:
 class CommitOrder(Frozen):
     """The order of the slices of an archipelago.
 
-    An epoch has `generations`, a slice `stride` of them; in epoch 0 islands begin in groups of `joining`.
+    An epoch has `generations` generations, and a slice `stride`; in epoch 0 islands begin in groups of `joining`.
     """
 
     generations: Positive

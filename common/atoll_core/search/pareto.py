@@ -1,9 +1,10 @@
 """Fronts of error against complexity, and their runners-up: total order, dominance, merging (docs/protocol.md).
 
-With noise the true equation is often not the best one of its complexity but among the next ones. Therefore *runners-up*
-are kept in addition to a front: the next best entries of each complexity, distinct in function. Two entries count as
-one function when both of their errors on all rows agree to four digits. That seldom happens by chance, and then only
-one of two equally good equations is lost. Only numbers are compared, so that results are equal on every machine.
+With noise, the true equation is often not the best equation of its complexity, but one of the next best. Therefore
+*runners-up* are kept in addition to a front: the next best entries of each complexity, distinct in function. Two
+entries count as one function when both of their errors on all rows agree to four digits. That seldom happens by chance,
+and then only one of two equally good equations is lost. Only numbers are compared, so that results are equal on every
+machine.
 """
 
 import math
@@ -52,8 +53,9 @@ def merge(front: Iterable[FrontEntry], additions: Iterable[FrontEntry]) -> tuple
 def runners_up(front: Iterable[FrontEntry], candidates: Iterable[FrontEntry], most: int) -> tuple[FrontEntry, ...]:
     """Return the `most` next best entries of each complexity that differ in function from `front`, in the total order.
 
-    Of equations with one structure, or with equal errors, only the first in the total order stays: the simpler one,
-    then the better one. Pure; independent of the order of `candidates`, which may hold members of the front.
+    Of equations with one structure, or with equal errors, only the first in the total order stays: the simpler
+    equation, or among equally simple equations the better one. Pure; independent of the order of `candidates`, which
+    may hold members of the front.
     """
     members = {entry.key for entry in front}
     entries = {entry.key: entry for entry in (*front, *candidates)} if most > 0 else {}

@@ -77,7 +77,8 @@ class Address:
 class Destination:
     """An address, and the credentials to use there. Its text is the address alone.
 
-    `others` are further addresses of the same service, tried in turn: of a standby coordinator, of a second router.
+    `others` are further addresses of the same service, such as a standby coordinator or a second router. They are tried
+    one after another.
     """
 
     address: Address
@@ -86,7 +87,7 @@ class Destination:
 
     @property
     def addresses(self) -> tuple[Address, ...]:
-        """All addresses, the first one first."""
+        """The first address, then the others."""
         return (self.address, *self.others)
 
     def __str__(self) -> str:
@@ -97,8 +98,8 @@ def destination(text: str, credentials: Credentials | None = None, *, listens: b
     """Return the addresses that `text` names, separated by commas, with the credentials to use there.
 
     Raises:
-        UsageError: a part is not an address, an encrypted address comes without credentials or an unencrypted one with
-            them, or an address cannot be dialled although this program does not listen there (`listens`).
+        UsageError: a part is not an address; an encrypted address has no credentials, or an unencrypted address has
+            some; or the address cannot be dialled, and this program does not listen there (`listens`).
     """
     addresses = addresses_in(text)
     for address in addresses:
@@ -140,7 +141,7 @@ def _socket_address(text: str, path: str) -> Address:
     if not path:
         raise UsageError(f"address {text!r} was found where a path was expected, such as {_SOCKET}//tmp/mine/bus")
     if any(c in path for c in _NOT_IN_PATHS):
-        raise UsageError(f"the path of {text!r} has one of ? # and line breaks; name a socket in another folder")
+        raise UsageError(f"the path of {text!r} contains ?, # or a line break; name a socket in another folder")
     if len(os.fsencode(path)) > _LONGEST_PATH:
         raise UsageError(f"the path of {text!r} is longer than {_LONGEST_PATH} bytes; name a socket in another folder")
     return Address(_SOCKET, path, 0)
@@ -195,7 +196,7 @@ def _cannot_listen(address: Address, error: OSError) -> str:
 
 
 def _bindable_socket(address: Address) -> Address:
-    address = parse_address(f"{_SOCKET}/{Path(address.host).absolute()}")  # others dial it from other folders
+    address = parse_address(f"{_SOCKET}/{Path(address.host).absolute()}")  # other programs dial it from other folders
     folder = Path(address.host).parent
     if not os.access(folder, os.W_OK | os.X_OK):
         raise UsageError(f"cannot listen on {address}: the folder {folder} is not there or cannot be written")

@@ -25,7 +25,7 @@ _Size = Annotated[float, Field(ge=0.0)]
 
 MAX_NESTING: Final = 32
 MAX_ITEMS: Final = 2_000_000
-"""Most items in a message; keys and values count separately. In the largest message these are eight bytes per item."""
+"""Most items in a message; keys and values count separately. The largest message then has eight bytes per item."""
 
 MAX_MAP: Final = 4096
 """Most entries of a map: no model has more fields, and no job more variables."""
@@ -82,7 +82,7 @@ def encode_arrays(header: Mapping[str, object], arrays: Mapping[str, AnyArray]) 
     plain: dict[str, AnyArray] = {}
     for name, array in arrays.items():
         if array.dtype.str[1:] not in DTYPES or array.ndim > MAX_DIMENSIONS:
-            raise LocalProtocolError(f"array {name!r} of type {array.dtype} and {array.ndim} dimensions cannot travel")
+            raise LocalProtocolError(f"array {name!r} of type {array.dtype} and {array.ndim} dimensions cannot be sent")
         plain[name] = np.asarray(array, dtype=array.dtype.newbyteorder("<"), order="C")
     head = pack({"header": dict(header), "arrays": [[n, a.dtype.str[1:], list(a.shape)] for n, a in plain.items()]})
     parts = [_MAGIC, struct.pack("<Q", len(head)), head]
@@ -178,7 +178,7 @@ def dataset_from_bytes(data: bytes) -> Dataset:
 
 
 def pack(tree: object) -> bytes:
-    """Return the msgpack bytes of plain values; raises LocalProtocolError where one cannot be encoded."""
+    """Return the msgpack bytes of plain values; raises LocalProtocolError if a value cannot be encoded."""
     try:
         _check_tree(tree)
         return cast(bytes, msgpack.packb(tree, default=_plain))
@@ -189,7 +189,7 @@ def pack(tree: object) -> bytes:
 def _plain(value: object) -> object:
     if isinstance(value, np.generic):
         return value.item()
-    raise TypeError(f"{type(value).__name__} cannot travel")
+    raise TypeError(f"{type(value).__name__} cannot be sent")
 
 
 def unpack(data: bytes, max_bytes: int) -> object:
@@ -285,7 +285,7 @@ def _brief(error: BaseException) -> str:
 
 
 def array_size(name: str, dtype: object, shape: object, allowed: Collection[str] = DTYPES) -> int:
-    """Return the bytes of an array of this announced type and shape; raises ValueError where one is not allowed."""
+    """Return the bytes of an array of this announced type and shape; raises ValueError if they are not allowed."""
     require(isinstance(dtype, str) and dtype in allowed, f"{name} is of a type that is not allowed")
     require(isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS, f"{name} has no proper shape")
     sizes = cast(list[object], shape)

@@ -7,7 +7,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.logs import fields
 
 MAX_SOURCES: Final = 1000
-"""Most sources that are counted separately; further ones are counted together and not logged, which bounds memory."""
+"""Most sources that are counted separately; further sources are counted together and not logged, to limit memory."""
 
 OTHERS: Final = "elsewhere"
 

@@ -1,8 +1,8 @@
 """Keys on the bus: for every kind of key its builder, its parser in `parse`, and the expression that receives it.
 
-All keys on which a worker publishes, serves or announces contain its own name, and keys of a client's requests contain
-the client's name, so that one access rule per name covers them all. Keys never contain column names: payloads have
-them.
+All keys on which a worker publishes, serves or announces contain the worker's name. Keys of a client's requests contain
+the client's name. So one access rule for each name covers all of its keys. Keys never contain column names: payloads
+have them.
 
     atoll/hello                                served by the coordinator: would a program be accepted? changes nothing
     atoll/hello/{name}                         served by the coordinator: greeting of the worker or client of this name

@@ -1,11 +1,11 @@
 """Bytes of values that programs exchange: frozen dataclasses, arrays, programs, configurations. Never executable code.
 
-The expected type decides how bytes are read, the bytes never do. `_codec` returns a reader and a writer for each type,
-once per type: a dataclass is a map of its fields, a tuple, sequence or set a list, a mapping a list of pairs, a union
-the number of the member and its value, an array its type, shape, order and bytes, a pydantic model its own message.
-Numbers, texts and lengths of tuples must have exactly the expected type. Equal values give equal bytes on every
-machine; decoded values are equal to the bit, NaN and infinity included, and decoded arrays are writable. Anything that
-does not fit raises a RemoteProtocolError.
+Only the expected type decides how bytes are read. `_codec` returns a reader and a writer for each type. They encode a
+dataclass as a map of its fields; a tuple, sequence or set as a list; a mapping as a list of pairs; a union as the
+number of the member and its value; an array as its type, shape, order and bytes; and a pydantic model as its own
+message. Numbers, texts and lengths of tuples must have exactly the expected type. Equal values give equal bytes on
+every machine; decoded values are equal to the bit, NaN and infinity included, and decoded arrays are writable. Anything
+that does not fit raises a RemoteProtocolError.
 
 Supported types: dataclasses whose fields have supported types, None, bool, int of 64 bits, float, str, bytes, Fraction,
 tuples, sequences, mappings, sets, literals, unions, arrays of `DTYPES` and of bool, `Program`, pydantic models such as

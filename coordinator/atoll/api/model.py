@@ -483,9 +483,9 @@ class Model(ModelCore):
 
     def export(self, format: str, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return the model as the text of one file; `format` is the name of the format."""
-        from atoll.export.formats import written
+        from atoll.export.formats import export_model
 
-        return written(self, format, x0, t, u)
+        return export_model(self, format, x0, t, u)
 
     def to_python(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return a Python module that needs only numpy and has its own integrator."""

@@ -15,9 +15,9 @@ from typing import Final, Protocol, TypeGuard
 import numpy as np
 
 from atoll_coordinator.data.reading.arrays import fields_of, table_of_arrays, table_of_matrix
-from atoll_coordinator.data.reading.cells import cell_of, read_numbers
+from atoll_coordinator.data.reading.cells import cell_of, parse_numbers
 from atoll_coordinator.data.reading.dates import is_date
-from atoll_coordinator.data.reading.files import columns_of, read_table, table_of_parts
+from atoll_coordinator.data.reading.files import convert_columns, read_table, table_of_parts
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.reading.reshaping import TIME
 from atoll_coordinator.data.reading.typed_formats import table_of_document, table_of_rows
@@ -100,7 +100,7 @@ def table_of(data: object, config: DataConfig) -> Table:
             )
         raws = [_cells_of(part, config) for part in parts]
     names = [NAME] if len(raws) == 1 else [f"{NAME}[{place}]" for place in range(len(raws))]
-    columns = [columns_of(name, raw, config) for name, raw in zip(names, raws, strict=True)]
+    columns = [convert_columns(name, raw, config) for name, raw in zip(names, raws, strict=True)]
     table = table_of_parts(columns, config)
     return replace(table, files=(NAME,), file_of_row=np.zeros_like(table.file_of_row))
 
@@ -251,5 +251,5 @@ def numbers_of(given: object, name: str) -> FloatArray:
         return np.ascontiguousarray(values, dtype=np.float64)
     columns = values.reshape(len(values), -1).T if values.ndim else values.reshape(1, 1)
     cells = {str(place): [*map(cell_of, column.tolist())] for place, column in enumerate(columns, start=1)}
-    numbers, _ = read_numbers(name, cells, [0] * columns.shape[1], "")
+    numbers, _ = parse_numbers(name, cells, [0] * columns.shape[1], "")
     return np.ascontiguousarray(np.array([*numbers.values()]).T).reshape(values.shape)

@@ -14,15 +14,15 @@ BAD_INPUT: Final = 2
 TARGET_MISSED: Final = 4
 
 
-def finish(view: "JobView") -> int:
+def report_exit_code(view: "JobView") -> int:
     """Return the exit code of a job that has ended; if it is not 0, print the reason on stderr."""
-    code, sentence = ending(view)
+    code, sentence = exit_code_and_reason(view)
     if sentence is not None:
         note(f"coordinator: {sentence}")
     return code
 
 
-def ending(view: "JobView") -> tuple[int, str | None]:
+def exit_code_and_reason(view: "JobView") -> tuple[int, str | None]:
     """Return the exit code of a job that has ended, and the reason as a sentence (None with exit code 0)."""
     if view.state == "failed":
         return BAD_INPUT if view.fault == "data" else FAILED, f"job {view.job} failed: {view.reason}"

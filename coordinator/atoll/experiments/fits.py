@@ -23,10 +23,10 @@ from atoll.model.equations import differing_groups, match_constants, program_of
 from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, bounded_covariance
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import System, system_of, variable_program
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
 from atoll_coordinator.result.base import Curve
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.findings import Errors, Noise

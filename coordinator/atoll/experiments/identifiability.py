@@ -27,7 +27,7 @@ import numpy as np
 from atoll.experiments.fits import FittedEquations, FreeConstant, constants_of, equations_of, fit_displayed, measured_of
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.model.batches import BatchFunction, Spread
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, covariance
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, covariance
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of

@@ -119,7 +119,7 @@ PETAB: Final = "petab"
 NAMES: Final = (*LANGUAGES, *RESULT_FORMATS, PETAB)
 
 
-def written(model: "ModelCore", name: str, x0: Given | None = None, t: Times = None, u: HeldInputs = None) -> str:
+def export_model(model: "ModelCore", name: str, x0: Given | None = None, t: Times = None, u: HeldInputs = None) -> str:
     """Return the model in the format `name`, which is a single file; see `atoll.Model.export`."""
     if name in RESULT_FORMATS:
         return RESULT_FORMATS[name](model.result)

@@ -37,7 +37,7 @@ from starlette.routing import BaseRoute, Route
 from atoll.api.model import Model
 from atoll.client.client import Client
 from atoll.client.over_http import MESSAGE
-from atoll.export.formats import LANGUAGES, RESULT_FORMATS, written
+from atoll.export.formats import LANGUAGES, RESULT_FORMATS, export_model
 from atoll.tasks.analyses import FUNCTIONS, Report, answered
 from atoll.text.render import parse_picks, pick
 from atoll.web.access import gateway_of
@@ -562,7 +562,7 @@ class Api:
         if name not in (*LANGUAGES, *RESULT_FORMATS):
             raise HTTPException(404, f"there is no export format {name[:64]!r}")
         text = await run_in_threadpool(
-            lambda: RESULT_FORMATS[name](result) if name in RESULT_FORMATS else written(Model(result), name)
+            lambda: RESULT_FORMATS[name](result) if name in RESULT_FORMATS else export_model(Model(result), name)
         )
         return _file(query, text, f"{_job(request)}.{name}.txt", "text/plain")
 

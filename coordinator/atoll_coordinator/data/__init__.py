@@ -11,5 +11,6 @@
 - `recording`: all of these as a `Preparation`: the dataset of the search and the recording
 - `outline`: text for users before a job: how the table was read, and the equations of a search
 
-A stage uses only results of the stages above it. A contract in pyproject.toml says which stage may import which.
+A stage uses only results of the stages above it. A contract in pyproject.toml lists the imports that are allowed
+between stages.
 """

@@ -79,7 +79,7 @@ def take_steps(process: ProcessRecording, *, held_out: bool = False) -> Steps:
 
 @dataclass(frozen=True, eq=False)
 class StepWindows:
-    """Windows of `count` consecutive moves of `lag` steps each; `first` (W,) are the indices of their first steps."""
+    """Windows of `count` consecutive increments of `lag` steps; `first` (W,) are the indices of their first steps."""
 
     steps: Steps
     first: Rows
@@ -134,7 +134,7 @@ _ROUGHNESS_STEPS: Final = 7
 """Number of steps of one divided difference, which combines eight rows and has order seven."""
 _OWN: Final = 2.0
 """If the noise rate grows by more than this factor when the lag is doubled, the state has no noise of its own: the
-factor is 1 with noise of its own, and 4 for a state that follows a noisy one."""
+factor is 1 with noise of its own, and 4 for a state that follows a noisy state."""
 _SMOOTH: Final = 2.0**10
 """If the rate grows by more than this factor when the lag is doubled, the state is smooth: the factor is 2^13 for
 smooth motion, and 2^8 for noise that is integrated four times."""
@@ -173,8 +173,8 @@ def noise_rate(steps: Steps, state: int, lag: int = 1) -> float:
 # --------------------------------------------------------------------------------------------------- correlated noises
 
 _WINDOW_STEPS: Final = 3
-"""Steps of a window: the smallest number for which the difference removes most of the drift, even if steps are as long
-as processes allow."""
+"""Steps of a window: the smallest number for which the difference removes most of the drift, even for the longest steps
+that a process may have."""
 _TESTS: Final = 2
 """Tests of each pair: one for a correlation over all steps, one for correlations whose sign changes from bin to bin."""
 _DOUBLED: Final = 1.28
@@ -273,7 +273,7 @@ def bin_moments(steps: Steps) -> BinnedMoments:
     """Return the moments of the steps; with measurement noise, each step is assigned the position one step before it.
 
     The measurement error of a step's own position is also, with opposite sign, an error of its increment; the earlier
-    position is free of it.
+    position does not have this error.
     """
     bins, drift, residuals, factors = _drift(steps)
     noise = measurement_noise(residuals, steps)
@@ -357,9 +357,10 @@ def lagged(steps: Steps) -> Steps:
 def measurement_noise(residuals: FloatArray, steps: Steps) -> FloatArray:
     """Return the variance of measurement errors of each state (S,).
 
-    It is 0 if products of neighbouring residuals are not significant. Process noise makes the residuals r of increments
-    about the drift independent from step to step. Measurement errors e do not: if a row is too high, one increment is
-    too large and the next too small. So E r_k r_k+1 = - var e (Roll 1984).
+    It is 0 if products of neighbouring residuals are not significant. With process noise alone, the residuals r of
+    increments about the drift are independent from step to step. Measurement errors e make neighbouring residuals
+    anticorrelated: if a row is too high, one increment is too large and the next too small. So E r_k r_k+1 = - var e
+    (Roll 1984).
     """
     variances = np.zeros(len(residuals))
     rows = np.flatnonzero(steps.follows)
@@ -414,7 +415,7 @@ def assemble_process(measurements: Measurements, equations: Collection[str], sym
         if share < LIMITS.least_noise and not is_driven(steps, number):
             raise DataError(
                 f"neither state '{state}' nor a state it follows has noise; leave out --stochastic, "
-                "or make it an input with --inputs if only other states have noise"
+                f"or, if only other states have noise, make '{state}' an input with --inputs"
             )
     moments = bin_moments(steps)
     process = replace(process, noise=moments.noise, pairs=tuple(moments.products))

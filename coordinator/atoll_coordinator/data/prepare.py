@@ -1,11 +1,11 @@
 """From a raw table to the regression problems of a job: the stages of preparation, in order. Pure.
 
 1. Roles of columns, trajectories, and checks of the columns (`examine`).
-2. Smoothing and differentiation. They are repeated if gaps in the times split trajectories, and repeated on averaged
-   rows if rows are far denser than the states' time scales need.
+2. Smoothing and differentiation. Both are repeated if trajectories are split at gaps in the times. Both are repeated on
+   averaged rows if the rows are far denser than the states' time scales need.
 3. Selection of rows, the `Dataset` of the search and the recording.
 
-Stochastic processes are not smoothed. Left-hand sides that the table contains are not differentiated.
+Stochastic processes are not smoothed. If the table contains the left-hand sides, nothing is differentiated.
 """
 
 import math
@@ -110,7 +110,7 @@ def assemble_differentiated(
     values += [estimate.velocity for estimate in estimates if roles.velocities]
     values += [np.concatenate(parts) for parts in measurements.inputs]
     targets = [
-        _target(name, roles.left_hand_side(name), estimate, selected.searched)
+        _derivative_target(name, roles.left_hand_side(name), estimate, selected.searched)
         for name, estimate in zip(roles.states, estimates, strict=True)
     ]
     sought = tuple(target for target in targets if target.variable in equations)
@@ -133,12 +133,12 @@ def _take_rows(dataset: Dataset, rows: list[int]) -> Dataset:
     return replace(dataset, inputs=inputs, targets=tuple(targets), groups=groups)
 
 
-def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Target:
+def _derivative_target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Target:
     """Return the target over all rows, with the uncertainty and the standard deviation of the selected rows.
 
-    A noise-free derivative that changes from row to row by no more than its uncertainty may be constant. Its size then
-    replaces its standard deviation: relative to so small a standard deviation any equation would seem uncertain, and
-    the search would not end.
+    A noise-free derivative that changes from row to row by no more than its uncertainty may be constant. The size of
+    such a derivative replaces its standard deviation. Otherwise the errors of any equation would be large relative to
+    so small a standard deviation, and the search would not end.
     """
     values = np.ascontiguousarray(estimate.derivative[rows])
     scale = derivative_standard_deviation(name, values)
@@ -148,7 +148,7 @@ def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Ta
     mean, deviation = moments(values)
     if not estimate.target_noise and uncertainty >= 1.0 and uncertainty * scale < CLEAN_UNCERTAINTY * abs(mean):
         uncertainty, scale = uncertainty * scale / abs(mean), abs(mean)
-    if deviation < scale:  # constant except for rounding errors, which the comparison of two orders shows only in part
+    if deviation < scale:  # constant except for rounding errors; the comparison of two orders underestimates them
         uncertainty = max(uncertainty, deviation / scale)
     return Target(name, lhs, estimate.derivative, uncertainty, scale, estimate.target_noise)
 

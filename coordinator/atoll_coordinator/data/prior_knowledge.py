@@ -132,12 +132,12 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     """Return `config` with checked prior knowledge: keys are variables, allowed variables are symbols.
 
     Args:
-        config: as submitted; a resolved configuration is returned unchanged.
-        variables: names of the job's equations, including known equations.
-        symbols: symbol of each column that expressions may use, in the order of the dataset's rows.
+        config: The configuration as submitted; a resolved configuration is returned unchanged.
+        variables: Names of the job's equations, including known equations.
+        symbols: Symbol of each column that expressions may use, in the order of the dataset's rows.
 
     Raises:
-        UsageError: a left-hand side, name or operator does not exist or is given twice, an expression cannot be read,
+        UsageError: A left-hand side, name or operator does not exist or is given twice, an expression cannot be read,
             or a guess does not fit the operation lists of its equation.
     """
     sides, names = _sides(config, variables, symbols), tuple(symbols.values())

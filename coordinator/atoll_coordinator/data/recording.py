@@ -189,7 +189,7 @@ class Source:
 
     `digest` is the hex sha256 of the uploaded table, `units` are the units in its header by column (columns without a
     unit are left out); `read_as` says how its files were read. The `states` have equations of `order`, unless there is
-    a `target`: then only the target has one. `velocities` are variables for order 2.
+    a `target`: then only the target has an equation. `velocities` are variables for order 2.
     """
 
     digest: str

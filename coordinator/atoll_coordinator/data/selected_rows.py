@@ -6,8 +6,8 @@ excluded if their total uncertainty (standard error and estimated bias) is far a
 
 Oversampled rows are averaged first: means replace rows, as many as the states' time scales need. The reason is that
 lengths of segments, pieces and windows are numbers of rows. At a sampling rate ten times as high, a piece would be a
-tenth as long, and along so short a piece a line describes any curve. The independent error of a mean of n rows is
-smaller by sqrt(n).
+tenth as long, and along so short a piece a line describes any curve. Averaging n rows divides the independent error by
+sqrt(n).
 
 Letters: R rows of one trajectory, B blocks of rows, S states.
 """
@@ -223,9 +223,10 @@ def select_weighty_rows(weights: FloatArray | None, rows: list[int]) -> list[int
 
 
 _LEAST_BLOCKS: Final = SETTINGS.smoothing.bins // 2
-"""Fewest means of a trajectory, if it has that many rows: loess needs some."""
+"""Fewest means of the longest trajectory, because loess needs rows."""
 _SCANNED: Final = 2 * LIMITS.most
-"""Approximate number of rows from which a correlation length is found: enough for a thousandth of a trajectory."""
+"""A correlation length is found from about this number of evenly spaced rows of the longest trajectory, enough to
+resolve a thousandth of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,11 +273,13 @@ class Blocks:
 def average_oversampled_rows(measurements: Measurements, estimates: Sequence[StateEstimate]) -> Measurements:
     """Return `measurements` with means in place of rows if there are far more rows than the states' time scales need.
 
-    Otherwise the same object is returned, also if the noise of all states is negligible: then a row is as good as a
-    mean. The mean of a state is the mean of its residuals plus the smoothed value at the centre, so that curvature
-    causes no bias. If an input changes so fast that its means would move the states by more than their noise, for
-    instance at a switch, blocks are divided, down to single rows, and states count as not measured there. Rows of
-    inputs that are held between rows stay unchanged, because no row holds the mean over a switch.
+    Otherwise the same object is returned. The same object is also returned if the noise of all states is negligible,
+    because a row is then as good as a mean.
+
+    The mean of a state is the mean of its residuals plus the smoothed value at the centre, so that curvature causes no
+    bias. If an input changes so fast that its means would move the states by more than their noise, for instance at a
+    switch, blocks are divided, down to single rows, and states count as not measured there. Rows of inputs that are
+    held between rows stay unchanged, because no row holds the mean over a switch.
     """
     count = 1 if measurements.roles.held else rows_of_mean(measurements, estimates)
     most = SETTINGS.inference.part * measurements.row_count
@@ -303,8 +306,9 @@ def estimates_of_means(estimates: Sequence[StateEstimate], of_rows: Sequence[Sta
 def rows_of_mean(measurements: Measurements, estimates: Sequence[StateEstimate]) -> int:
     """Return the number of rows of a mean; 1 if rows are not averaged.
 
-    The shortest correlation length of the states gets as many rows as the shortest segments have. Means are not coarser
-    than two purposes need: comparing all rows, and pieces that are whole trajectories.
+    After averaging, the shortest correlation length of the states has as many rows as the shortest segments. The number
+    of rows is at most the larger of two numbers. With the first, there are so few means that models are compared on all
+    of them. With the second, a piece spans the longest trajectory.
     """
     lengths = [last - first for (first, last), out in zip(measurements.ranges, measurements.held_out, strict=True)
                if not out]  # fmt: skip

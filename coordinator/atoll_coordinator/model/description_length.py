@@ -3,12 +3,12 @@
 Each is the length of the data given the model plus the length of the model (Rissanen 1978). They differ in the data and
 in the prices of operators and constants. So lengths of different criteria are never compared.
 
-- `front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It decides which member of a front
-  is shown while the search runs, and whether the search stagnates.
-- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of a node 1.4, each constant 1/2
-  ln n. It decides which equation is shown if there are no trajectories.
-- `system_length`: errors of simulated states; operators cost by their kind (`structure_length`), each constant 1/2 ln
-  N. It decides which equations together are the model.
+- `selection.front_member.front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It decides
+  which member of a front is shown while the search runs, and whether the search stagnates.
+- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of a node 1.4, each constant
+  1/2 ln n. It decides which equation is shown if there are no trajectories.
+- `system_length`: errors of simulated states; operators cost by their kind (`structure_length`), each constant
+  1/2 ln N. It decides which equations together are the model.
 
 Letters: n rows, N rows over their correlation length, k constants, O measured states.
 """
@@ -23,64 +23,14 @@ import numpy as np
 
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Target
-from atoll_core.expression.operators import ARITY, CONSTANT, DIVIDE, INVERSE, NEGATE, POW, SQUARE
+from atoll_core.expression.operators import ARITY, DIVIDE, INVERSE, NEGATE, POW, SQUARE
 from atoll_core.expression.program import Program, constant_places, structure
-from atoll_core.search.pareto import FrontEntry
 
 SMALLEST_UNCERTAINTY: Final = 1e-12
 """Errors below this share of the target's standard deviation are rounding errors."""
 
-# ------------------------------------------------------------------------------------------ a member of a front
-
 _LN2: Final = 0.6931471805599453
 _SQRT_HALF: Final = 0.7071067811865476
-_SMALLEST: Final = 2.2250738585072014e-308
-
-
-def front_length(
-    entry: FrontEntry, rows: float, uncertainty: float, standard_deviation: float, constants: int
-) -> float:
-    """Return the description length of a front member in nats, up to a term common to all members (ADR 0009).
-
-        n/2 ln(max(MSE, u^2)) + nodes ln 8 + k/2 ln n
-
-    with the uncertainty u in the target's unit; a constant costs as in Schwarz (1978). The length decides which
-    equation is shown and is part of the digest. So it is computed with + - * / alone, which give the same bits on every
-    machine.
-
-    Args:
-        entry: the member, with its complexity and mean squared error.
-        rows: n, number of rows on which the error was measured, or number of rows with independent errors.
-        uncertainty: mean uncertainty of the target over its standard deviation.
-        standard_deviation: standard deviation of the target, in its unit.
-        constants: k.
-    """
-    limit = max(uncertainty, SMALLEST_UNCERTAINTY) * standard_deviation
-    misfit = max(entry.mse, limit * limit, _SMALLEST)
-    return 0.5 * rows * log(misfit) + entry.complexity * SETTINGS.criterion.node + 0.5 * constants * log(float(rows))
-
-
-def select_member(front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None) -> int:
-    """Return the index of the member with the least description length; of equal lengths, the first.
-
-    If some members reach the error at which an equation counts as found, only these members are considered. So if a
-    search ended because it reached its target error, the shown equation reaches this error.
-
-    Raises:
-        ValueError: the front is empty.
-    """
-    limit = target.convergence_error(target_error)
-    met = [index for index, entry in enumerate(front) if entry.error <= limit]
-    return min(met or range(len(front)), key=lambda index: (_member_length(front[index], rows, target), index))
-
-
-def _member_length(entry: FrontEntry, rows: int, target: Target) -> float:
-    return front_length(entry, rows, target.uncertainty, target.standard_deviation, count_constants(entry.program))
-
-
-def count_constants(program: bytes) -> int:
-    """Return the number of constants in the canonical bytes of a program."""
-    return program[1 : 1 + program[0]].count(CONSTANT)
 
 
 def log(value: float) -> float:

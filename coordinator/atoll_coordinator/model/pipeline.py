@@ -7,7 +7,7 @@
 4. With trajectories, equations for noise-free targets whose search converged are first fitted to these targets. They
    are candidates.
 5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model. The table
-   in selection/stages.py lists the order of the proposals, and the condition of each.
+   in selection/model_selection.py lists the order of the proposals, and the condition of each.
 6. The model is compared with its alternatives, the errors of its constants are estimated, and it is simulated and
    judged (inference/conclusion.py).
 
@@ -32,8 +32,8 @@ from atoll_coordinator.model.refinement import Refined, Refinement
 from atoll_coordinator.model.regression.equation import WeightedRows, fit_equation
 from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
+from atoll_coordinator.model.selection.model_selection import operator_remarks, select_model
 from atoll_coordinator.model.selection.shortcut import add_laws, laws_at_noise_level
-from atoll_coordinator.model.selection.stages import operator_remarks, select_model
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
 from atoll_coordinator.model.stochastic.process_choice import ProcessChoice

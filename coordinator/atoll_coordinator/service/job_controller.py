@@ -93,7 +93,7 @@ _SAVE_S: Final = 10.0
 """Seconds between two commits of task time. A killed coordinator loses the task time since the last commit."""
 
 _HAD_BEGUN_S: Final = -1e9
-"""Start of the waiting time of a job that had begun before a restart: it comes before all other jobs."""
+"""Start of the waiting time of a job that had begun before a restart; such a job comes before all other jobs."""
 
 
 class JobController:
@@ -163,7 +163,7 @@ class JobController:
                     self._take_over(record, config, now)
 
     def _take_over(self, record: JobRecord, config: JobConfig, now: float) -> None:
-        """Continue a stored job; if its prepared data are stored, without a worker and with the equations found."""
+        """Continue a stored job; if its prepared data are stored, it needs no worker and keeps the equations found."""
         has_begun = record.state != "queued"
         if record.submitted_s is not None:
             record = replace(record, elapsed=max(record.elapsed, self._store.served_s - record.submitted_s))
@@ -221,7 +221,7 @@ class JobController:
         self._apply_decision(now)
 
     def _add(self, job: Job, asked_at: float, *, has_begun: bool = False) -> None:
-        """Add a job to the queue, in which it waits since `asked_at` (seconds of the bus).
+        """Add a job to the queue; its waiting time counts from `asked_at` (seconds of the bus).
 
         A job that `has_begun` before a restart continues even if the queue is paused.
         """
@@ -388,7 +388,7 @@ class JobController:
             cuts = {name: decode(data, Cut) for name, data in self._store.cuts(job.id).items()}
             stored = self._stored_checkpoints(job, prepared)
             resumed = {name: decode(data, StoredSearchState) for name, (_, data) in stored.items() if name not in cuts}
-        except RemoteProtocolError as error:  # another version has written it
+        except RemoteProtocolError as error:  # another version has written the checkpoint or cut
             return job.fail("internal", checks.stored_search_reason(error))
         reason = checks.resume_reason(prepared, dataset, bool(cuts), resumed)
         if reason is not None:
@@ -398,8 +398,8 @@ class JobController:
     def _stored_checkpoints(self, job: Job, prepared: Prepared) -> dict[str, tuple[int, bytes]]:
         """Return epoch and contents of the checkpoints from which a search continues, by variable.
 
-        If states of the last checkpoint are damaged, the search continues from the previous one, or from the beginning.
-        The result is the same, because epochs are pure functions.
+        If states of the last checkpoint are damaged, the search continues from the previous checkpoint, or from the
+        beginning. The result is the same, because epochs are pure functions.
         """
         last = self._store.checkpoints(job.id)
         whole = self._store.whole_checkpoints(job.id, prepared.config.evolution.islands) if last else {}
@@ -413,7 +413,7 @@ class JobController:
         return whole
 
     def has_lost(self, pull: PullStates) -> bool:
-        """Return whether the states of a pull, which are missing, are states from which a search continues now."""
+        """Return whether the missing states that a pull asks for are states from which a search continues now."""
         job = self.jobs.get(pull.job)
         archipelago = job.open_archipelago(pull.variable) if job is not None else None
         if archipelago is None or archipelago.durable == 0 or pull.epoch != archipelago.durable:
@@ -432,7 +432,10 @@ class JobController:
     # ---------------------------------------------------------------------------------------- outcomes
 
     def take_outcome(self, item: background.Outcome, now: float) -> None:
-        """Handle an outcome of background work or of a task. It is posted only once, so an error must end its job."""
+        """Handle an outcome of background work or of a task.
+
+        Each outcome is posted only once, so an error in handling it must end its job.
+        """
         match item:
             case background.TableChecked():
                 with self.guarded(item.job, "preparing a job", now):
@@ -457,7 +460,7 @@ class JobController:
 
     def _prepare_checked(self, checked: background.TableChecked, now: float) -> None:
         job = self.jobs.get(checked.job)
-        if job is None or job.state != "preparing":  # it has ended in the meantime
+        if job is None or job.state != "preparing":  # the job has ended in the meantime
             return
         if checked.error is not None:
             raise checked.error
@@ -532,12 +535,12 @@ class JobController:
             self.tasks.take_result(read, now)
 
     def _may_follow(self, job_id: str) -> bool:
-        """Return whether a job may create a task soon, as after a restart, when its data are prepared first."""
+        """Return whether a job may soon create a task: after a restart, for example, its data are prepared first."""
         job = self.jobs.get(job_id)
         return job is not None and job.state in ("queued", "preparing")
 
     def _order(self, waiting: Collection[str], running: Collection[str]) -> list[str]:
-        """Return the ids of jobs and questions whose waiting tasks may be leased, the next one first."""
+        """Return the ids of jobs and questions whose waiting tasks may be leased, in the order of their turns."""
         ready = [one for one in map(self._find_turn, waiting) if one is not None and self._may_run(one)]
         served = [one for one in map(self._find_turn, running) if one is not None]
         return self._turns.order_tasks([*map(_turn, ready)], [*map(_turn, served)])
@@ -624,7 +627,7 @@ class JobController:
         self.changed(job.id)
 
     def _place(self, now: float) -> None:
-        """Place islands. This step concerns all jobs, so an error in it ends none of them."""
+        """Place islands. This step concerns all jobs, so an error in it ends no job."""
         with self.breakages.tolerated("placing islands"):
             self.workers.place(now)
 
@@ -663,7 +666,7 @@ class JobController:
             self._advance_checkpoint(archipelago.job, archipelago.variable, now)
 
     def _advance_checkpoint(self, job_id: str, variable: str, now: float) -> None:
-        """Pull states and write the checkpoint of one archipelago: visiting all at each message would be slow."""
+        """Pull states and write the checkpoint of one archipelago: a visit to all at each message would be slow."""
         with self.guarded(job_id, "gathering a checkpoint", now):
             job = self.jobs.get(job_id)
             archipelago = job.open_archipelago(variable) if job is not None else None
@@ -681,7 +684,7 @@ class JobController:
     def _change(
         self, job_id: str, task: str, now: float, act: Callable[[Job], Sequence[JobAction]], *, by_peer: bool = False
     ) -> None:
-        """Change a live job by `act`, and carry out the actions that it returns; all changes of jobs do this."""
+        """Change a live job by `act`, and carry out the actions that it returns; all changes go through this method."""
         job = self.jobs.get(job_id)
         if job is not None:
             with self.guarded(job_id, task, now, by_peer=by_peer):
@@ -710,7 +713,7 @@ class JobController:
     def _end_broken(self, job_id: str, sentence: str, now: float) -> None:
         """End a job that an error may have changed only in part, with as much of its result as possible."""
         job, ending = self.jobs.get(job_id), self.ending.get(job_id)
-        if ending is not None and ending.sentence is not None:  # it is ending with an error already
+        if ending is not None and ending.sentence is not None:  # the job is already ending with an error
             return
         self.ending.pop(job_id, None)
         self._remove(job_id)

@@ -67,7 +67,7 @@ _PROBE: Final = "probe"
 
 @dataclass(frozen=True, slots=True)
 class _TimeCheck:
-    """Posted by the timer behind all earlier events: the silence of workers is checked after these."""
+    """Posted by the timer. The loop first handles all earlier events, and then checks the silence of workers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +97,13 @@ class Service:
         """Set up a coordinator.
 
         Args:
-            bus: open, with a router that workers and clients can reach.
-            store: open; its file determines cluster and incarnation.
-            expected_workers: number of workers that the first placement waits for, for a limited time.
-            dismisses_workers: whether workers are shut down at the end; otherwise they wait for another coordinator.
-            dependencies: clock, retention, background thread; None: the real ones.
-            role_bindings: names and roles, with certificates; None: every client has all permissions.
-            metrics: for Prometheus; None: no metrics are recorded.
+            bus: An open bus, with a router that workers and clients can reach.
+            store: An open store; its file determines cluster and incarnation.
+            expected_workers: Number of workers that the first placement waits for, for a limited time.
+            dismisses_workers: Whether workers are shut down at the end; otherwise they wait for another coordinator.
+            dependencies: Clock, retention, background thread; None: the real ones.
+            role_bindings: Names and roles, if certificates are used; None: every client has all permissions.
+            metrics: The metrics for Prometheus; None: no metrics are recorded.
         """
         self.rejects: Final = Rejects(_LOG)
         self._bus = MeteredBus(bus)

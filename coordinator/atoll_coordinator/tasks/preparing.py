@@ -53,7 +53,7 @@ class Prepared:
 class PreparationOutcome:
     """The result of the task: the `prepared` job with its dataset's bytes, or a sentence on why preparing failed.
 
-    `blob` and `data` belong to `prepared`; `encoded` is the rest of it, which is an input of refining.
+    `blob` and `data` belong to `prepared`; `encoded` is the rest of the prepared job, which is an input of refining.
     """
 
     encoded: bytes = b""

@@ -89,14 +89,14 @@ class RunQueue:
 
     def add(self, task: io.EpochTask) -> list[io.Outcome]:
         """Add a task; return an Abandoned if it is not needed."""
-        self._enter(task.key.job)
+        self._join_shares(task.key.job)
         self._open[task.key] = _Open(task)
-        return self._settle([task.key])
+        return self._close_finished([task.key])
 
     def stop_at(self, shard: io.ShardKey, hit: Position, commit_order: CommitOrder) -> list[io.Outcome]:
         """Record that the target was met; return the outcomes of tasks that need no more computation."""
         self._hits[shard] = min(hit, self._hits.get(shard, hit), key=commit_order.rank)
-        return self._settle([key for key in self._open if key.shard == shard])
+        return self._close_finished([key for key in self._open if key.shard == shard])
 
     def turn(self) -> list[io.Snapshot | io.Outcome]:
         """Compute one slice of the task whose turn it is.
@@ -125,7 +125,7 @@ class RunQueue:
             )
         self._charge(key.job, self._clock() - began)
         if outcome is None and not task.is_at_barrier:
-            return results + self._settle([key])
+            return results + self._close_finished([key])
         del self._open[key]
         if outcome is not None:
             results.append(outcome)
@@ -150,7 +150,7 @@ class RunQueue:
         if user not in self._users.values():
             self._charged_users.pop(user, None)
 
-    def _enter(self, job: str) -> None:
+    def _join_shares(self, job: str) -> None:
         """Start a job, and its user, at the least charge of jobs and users with tasks: idle time gives no credit."""
         user, open_jobs = self._users.get(job, ""), {key.job for key in self._open}
         if job not in open_jobs:
@@ -174,8 +174,8 @@ class RunQueue:
         of_user = self._charged_users.get(self._users.get(key.job, ""), 0.0)
         return (of_user, self._charged[key.job], epoch, group, generation, key.job, key.variable, island)
 
-    def _settle(self, keys: Iterable[io.TaskKey]) -> list[io.Outcome]:
-        """Close those of the given tasks that need no more computation, and return their outcomes."""
+    def _close_finished(self, keys: Iterable[io.TaskKey]) -> list[io.Outcome]:
+        """Close the given tasks that need no more computation, and return their outcomes."""
         outcomes: list[io.Outcome] = []
         for key in keys:
             open_task, hit = self._open[key], self._hits.get(key.shard)

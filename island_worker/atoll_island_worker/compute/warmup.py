@@ -14,7 +14,7 @@ KERNELS: Final = 13
 
 
 def warm_up(report: Report) -> None:
-    """Compile or load every kernel that an epoch needs, by running a very small one for each preset.
+    """Compile or load every kernel that an epoch needs, by running a very small epoch for each preset.
 
     Raises:
         AtollError: the cache of compiled kernels cannot be written.

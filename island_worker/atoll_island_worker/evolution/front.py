@@ -173,7 +173,7 @@ constants (`Work.held`) are not changed."""
 
 
 def restrained(program: Program, restrictions: Restrictions, scratch: Scratch, refit: Refit) -> Program | None:
-    """Return `program` fitted within its bounds, and measured last by `refit`; None if it violates a restriction."""
+    """Return `program` fitted within its bounds and measured by `refit`; None if it violates a restriction."""
     if restrictions.are_kept(program):
         return program
     admitted = restrictions.admitted(program)
@@ -249,7 +249,7 @@ class RunnersUp:
         return [entry for entry in self._entries if entry.key not in seen]
 
     def limits(self, sizes: int) -> npt.NDArray[np.float64]:
-        """Return the useful loss of programs by size (sizes,), before their coefficients are written into them.
+        """Return the largest useful loss of programs by size (sizes,), before their coefficients are written into them.
 
         A program with a larger loss ranks after at least `most` other entries of its complexity, now and later.
         """
@@ -357,18 +357,18 @@ class FrontUpdater:
         self._largest = setup.config.space.max_size or MOST_NODES
         self.sample = _spread(setup.every)
 
-    def offer(self, lists: Lists, fitness: Floats, counters: Ints, tag: Tag, looks_beside: bool) -> Additions:
+    def offer(self, lists: Lists, fitness: Floats, counters: Ints, tag: Tag, offers_next_best: bool) -> Additions:
         """Measure the best of each size on all rows and offer it; return the additions to front and runners-up.
 
-        With `looks_beside`, the next best of each size are offered as well, if runners-up are kept.
+        With `offers_next_best`, the next best of each size are offered as well, if runners-up are kept.
         """
         setup = self._setup
-        looks_beside = looks_beside and self._runners_up.most > 0
-        number, least = self._choose(lists, fitness, looks_beside)
+        offers_next_best = offers_next_best and self._runners_up.most > 0
+        number, least = self._choose(lists, fitness, offers_next_best)
         count = setup.call(
             refit_offers, lists, self._individuals, number, setup.every, setup.fit,
             REFIT_STEPS if setup.fit.steps else 0,
-            setup.scratch, least, _SLACK if looks_beside else math.inf, self._book, counters,
+            setup.scratch, least, _SLACK if offers_next_best else math.inf, self._book, counters,
         )  # fmt: skip
         before = self._front.entries
         additions = [entry for k in range(count) for entry in self._offer_one(k, counters, tag)]
@@ -377,12 +377,12 @@ class FrontUpdater:
         candidates, self._candidates = self._candidates, []
         return additions, self._runners_up.take(self._front.entries, (*before, *candidates), (*before, *additions))
 
-    def _choose(self, lists: Lists, fitness: Floats, looks_beside: bool) -> tuple[int, Floats]:
-        """Choose individuals; return their number and, by size, the loss below which one is worth offering."""
+    def _choose(self, lists: Lists, fitness: Floats, offers_next_best: bool) -> tuple[int, Floats]:
+        """Choose individuals; return their number and, by size, the loss below which an individual is offered."""
         scratch, individuals, runners_up = self._setup.scratch, self._individuals, self._runners_up
         call = self._setup.call
         number = int(call(choose_offers, lists, fitness, scratch, self.offered, self.offered_loss, individuals))
-        if not looks_beside:
+        if not offers_next_best:
             return number, self._front.least_by_size(len(self.offered))
         order = np.argsort(fitness, kind="stable")
         most, known = runners_up.most, runners_up.known
@@ -390,7 +390,7 @@ class FrontUpdater:
         return number, runners_up.limits(len(self.offered))
 
     def _offer_one(self, k: int, counters: Ints, tag: Tag) -> Iterator[FrontEntry]:
-        """Offer every way to write a program; those that do not improve the front may be runners-up."""
+        """Offer every way to write a program; a way that does not improve the front may be a runner-up."""
         book, keeps = self._book, self._runners_up.most > 0
         loss = float(book.loss[k])
         if not (keeps or loss < self._front.error_at(int(book.size[k]))):
@@ -412,8 +412,8 @@ class FrontUpdater:
     def _variants(self, formula: Formula, k: int, limit: float) -> dict[Formula, float]:
         """Return the ways to write the fitted coefficients that keep the loss within `limit`, with the loss of each.
 
-        With or without the shift, coefficients near 1 and -1 unchanged or exact. If sizes are limited, all of these may
-        be too large, so the formula without coefficients is included.
+        The formulas are written with or without the shift, and with coefficients near 1 and -1 unchanged or exact. If
+        sizes are limited, all of these formulas may be too large, so the formula without coefficients is included.
         """
         book = self._book
         number = int(book.number[k])
@@ -436,8 +436,8 @@ class FrontUpdater:
     def _is_wanted(self, size: int, loss: float) -> bool:
         """Return whether the program on the canonical tape, with about this `loss`, is worth measuring.
 
-        If runners-up are kept, many offered programs are not better than the present ones, or have a structure that was
-        measured in this epoch already.
+        If runners-up are kept, many offered programs are not better than the present runners-up, or have a structure
+        that was measured in this epoch already.
         """
         if not self._runners_up.most:
             return True

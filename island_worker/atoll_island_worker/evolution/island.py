@@ -3,11 +3,11 @@
 (state at epoch e, problem, configuration, seed) -> (state after the generations, additions to the front, counters).
 There is no clock, I/O, global random state or thread order in it, so the same seed gives the same bits.
 
-Prior knowledge enters as guesses: each becomes one individual of every island of the first population. Their constants
-are starting values: the first island begins with them, the others with values around them, so an archipelago makes as
-many attempts to fit a guess as it has islands (ADR 0019). Solutions, predictors and trainers evolve in turn (Schmidt &
-Lipson, section 2.3 and Table II of the 2008 paper). Kernels advance many generations at once, and stop when a trainer
-is renewed or the population is measured on other rows.
+Prior knowledge enters as guesses: each becomes one individual of every island of the first population. The constants of
+a guess are starting values: the first island begins with them, the other islands with values around them. So an
+archipelago makes as many attempts to fit a guess as it has islands (ADR 0019). Solutions, predictors and trainers
+evolve in turn (Schmidt & Lipson, section 2.3 and Table II of the 2008 paper). Kernels advance many generations at once,
+and stop when a trainer is renewed or the population is measured on other rows.
 """
 
 import hashlib
@@ -164,7 +164,7 @@ def evolve(
             measure_population(setup, lists, fitness, coevolution, counters, REEVALUATION)
 
 
-LOOKS_BESIDE = 5
+NEXT_BEST_INTERVAL = 5
 """The next best of each size are offered every this many slices, and in the last slice of an epoch."""
 
 
@@ -233,9 +233,9 @@ class Island:
 
     def _offer(self) -> None:
         config = self._setup.config
-        every, last = LOOKS_BESIDE * config.evolution.refit_interval, config.migration.generations
-        looks_beside = self.generation % every == 0 or self.generation == last
-        additions, near = self._updater.offer(self._lists, self._fitness, self._counters, self._tag(), looks_beside)
+        every, last = NEXT_BEST_INTERVAL * config.evolution.refit_interval, config.migration.generations
+        offers_next_best = self.generation % every == 0 or self.generation == last
+        additions, near = self._updater.offer(self._lists, self._fitness, self._counters, self._tag(), offers_next_best)
         self._additions += additions
         self._near += near
         least = self._front.least_error()
@@ -269,8 +269,8 @@ class Island:
             island=self._setup.island,
             generations=self.generation,
             hit=self._hit,
-            additions=_stated(self.additions()),
-            runners_up=_stated(self._setup.outward(entry) for entry in self._near),
+            additions=_additions_of(self.additions()),
+            runners_up=_additions_of(self._setup.outward(entry) for entry in self._near),
             counters=tuple(self._counters_by_slice),
             best_error=best if math.isfinite(best) else None,
             digest=digest.hexdigest(),
@@ -295,9 +295,9 @@ class Island:
         """
         if not self._begun:
             raise LocalProtocolError(f"island {self._setup.island} cannot take immigrants before its epoch has run")
-        self._go_on_with(migration.unpack(blocks, len(self._fitness), self._setup.space, self._setup.allowed))
+        self._take_population(migration.unpack(blocks, len(self._fitness), self._setup.space, self._setup.allowed))
 
-    def _go_on_with(self, lists: Lists) -> None:
+    def _take_population(self, lists: Lists) -> None:
         for mine, theirs in zip(self._lists._asdict().values(), lists, strict=True):
             mine[...] = theirs
         self.epoch += 1
@@ -323,7 +323,7 @@ class Island:
         if self._begun:
             raise LocalProtocolError("an island is written between epochs only, before generation 0")
         arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}
-        front, near = _listed(self._front.entries), _listed(self._runners_up.entries)
+        front, near = _rows_of(self._front.entries), _rows_of(self._runners_up.entries)
         return encode_arrays({"epoch": self.epoch, "front": front, "runners up": near}, arrays)
 
     @classmethod
@@ -360,7 +360,7 @@ class Island:
             raise RemoteProtocolError("the predictors in the state of an island name rows that do not exist")
 
     def _retrain(self) -> None:
-        """Compute the losses of the trainers at all rows again, uncounted; checkpoints do not contain them."""
+        """Compute the trainers' losses at all rows again, which checkpoints lack; these evaluations are not counted."""
         setup = self._setup
         if setup.coevolving.enabled and self.epoch > 0:
             for t in range(self._coevolution.exact.shape[0]):
@@ -377,12 +377,12 @@ def reshuffle(islands: Sequence[Island]) -> None:
     places = migration.destinations(setup.config, setup.variable, islands[0].epoch)
     moved = migration.exchange([island._lists for island in islands], places)
     for island, lists in zip(islands, moved, strict=True):
-        island._go_on_with(lists)
+        island._take_population(lists)
 
 
-def _stated(entries: Iterable[FrontEntry]) -> tuple[Addition, ...]:
+def _additions_of(entries: Iterable[FrontEntry]) -> tuple[Addition, ...]:
     return tuple(Addition.model_validate(entry, from_attributes=True) for entry in entries)
 
 
-def _listed(entries: Iterable[FrontEntry]) -> list[list[object]]:
+def _rows_of(entries: Iterable[FrontEntry]) -> list[list[object]]:
     return [[e.complexity, e.error, e.mse, e.epoch, e.generation, e.island, e.program] for e in entries]

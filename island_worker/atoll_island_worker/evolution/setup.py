@@ -87,7 +87,7 @@ class IslandSetup:
         shared = _shared_scratch(
             threading.get_ident(), evolution.population, self.space.nodes, variables, self.sample, rows
         )
-        # The knowledge about the population between two calls belongs to the island, because islands take turns.
+        # `settled` is kept between two calls; islands take turns, so each island has its own array.
         self.scratch = shared._replace(settled=np.zeros(evolution.population, np.bool_))
         self._entries: dict[Callable[..., Any], Callable[..., Any]] = {}
 
@@ -110,7 +110,7 @@ class IslandSetup:
         return replace(entry, program=replace(program, left=left).to_bytes())
 
     def empty_coevolution(self) -> Coevolution:
-        """Return empty predictors and trainers; a single unused one of each if predictors are off."""
+        """Return empty predictors and trainers; if predictors are off, one of each, which is not used."""
         predictors = self.config.predictors
         on = bool(self.coevolving.enabled)
         number, trainers = (predictors.predictors, predictors.trainers) if on else (1, 1)
@@ -133,13 +133,12 @@ def _shared_scratch(thread: int, population: int, nodes: int, variables: int, sa
 
     No data stay in them between two calls of a kernel. With 100,000 rows they have 40 MB.
     """
-    del thread  # only tells scratch arrays of different threads apart
+    del thread  # as a cache key: each thread has its own arrays
     return empty_scratch(population, nodes, variables, sample, rows)
 
 
 def island_share(runners_up: int, islands: int) -> int:
-    """Return the number of runners-up of each complexity that an island keeps so that all islands together find
-    `runners_up`.
+    """Return the number of runners-up of each complexity that an island keeps, so that all islands find `runners_up`.
 
     Solutions are reshuffled, so islands find similar ones: together they keep twice as many as are wanted.
     """
@@ -178,9 +177,10 @@ def _space(problem: Problem, config: JobConfig) -> Space:
 
 
 def _scales(problem: Problem) -> FloatArray:
-    """Return the power of two above the mean magnitude of each column and of the target, if not within 1/64 ... 64.
+    """Return the scales of columns and of the target that are below 1/64 or above 64.
 
-    At least one number is returned, because an empty array means constants in [-10, 10].
+    The scale of a column is the power of two above its mean magnitude. If there is no such scale, 1 is returned,
+    because an empty array means constants in [-10, 10].
     """
     scales = [_power_of_two(column) for column in (*problem.inputs, problem.target.values)]
     unusual = [scale for scale in scales if not 1 / 64 <= scale <= 64]

@@ -80,7 +80,7 @@ class PullAsked:
 
 @dataclass(frozen=True, slots=True)
 class PullEnded:
-    """A pull of this worker, `asked`, has ended with an answer, or without one (None)."""
+    """A pull of this worker, `asked`, has ended with an answer, or without an answer (None)."""
 
     asked: "Ask"
     body: epochs.Migrants | epochs.States | None
@@ -99,7 +99,7 @@ class Snapshot:
 class EpochComputed:
     """An island finished an epoch, or the needed part of it.
 
-    `emigrants`: blocks by destination island, including itself (only after a whole epoch that is not the last);
+    `emigrants`: blocks by destination island, including this island (only after a whole epoch that is not the last);
     `senders`: the other islands whose blocks it needs to begin the next epoch.
     """
 

@@ -113,7 +113,7 @@ class Shard:
         self.waited_s += seconds * sum(local.state == "waiting" for local in self.islands.values())
 
     def is_waiting(self) -> bool:
-        """Tell whether any island here is not stopped."""
+        """Tell whether any island here has not stopped yet."""
         return any(local.state != "stopped" for local in self.islands.values())
 
     def is_computing(self) -> bool:
@@ -232,7 +232,7 @@ class Shard:
         before.
 
         Raises:
-            RemoteProtocolError: the epoch is later than the last one reported from here.
+            RemoteProtocolError: the epoch is later than the last epoch reported from here.
         """
         if max(commit.epoch, commit.reported) > self.reported:
             raise RemoteProtocolError(

@@ -63,7 +63,7 @@ class StartedProcess(Protocol):
         """Record the process id, which the process itself sends."""
 
     def kill(self) -> None:
-        """End it."""
+        """End the process."""
 
     def wait(self, timeout: float) -> int | None:
         """Wait for the end of the process; return its exit code, negative for a signal, None if unknown or too late."""
@@ -204,7 +204,7 @@ class _Running:
     """One process, with the thread that reads from it and the thread that writes to it."""
 
     def __init__(self, starter: Starter, take: Callable[[frames.FromProcess], None]) -> None:
-        """Start the process and both threads; raises AtollError if the system starts no more."""
+        """Start the process and both threads; raises AtollError if the system cannot start them."""
         self._connection, theirs = Pipe()
         self._outgoing: queue.SimpleQueue[frames.ToProcess | None] = queue.SimpleQueue()
         self._take = take

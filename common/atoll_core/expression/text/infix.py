@@ -47,7 +47,8 @@ class Form:
 
     `parts` are the signed operands: the terms of a sum, both sides of a product, quotient or power, the base of a
     natural power. `index` belongs to a variable, `code` to a function or a quotient of functions, `exponent` to a
-    natural power, `value` to a number, which may have a `name`. For other kinds they are -1, 0.0 and "".
+    natural power, `value` to a number, which may have a `name`. In forms of other kinds, these fields are -1, 0.0 and
+    "".
     """
 
     kind: Kind
@@ -178,10 +179,10 @@ class _Writer:
         return self.forms[key]
 
     def number(self, value: float, name: str = "") -> Signed:
-        """Return a constant; the name of a named one includes its sign."""
+        """Return a constant; the name of a named constant includes its sign."""
         if name:
             return Signed(self.form(Kind.NUMBER, value=value, name=name))
-        is_negative = value.hex().startswith("-")  # also of zero
+        is_negative = value.hex().startswith("-")  # -0.0 is also negative
         return Signed(self.form(Kind.NUMBER, value=abs(value), name=""), is_negative)
 
     def binary(self, code: int, left: Signed, right: Signed) -> Signed:

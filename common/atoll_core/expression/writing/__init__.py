@@ -1,4 +1,4 @@
-"""The shortest writing (see the glossary) of a function that the rules of real algebra give.
+"""The shortest writing (see the glossary) of a function under the rules of real algebra.
 
 - `sums_of_products`: a normal form with fixed order, no nested sums, joined like terms, fixed signs and phases
 - `identities`: sums that equal a given sum, by one identity

@@ -57,7 +57,7 @@ class Role:
 class Expansion:
     """The expanded `program` and the role of each of its constants, in node order.
 
-    `units` are the unwritten numbers inside terms that are one or minus one, with this number as their sign.
+    `units` are the numbers 1 and -1 inside terms that are not written; each has its value as `sign`.
     """
 
     program: Program
@@ -66,7 +66,7 @@ class Expansion:
 
 
 IsWritten = Callable[[Shape, float], bool]
-"""Tells whether a coefficient of one or minus one is written as a constant."""
+"""Tells whether a coefficient equal to 1 or -1 is written as a constant."""
 
 
 def terms_of(program: Program) -> Sum:
@@ -117,7 +117,7 @@ def form_of(program: Program) -> Hashable:
 
 
 def inner_numbers(terms: Sum) -> list[float]:
-    """Return the numbers inside the terms of a sum, without the numbers that normalisation makes one."""
+    """Return the numbers inside the terms of a sum, except the numbers that normalisation sets to 1."""
     return [number for monomial, _ in terms for atom, _ in monomial for number in _numbers(atom)]
 
 
@@ -128,7 +128,7 @@ def _numbers(atom: Atom) -> list[float]:
     numbers: list[float] = []
     for inner in rest:
         leads = (monomial for monomial, _ in inner if monomial != ONE and kind == op.ADD)
-        lead = next(leads, None)  # normalisation makes this coefficient one
+        lead = next(leads, None)  # normalisation sets this coefficient to 1
         numbers += [
             coefficient
             for monomial, coefficient in inner
@@ -161,7 +161,7 @@ def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
 def expand_program(program: Program, is_written: IsWritten = lambda *_: False) -> Expansion | None:
     """Return the expanded form of a program; None if there is none, or if it is too large.
 
-    `is_written` tells which coefficients of one or minus one become constants.
+    `is_written` tells which coefficients equal to 1 or -1 become constants.
     """
     try:
         return write_expansion(terms_of(program), is_written)

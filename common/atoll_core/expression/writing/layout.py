@@ -82,7 +82,7 @@ def _listed(terms: list[Term]) -> Written:
 
 
 def _grouped(terms: Sum) -> Iterator[Written]:
-    """Yield the sum with bracketed terms of equal coefficients behind their coefficient, if there are any."""
+    """Yield the sum with terms of equal coefficients in a bracket after this coefficient, if there are such terms."""
     groups: dict[float, list[tuple[Monomial, float]]] = {}
     for monomial, coefficient in terms:
         if monomial != ONE and abs(coefficient) != 1.0:

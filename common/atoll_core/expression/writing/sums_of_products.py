@@ -299,7 +299,7 @@ def _multiplied(factors: dict[Atom, int], terms: Sum, exponent: int) -> float:
 
 
 def _lone_atom(terms: Sum) -> Atom:
-    """Return a sum that is a single atom as this atom; an empty atom for other sums."""
+    """Return the atom of which a sum consists; an empty atom if the sum is not a single atom."""
     number, monomial = bracket_or_term(terms)
     return monomial[0][0] if number == 1.0 and len(monomial) == 1 and monomial[0][1] == 1 else ()
 

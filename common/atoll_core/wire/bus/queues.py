@@ -5,8 +5,8 @@ Parties take turns, and so do the clients of one party, so that no party can del
 
 The owner of a bus never waits for a client that reads nothing: answers are sent by threads of the outbox. An answer to
 a stopped client blocks inside zenoh until the bus closes the client's link. Therefore small and large answers have
-separate threads, and a party has at most one thread of each kind, because its answers usually share one link: stopped
-clients delay other parties only when as many parties have stopped clients as there are threads.
+separate threads. A party has at most one thread of each kind, because its answers usually share one link. So stopped
+clients delay other parties only if as many parties have stopped clients as there are threads.
 """
 
 import contextlib
@@ -31,22 +31,24 @@ _LONGEST_WAIT_S: Final = 3600.0
 _EVENT_BYTES: Final = 200
 
 LARGE: Final = 256 * 1024
-"""Bytes from which on an answer is a large one."""
+"""An answer of at least this number of bytes is large."""
 
 THREADS: Final = 16
-"""Threads for small answers, and for large ones. They are started when there are answers for them."""
+"""Number of threads for small answers, and of threads for large answers. A thread is started when there are answers for
+it."""
 
 MAX_LARGE_OF_PARTY: Final = 8
 """Large answers of one party that may wait. Further requests of the party are refused, and it asks again."""
 
 _MAX_SMALL_OF_PARTY: Final = 4096
 _MAX_BYTES_OF_PARTY: Final = 64 * 1024**2
-"""Bytes of waiting small, or large, answers of one party: as much as the largest payload (`interface.MAX_PAYLOAD`)."""
+"""Largest number of bytes of a party's waiting answers, small and large answers counted separately: as much as the
+largest payload (`interface.MAX_PAYLOAD`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Maximum numbers of waiting items of one client, one party and all, and of bytes of one party and all."""
+    """Limits of waiting items of a client, of a party and of all, and of their bytes for a party and for all."""
 
     of_client: int
     of_party: int
@@ -93,7 +95,7 @@ class Turns(Generic[T]):
         return self.take_of()[1]
 
     def take_of(self, but: Container[str] = ()) -> tuple[str, T | None]:
-        """Return the party whose turn it is, without those in `but`, and its next item; None when nothing waits."""
+        """Return the party whose turn it is, except parties in `but`, and its next item; None: nothing waits."""
         party = next((party for party in self._lines if party not in but), None)
         if party is None:
             return "", None
@@ -188,7 +190,7 @@ class Outbox:
         return (self._large if size >= LARGE else self._small).add(party, size, send)
 
     def close(self) -> None:
-        """Return when all waiting answers have been sent or given up; later ones are lost. Repeatable."""
+        """Return when all waiting answers have been sent or given up; later answers are lost. Repeatable."""
         self._small.close()
         self._large.close()
 
@@ -224,7 +226,7 @@ class _Senders:
                 send()
             except LocalProtocolError:  # the bus refused it, and the asker asks again
                 pass
-            except Exception:  # it may end this answer, but no later one of the party
+            except Exception:  # an error ends this answer, but not later answers
                 _LOG.exception("an answer could not be sent")
             finally:
                 with self._lock:

@@ -3,10 +3,10 @@
 Zenoh's callbacks only put events into one inbox; the owner thread takes them out. Callbacks run on zenoh's own threads
 (``indirect=False``), so that no thread of ours can keep a process from ending. Never fork after opening a bus.
 
-Settings and their reasons: no discovery (one address to dial), no shared memory (it may drop messages silently and
-fills /dev/shm), BLOCK instead of the default that drops messages under load, queues large enough for bursts, a wait of
-`_WAIT_FOR_PEER_US` for a peer that reads nothing, a lease short enough to notice a lost machine within seconds, and a
-limit on the size of messages.
+Settings and their reasons: There is no discovery, since there is one address to dial. There is no shared memory, since
+it may drop messages silently and fills /dev/shm. Senders block under load (BLOCK), since the default drops messages.
+Queues are large enough for bursts. A sender waits at most `_WAIT_FOR_PEER_US` for a peer that reads nothing. The lease
+is short enough to notice a lost machine within seconds. The size of messages is limited.
 
 While one thread waits for a peer that reads nothing, other threads serve all other peers: the outbox sends answers, and
 a router gets more threads than zenoh starts by default. Closing a socket must not wait either. Zenoh sets SO_LINGER to
@@ -111,7 +111,7 @@ def sockets_of(port: int) -> Iterator[socket.socket]:
 _WAIT_FOR_PEER_US: Final = 1_000_000
 _GIVEN_UP: Final = 0.9
 """If an answer took at least this share of `_WAIT_FOR_PEER_US`, zenoh has probably given it up and is closing the link;
-waiting `_CLOSING_S` more is then little."""
+a further wait of `_CLOSING_S` is short in comparison."""
 
 _CLOSING_S: Final = 0.1
 _LEASE_MS: Final = 4_000
@@ -146,7 +146,7 @@ _SIZE_LIMITS: Final = {
 def open_router(
     listen: str | Destination, settings: Settings | None = None, role_bindings: RoleBindings | None = None
 ) -> "ZenohBus":
-    """Start a router listening on `listen` (port 0: any free one, see `ZenohBus.endpoint`) and return a bus in it.
+    """Start a router listening on `listen` (port 0: any free port, see `ZenohBus.endpoint`) and return its bus.
 
     Args:
         listen: an address such as ``tcp/0.0.0.0:7447``, or a destination with credentials.
@@ -157,14 +157,14 @@ def open_router(
         UsageError: no router can listen there, or a setting is unknown to zenoh.
     """
     wanted = listen if isinstance(listen, Destination) else destination(listen)
-    further = _guards(wanted)
+    further = _tls_settings(wanted)
     if role_bindings is not None:
         further["access_control"] = access_control(role_bindings)
     further.update(settings or {})
     for attempt in itertools.count(1):
         address = bindable(wanted.address)
         try:
-            with _more_threads():
+            with _allow_more_threads():
                 session = zenoh.open(_config("router", [str(address)], [], further))
             bus = ZenohBus(session, str(address), is_router=True)
             if not address.is_socket:
@@ -190,7 +190,7 @@ def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Setti
         UsageError: `connect` is no address, or a setting is unknown to zenoh.
     """
     to = connect if isinstance(connect, Destination) else destination(connect)
-    further = {**_guards(to), **(settings or {})}
+    further = {**_tls_settings(to), **(settings or {})}
     end = time.monotonic() + wait_s
     while True:
         reasons: list[str] = []
@@ -300,7 +300,7 @@ class ZenohBus:
             check_payload(query.key, payload)
         party = party if party is not None else query.session
         if not self._add(query, payload, party) and not (payload and self._add(query, None, party)):
-            self._call(_handle(query).drop)  # far too much waits: the asker's own timeout ends the query
+            self._call(_handle(query).drop)  # far too many answers wait: the asker's own timeout ends the query
 
     def _add(self, query: Query, payload: bytes | None, party: str) -> bool:
         return self._outbox.add(party, len(payload or b""), lambda: self._reply(query, payload))
@@ -401,8 +401,10 @@ def _directly(callback: Callable[[Any], None]) -> Any:
 
 
 @contextlib.contextmanager
-def _more_threads() -> Iterator[None]:
-    """Let zenoh start more threads unless the user has set a number; it reads the variable at its first thread.
+def _allow_more_threads() -> Iterator[None]:
+    """Let zenoh start more threads, unless the user has set their number.
+
+    Zenoh reads the variable when it starts its first thread.
 
     By default one thread writes on all links and two read them, and each waits while it closes the link of a client
     that reads nothing.
@@ -449,7 +451,7 @@ def _config(mode: str, listen: list[str], connect: list[str], settings: Settings
     return config
 
 
-def _guards(to: Destination) -> dict[str, object]:
+def _tls_settings(to: Destination) -> dict[str, object]:
     """Return the settings for TLS with certificates on both sides; no other protocol is then allowed."""
     files = to.credentials
     if files is None:

@@ -50,7 +50,7 @@ class Upload(Frozen):
 
 
 class Submit(Frozen):
-    """A job under an id that the client made. The same id with the same contents again is the same job.
+    """A job under an id that the client made. A repeated submission with the same id and contents means the same job.
 
     Unless the job is `shared`, only its submitter and admins can see it.
     """
@@ -133,8 +133,8 @@ class GetIslands(Frozen):
 class AskAnalysis(Frozen):
     """Have a worker answer a `question` about the result of a job that has ended; return chunk `index` of the answer.
 
-    Until the answer exists, the client repeats the request; otherwise it is no longer computed. `table` is the digest
-    of uploaded measurements to be used in place of the measurements of the result.
+    Until the answer exists, the client repeats the request; otherwise the answer is no longer computed. `table` is the
+    digest of uploaded measurements to be used in place of the measurements of the result.
     """
 
     kind: Literal["analyse"] = "analyse"
@@ -160,7 +160,7 @@ class Delete(Frozen):
 
 
 class Pause(Frozen):
-    """Pause a job, or resume it (`paused` false); its islands stop at a checkpoint. It keeps its place."""
+    """Pause a job at a checkpoint, or resume it (`paused` false). The job keeps its position in the queue."""
 
     kind: Literal["pause"] = "pause"
     job: Id
@@ -192,7 +192,7 @@ class Retry(Frozen):
 
 
 class SetWorker(Frozen):
-    """Give a worker no more islands (cordon), also take its present ones away (drain), or give it islands again (open).
+    """Give a worker no more islands (cordon), also move its present islands (drain), or give it islands again (open).
 
     Durable; for admins.
     """
@@ -271,9 +271,10 @@ class JobStatus(Frozen):
 
 
 class WorkerList(Frozen):
-    """Workers seen since the coordinator started, by name, and the coordinator itself; to SetWorker, the one worker.
+    """Workers seen since the coordinator started, by name, and the coordinator itself.
 
-    `after` is the cursor for further workers, None when there are none.
+    The answer to SetWorker has only the worker that was set. `after` is the cursor for further workers, None when there
+    are none.
     """
 
     kind: Literal["worker-list"] = "worker-list"
@@ -358,7 +359,7 @@ class IslandList(Frozen):
 class AnalysisAnswer(Frozen):
     """Chunk `index` of the answer to a question about a job, of `size` bytes in all, whose SHA-256 is `digest`.
 
-    Without `data` there is no answer yet; `waits_for` says in words why not, None while it is computed.
+    Without `data` there is no answer yet; `waits_for` says why not, None while the answer is computed.
     """
 
     kind: Literal["analysis-answer"] = "analysis-answer"

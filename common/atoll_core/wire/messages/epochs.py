@@ -63,11 +63,11 @@ class SliceCounters(Frozen):
 class IslandReport(Frozen):
     """The report of one island for one epoch, finished or given up.
 
-    `generations` is the last one computed: the epoch's end, the island's own hit, or, after a hit of another island, at
-    least the last one that counts. `additions` are the entries added to its front, in the order found, `runners_up`
-    those added to its runners-up that were never on the front. `counters` are given for every slice that it finished.
-    `best_error` is the smallest finite normalized error on all rows so far (None: there is none yet), `digest` the
-    digest of its state.
+    `generations` is the last generation computed: the epoch's end, the island's own hit, or, after a hit of another
+    island, at least the last one that counts. `additions` are the entries added to its front, in the order found.
+    `runners_up` are the entries added to its runners-up that were never on the front. `counters` are given for every
+    slice that it finished. `best_error` is the smallest finite normalized error on all rows so far (None: there is none
+    yet), `digest` the digest of its state.
     """
 
     island: IslandIndex
@@ -81,7 +81,7 @@ class IslandReport(Frozen):
 
 
 class EpochReport(OfTerm):
-    """All islands of one archipelago on one worker, one epoch; without islands for which no slice of it counts."""
+    """Reports of one epoch by the islands of an archipelago on one worker, except islands without slices that count."""
 
     kind: Literal["report"] = "report"
     epoch: Count
@@ -166,7 +166,7 @@ class States(Frozen):
 
 
 class NotYet(Frozen):
-    """Nothing of the requested data exists here, or not yet: ask later, if the term of the request is still ours."""
+    """The requested data do not exist here, or not yet. Ask later if the term of the request is still current."""
 
     kind: Literal["not-yet"] = "not-yet"
 

@@ -26,11 +26,11 @@ MAX_RESULT = 2**31
 """Largest result of a task, in bytes."""
 
 MAX_BATCH = 12 * 1024 * 1024
-"""Most bytes of a batch, its context included: larger ones are not given to helpers."""
+"""Most bytes of a batch, its context included: larger batches are not given to helpers."""
 
 
 class TaskInput(Frozen):
-    """An input of a task: its digest and size; small ones travel with the lease as `data`."""
+    """An input of a task: its digest and size; small inputs are sent with the lease, as `data`."""
 
     digest: Digest
     size: Count
@@ -55,7 +55,7 @@ class Lease(Frozen):
 
 
 class Help(Frozen):
-    """Pull batches of this task from `worker` and compute them, until it is released or there are no more."""
+    """Pull batches of this task from `worker` and compute them, until the task is released or has no more batches."""
 
     kind: Literal["help"] = "help"
     task: Digest

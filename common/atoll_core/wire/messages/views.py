@@ -12,7 +12,7 @@ JobState = Literal["queued", "preparing", "running", "refining", "done", "failed
 FINAL_STATES: frozenset[JobState] = frozenset({"done", "failed", "cancelled"})
 WorkerState = Literal["compiling", "ready", "computing", "waiting", "leaving", "hung", "lost"]
 WorkerService = Literal["open", "cordoned", "draining"]
-"""Whether a worker gets islands, keeps its present ones without getting more, or hands them over."""
+"""Whether a worker gets islands, keeps its present islands without getting more, or hands its islands over."""
 EventKind = Literal[
     "submitted", "prepared", "placed", "unplaced", "isolated", "pardoned", "commit", "cut", "refining",
     "done", "failed", "cancelled", "stalled", "moving", "worker-joined", "worker-lost", "worker-back",
@@ -63,7 +63,7 @@ class StoreView(Frozen):
 
 
 class UserView(Frozen):
-    """Numbers of jobs of one user that wait in the queue and that have begun, without ended ones.
+    """Numbers of jobs of one user that wait in the queue and that have begun, without ended jobs.
 
     `user` is the name in the certificate; None: jobs submitted without a certificate.
     """
@@ -158,7 +158,7 @@ class TaskView(Frozen):
 
 
 class JobView(Frozen):
-    """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or why it waits.
+    """One job as `jobs` and `status` show it. Times are in seconds; `reason` says why the job failed or why it waits.
 
     `fault` is why the job failed: unusable data, two workers that diverged, islands that killed their workers (poison),
     or an internal error. `stalls` says where it makes no progress, and why; `ahead` counts jobs before it in the queue.
@@ -206,8 +206,8 @@ class IslandView(Frozen):
 class WorkerView(Frozen):
     """One worker as `workers` shows it; `silent` is seconds since its last message, `detail` a note for users.
 
-    `doing` is its current computation by its last message, the job first; `standing` is seconds without progress in it.
-    `joined` is seconds since it joined; `cores` are available to all processes of its host together.
+    `doing` is its current computation by its last message, the job first; `standing` is seconds without progress in
+    this computation. `joined` is seconds since it joined; `cores` are available to all processes of its host together.
     """
 
     worker: str
@@ -231,7 +231,7 @@ MAX_DETAILS: Final = 8
 
 
 class Workforce(Frozen):
-    """Numbers of workers that are alive and that are compiling, and the first notes of the compiling ones, sorted."""
+    """Numbers of workers that are alive and that are compiling, and the first notes of compiling workers, sorted."""
 
     alive: Annotated[int, Field(ge=0)] = 0
     compiling: Annotated[int, Field(ge=0)] = 0
@@ -239,7 +239,7 @@ class Workforce(Frozen):
 
     @classmethod
     def of(cls, workers: Iterable[WorkerView]) -> Self:
-        """Return the workforce of these workers; lost ones do not count."""
+        """Return the workforce of these workers; lost workers do not count."""
         alive = [worker for worker in workers if worker.state != "lost"]
         compiling = [worker for worker in alive if worker.state == "compiling"]
         details = sorted(worker.detail for worker in compiling if worker.detail)  # "compiling …" before "waiting …"

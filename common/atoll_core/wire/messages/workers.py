@@ -34,7 +34,8 @@ class JobAnnouncement(Frozen):
     """A job as workers need it: its resolved configuration, and the digest by which its dataset can be pulled.
 
     `blob` is the SHA-256 of the encoded dataset of `size` bytes in `chunks` chunks of `CHUNK_SIZE`. Workers share their
-    time evenly between submitters, and by `priority` between the jobs of one; a later announcement may change it.
+    time evenly between submitters, and by `priority` between the jobs of one submitter. A later announcement may change
+    the priority.
     """
 
     kind: Literal["job"] = "job"
@@ -51,8 +52,8 @@ class JobAnnouncement(Frozen):
 class Schedule(Frozen):
     """The next two checkpoints of an archipelago: epochs before which islands take a snapshot.
 
-    No island begins an epoch after `last`, nor `last` itself when it `holds`: then `last` is a barrier, at which all
-    islands wait for another placement.
+    No island begins an epoch after `last`. If the schedule `holds`, no island begins epoch `last` either: `last` is
+    then a barrier, at which all islands wait for another placement.
     """
 
     next: Count
@@ -100,10 +101,11 @@ class Placements(Frozen):
 
 
 class Commit(OfTerm):
-    """The checkpoint for `epoch` is durable, and these are the next ones.
+    """The checkpoint for `epoch` is durable, and `schedule` has the next checkpoints.
 
-    Every island has reported epoch `reported` under this term: messages of earlier epochs are no longer needed. Nothing
-    after `hit`, where the target was first met as far as is known, is needed either.
+    Every island has reported epoch `reported` under this term: messages of earlier epochs are no longer needed. `hit`
+    is the first position at which the target was met, as far as is known; messages about later slices are not needed
+    either.
     """
 
     kind: Literal["commit"] = "commit"
@@ -156,9 +158,9 @@ class AssignmentStatus(Frozen):
     """The islands of one archipelago on a worker, and their progress.
 
     All of these islands have finished and reported all epochs before `reported`; `commit` is the last commit that the
-    worker knows of; `snapshots` are later epochs of which it has a snapshot of each of these islands. `waited_s` are
-    the seconds that they have waited for migrants, summed over islands. `hit` is the first position at which the target
-    was met, as far as the worker knows.
+    worker knows of; `snapshots` are later epochs for which the worker has a snapshot of each of these islands.
+    `waited_s` are the seconds that the islands have waited for migrants, summed over islands. `hit` is the first
+    position at which the target was met, as far as the worker knows.
     """
 
     job: Id
@@ -201,9 +203,10 @@ class ComputedTime(Frozen):
 class WorkerStatus(Frozen):
     """The heartbeat. `progress` rises while the compute thread advances; `detail` is a note for users.
 
-    `jobs` are the jobs whose dataset is here or on its way, also without islands here. `tasks` are leased to this
-    worker or helped by it; `is_loaded`: its process for tasks is ready; `computed` is the computing time of this
-    process by submitter; `available_bytes` is the memory available for more data (None: unknown).
+    `jobs` are the jobs whose dataset is on this worker or is being fetched, even if the worker has no islands of these
+    jobs. `tasks` are leased to this worker or helped by it; `is_loaded`: its process for tasks is ready; `computed` is
+    the computing time of this process by submitter; `available_bytes` is the memory available for more data (None:
+    unknown).
     """
 
     kind: Literal["status"] = "status"
@@ -243,7 +246,7 @@ class LogLine(Frozen):
 
 
 class WorkerLog(Frozen):
-    """Lines of a worker's log since the last such message; `dropped` further ones were not sent."""
+    """Lines of a worker's log since the last such message; `dropped` is the number of lines that were not sent."""
 
     kind: Literal["log"] = "log"
     lines: Annotated[tuple[LogLine, ...], Field(max_length=MAX_LINES)]

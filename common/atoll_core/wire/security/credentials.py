@@ -107,7 +107,7 @@ def load(authority: Path, certificate: Path, key: Path, use: Use) -> Credentials
         raise UsageError(f"the certificate {certificate} has expired ({last}); renew it with deploy/tls/make-authority")
     if first is not None and now < ssl.cert_time_to_seconds(first):
         raise UsageError(f"the certificate {certificate} is not valid before {first}; check this machine's clock")
-    hosts = tuple(_plain(kind, name) for kind, name in fields.get("subjectAltName", ()))
+    hosts = tuple(_usual_form(kind, name) for kind, name in fields.get("subjectAltName", ()))
     names = [value for part in fields.get("subject", ()) for kind, value in part if kind == "commonName"]
     if use == "serve" and not hosts:
         raise UsageError(
@@ -133,12 +133,12 @@ def check_welcome(host: str, port: int, credentials: Credentials, listen_s: floa
     context = _context(ssl.PROTOCOL_TLS_CLIENT, credentials.certificate, credentials.key)
     context.load_verify_locations(credentials.authority)
     try:
-        with _connected(context, host, port) as connection:
+        with _connect_tls(context, host, port) as connection:
             connection.settimeout(listen_s)
             with contextlib.suppress(TimeoutError):  # with TLS 1.3 a server refuses after the handshake
                 connection.recv(1)
     except ssl.SSLCertVerificationError as error:
-        raise RefusedError(_distrust(error, host, port, credentials)) from error
+        raise RefusedError(_rejection_reason(error, host, port, credentials)) from error
     except ssl.SSLError as error:
         for ending, sentence in _ALERTS.items():
             if (error.reason or "").endswith(ending):
@@ -158,7 +158,7 @@ def speaks_tls(host: str, port: int) -> bool:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     try:
-        _connected(context, host, port).close()
+        _connect_tls(context, host, port).close()
     except ssl.SSLError as error:
         return "ALERT" in (error.reason or "")
     except OSError:
@@ -166,7 +166,7 @@ def speaks_tls(host: str, port: int) -> bool:
     return True
 
 
-def _connected(context: ssl.SSLContext, host: str, port: int) -> ssl.SSLSocket:
+def _connect_tls(context: ssl.SSLContext, host: str, port: int) -> ssl.SSLSocket:
     plain = socket.create_connection((host, port), timeout=_PROBE_LIMIT_S)
     try:
         return context.wrap_socket(plain, server_hostname=host)
@@ -175,9 +175,9 @@ def _connected(context: ssl.SSLContext, host: str, port: int) -> ssl.SSLSocket:
         raise
 
 
-def _distrust(error: ssl.SSLCertVerificationError, host: str, port: int, credentials: Credentials) -> str:
+def _rejection_reason(error: ssl.SSLCertVerificationError, host: str, port: int, credentials: Credentials) -> str:
     if error.verify_code in _NAMES:
-        names = _names_there(host, port, credentials)
+        names = _names_of_server(host, port, credentials)
         return f"its certificate is not for {host!r} but for {names}; dial it by one of these"
     if error.verify_code in _FOREIGN:
         return f"its certificate was not issued by the authority in {credentials.authority}"
@@ -188,17 +188,17 @@ def _distrust(error: ssl.SSLCertVerificationError, host: str, port: int, credent
     return f"its certificate was not accepted ({error.verify_message})"
 
 
-def _names_there(host: str, port: int, credentials: Credentials) -> str:
+def _names_of_server(host: str, port: int, credentials: Credentials) -> str:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     context.load_verify_locations(credentials.authority)
     try:
-        with _connected(context, host, port) as connection:
+        with _connect_tls(context, host, port) as connection:
             fields = cast(_Certificate, connection.getpeercert() or {})
     except OSError:
         return "other names"
     names = fields.get("subjectAltName", ())
-    return ", ".join(_plain(kind, name) for kind, name in names)[:300] or "no name at all"
+    return ", ".join(_usual_form(kind, name) for kind, name in names)[:300] or "no name at all"
 
 
 def _check_contents(file: Path, option: str, mark: str, expected: str) -> str:
@@ -221,7 +221,7 @@ def _verified_fields(authority: Path, certificate: Path, key: Path, use: Use) ->
                 raise
             return _handshake(authority, certificate, key, use, _NO_CHECK_TIME)
     except ssl.SSLCertVerificationError as error:
-        raise UsageError(_unfit(error, authority, certificate, use)) from error
+        raise UsageError(_certificate_error(error, authority, certificate, use)) from error
     except ssl.SSLError as error:
         raise UsageError(f"{certificate} cannot be used for TLS ({error.reason or error}); make a new one") from error
 
@@ -260,14 +260,14 @@ def _context(protocol: int, certificate: Path, key: Path) -> ssl.SSLContext:
     return context
 
 
-def _plain(kind: str, name: str) -> str:
+def _usual_form(kind: str, name: str) -> str:
     """Return a subject alternative name in its usual form: OpenSSL writes IPv6 addresses at full length."""
     with contextlib.suppress(ValueError):
         return str(ipaddress.ip_address(name)) if kind == "IP Address" else name
     return name
 
 
-def _unfit(error: ssl.SSLCertVerificationError, authority: Path, certificate: Path, use: Use) -> str:
+def _certificate_error(error: ssl.SSLCertVerificationError, authority: Path, certificate: Path, use: Use) -> str:
     if error.verify_code in _FOREIGN:
         return f"the certificate {certificate} was not issued by the authority in {authority}; take one folder's files"
     if error.verify_code in _UNTIMELY:

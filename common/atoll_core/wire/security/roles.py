@@ -1,8 +1,8 @@
 """Roles of principals, read from the roster file, and the access rules that a router derives from them.
 
 A principal is the common name of a certificate. Its processes use that name or names that begin with it and a hyphen:
-``lab1``, ``lab1-0``, ``lab1-gpu-3``. Therefore no principal may be another one followed by a hyphen and more. A router
-denies everything that no rule allows.
+``lab1``, ``lab1-0``, ``lab1-gpu-3``. Therefore no principal may begin with the name of another principal and a hyphen.
+A router denies everything that no rule allows.
 """
 
 import tomllib
@@ -30,13 +30,13 @@ class RoleBindings:
     roles: Mapping[str, Role] = field(default_factory=dict)
 
     def principal(self, name: str) -> str | None:
-        """Return the principal of `name`: itself, or its part before a hyphen; None for a stranger."""
+        """Return the principal of `name`: the name itself, or its part before a hyphen; None for an unknown name."""
         parts = name.split("-")
         candidates = ("-".join(parts[:count]) for count in range(len(parts), 0, -1))
         return next((candidate for candidate in candidates if candidate in self.roles), None)
 
     def role(self, name: str) -> Role | None:
-        """Return the role of the principal of `name`; None for a stranger."""
+        """Return the role of the principal of `name`; None for an unknown name."""
         principal = self.principal(name)
         return self.roles[principal] if principal is not None else None
 
@@ -118,19 +118,22 @@ _TRUSTED: Final = tuple(Permission(flow, _ALL, (f"{ROOT}/**",)) for flow in get_
 
 def permissions(name: str, role: Role) -> tuple[Permission, ...]:
     """Return all permissions of the principal `name`; every other message is denied."""
-    asked, heard = _own(name, "client/{}/ask") + _hello(name), _own(name, "client/{}/changes")
+    asked, heard = (
+        _keys_of_principal(name, "client/{}/ask") + _hello(name),
+        _keys_of_principal(name, "client/{}/changes"),
+    )
     match role:
         case "coordinator" | "router":
             return _TRUSTED
         case "revoked":
             return ()
         case "worker":
-            heard = _keys("control") + _own(name, "control/{}")
+            heard = _keys("control") + _keys_of_principal(name, "control/{}")
             asked = _keys("job/*/state", "blob/**", "worker/*/pull") + _hello(name)
-    pulls = _own(name, "worker/{}/pull")
+    pulls = _keys_of_principal(name, "worker/{}/pull")
     of_worker = (
-        Permission("ingress", _SPEAKING, _own(name, *(f"worker/{{}}/{part}" for part in _PUT))),
-        Permission("ingress", _PRESENCE, _own(name, "worker/{}/alive")),
+        Permission("ingress", _SPEAKING, _keys_of_principal(name, *(f"worker/{{}}/{part}" for part in _PUT))),
+        Permission("ingress", _PRESENCE, _keys_of_principal(name, "worker/{}/alive")),
         Permission("ingress", _SERVING, pulls),
         Permission("egress", ("query",), pulls),
     )
@@ -173,7 +176,7 @@ def _keys(*parts: str) -> tuple[str, ...]:
     return tuple(f"{ROOT}/*/{part}" for part in parts)
 
 
-def _own(name: str, *parts: str) -> tuple[str, ...]:
+def _keys_of_principal(name: str, *parts: str) -> tuple[str, ...]:
     """Return keys with the name, and with the names of its processes, in place of ``{}``."""
     return _keys(*(part.format(form) for part in parts for form in (name, f"{name}-$*")))
 

@@ -13,7 +13,7 @@ from typing import Final
 
 from pydantic_core import to_jsonable_python
 
-from atoll.cli.exit_codes import DONE, end_of_cancelled, finish
+from atoll.cli.exit_codes import DONE, end_of_cancelled, report_exit_code
 from atoll.cli.options import job_id
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.client.client import Client, connected
@@ -124,7 +124,7 @@ def _follow_job(options: argparse.Namespace, address: Whereabouts) -> int:
             display = LiveDisplay(hint)
         with display:
             view = Follower(client, job, display).follow()
-    return finish(view)
+    return report_exit_code(view)
 
 
 def cancel(options: argparse.Namespace) -> int:

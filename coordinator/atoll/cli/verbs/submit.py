@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final, cast
 
-from atoll.cli.exit_codes import DONE, FAILED, INTERRUPTED, finish
+from atoll.cli.exit_codes import DONE, FAILED, INTERRUPTED, report_exit_code
 from atoll.cli.request import CONNECT_LIMIT_S, JobRequest, address_of, request_of
 from atoll.cli.result_files import REPORT, refuse_existing_result, write_report, write_result
 from atoll.client.client import Client, connected
@@ -216,7 +216,7 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
                     while True:
                         check_processes()
                         client.pause(1.0)
-            return finish(view) if forced is None else forced
+            return report_exit_code(view) if forced is None else forced
 
 
 def _follow(follower: Follower, client: Client, display: Display) -> tuple[JobView, int | None]:
@@ -290,7 +290,7 @@ def submit(options: argparse.Namespace) -> int:
         result = request.result(client, view)
         if result is not None:
             _deliver(request, result, folder, has_report=options.report)
-        return finish(view)
+        return report_exit_code(view)
 
 
 def _print_waiting_reason(view: JobView, client: Client, hint: str) -> None:

@@ -23,7 +23,8 @@ Parts = Sequence[FloatArray]
 class Finding:
     """A result of a check: the text `found` and the `advice`, both without a full stop.
 
-    No equations of the states `left_out` are searched. The values `missing`, by column, are treated as missing.
+    `left_out` are states whose equations are not searched. `missing` has pairs of a column and a value; in this column,
+    the value is treated as missing.
     """
 
     found: str
@@ -99,7 +100,7 @@ class ExaminedColumns:
         return name not in named and re.search(rf"(?<!\w){re.escape(name)}(?!\w)", texts) is None
 
     def without(self, missing: Mapping[str, float]) -> "ExaminedColumns":
-        """Return the columns; in some of them, one value is treated as missing."""
+        """Return the columns; in each column of `missing`, one value is treated as missing."""
         values = {
             name: [np.where(part == missing[name], np.nan, part) for part in parts] if name in missing else parts
             for name, parts in self.values.items()

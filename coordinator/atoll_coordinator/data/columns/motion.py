@@ -32,14 +32,15 @@ from atoll_core.data.dataset import FloatArray, IntArray
 
 LIMITS = SETTINGS.columns
 _RELEVANT: Final = SETTINGS.inference.part
-"""Share of a variance, or of a standard deviation, from which on another influence is relevant."""
+"""An influence other than the coordinates is relevant if it causes at least this share of a variance or of a standard
+deviation."""
 _MOST_POSITIONS: Final = 4
 """Most states for which neighbours are searched: with more states, no rows are close in positions and velocities."""
 _FEWEST_PAIRS: Final = 20
 """Fewest pairs of neighbours that a finding needs."""
 _JUMPS: Final = 0.75
-"""Roughness from which on rows count as jumping: a wave then has fewer than five rows in a period (1 - cos(2 pi / 5) =
-0.69)."""
+"""A column jumps from row to row if its roughness is at least this: a wave then has fewer than five rows in a period (1
+- cos(2 pi / 5) = 0.69)."""
 _ROOT_70: Final = math.sqrt(70.0)
 """Standard deviation of the fourth difference of white noise with standard deviation 1."""
 
@@ -48,7 +49,7 @@ _ROOT_70: Final = math.sqrt(70.0)
 
 
 def check_second_order(columns: ExaminedColumns) -> Iterator[Finding]:
-    """Yield a finding if velocities are not a function of the states, but accelerations are a function of both."""
+    """Yield a finding if the states do not determine velocities, but states and velocities determine accelerations."""
     roles = columns.roles
     is_first = columns.is_in_time and roles.order == 1 and not columns.config.data.stochastic
     if not is_first or len(roles.states) > _MOST_POSITIONS:
@@ -115,14 +116,14 @@ class Disagreement:
 
     @property
     def is_open(self) -> bool:
-        """Whether another influence determines at least half of the response, and the difference is not negligible."""
+        """Whether other influences cause at least half of the response's variance, and not a negligible part of it."""
         return self.share > 0.5 and self.size > 0.25
 
 
 def neighbours(coordinates: Sequence[FloatArray], part: IntArray, apart: int) -> tuple[list[int], list[int]] | None:
-    """Return rows and their nearest neighbours in other passes, the closer half of all pairs.
+    """Return pairs of a row and its nearest neighbour in another pass: of all pairs, the closer half.
 
-    None if there are too few.
+    The result is None if there are too few pairs.
 
     `coordinates` are (n,) each, rows in order; `part` (n,) is the trajectory of each row. Two rows belong to the same
     pass if they are fewer than `apart` rows apart, or if the states stay near between them.
@@ -167,7 +168,7 @@ def disagreement(pairs: tuple[list[int], list[int]], response: FloatArray) -> Di
 def disagreements(
     slopes: "LocalSlopes", columns: ExaminedColumns
 ) -> tuple[list[Disagreement | None], list[Disagreement | None]]:
-    """Return how much neighbours differ in each slope, and neighbours with equal slopes in each curvature."""
+    """Return the disagreement of neighbours in each slope, and in each curvature if their slopes also agree."""
     states = columns.roles.states
     positions = [slopes.means[name] for name in (*states, *columns.roles.inputs)]
     velocities = [slopes.slopes[name] for name in states]
@@ -201,7 +202,7 @@ class LocalSlopes:
 
 
 def local_slopes(times: Parts, values: Mapping[str, Parts], states: Sequence[str]) -> LocalSlopes | None:
-    """Return slopes over the shortest windows in which noise does not hide curvatures; None if there are none.
+    """Return slopes over the shortest windows in which noise does not hide curvatures; None: no such windows.
 
     Slopes are least-squares slopes with respect to the row number; time steps are treated as even within a window.
     """

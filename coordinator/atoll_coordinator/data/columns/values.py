@@ -2,8 +2,8 @@
 
 Single columns: fill values, clipping, few levels, held inputs, row counters. Columns that determine each other: equal
 columns, multiples, totals, sums that stay constant. Such columns are found by least squares: each column is projected
-on the columns before it (modified Gram-Schmidt, applied twice). They matter because any equation with such columns can
-be written in several ways.
+on the columns before it (modified Gram-Schmidt, applied twice). Any equation with such columns can be written in
+several ways, so the user should know them.
 """
 
 import math
@@ -32,7 +32,7 @@ from atoll_core.data.dataset import FloatArray
 LIMITS = SETTINGS.columns
 _FEW: Final = SETTINGS.common.few_values
 _REPEATS: Final = 2
-"""Fewest rows with a fill value, and fewest jumps of a held column: with fewer, it may be chance."""
+"""Fewest rows with a fill value, and fewest jumps of a held column: smaller numbers may be chance."""
 _RUN: Final = 3
 """Fewest consecutive equal rows that count as clipped: two may be a rounded turning point."""
 _STEEP_STEPS: Final = 10.0
@@ -61,16 +61,17 @@ def check_fill_values(columns: ExaminedColumns) -> Iterator[Finding]:
 
 
 def fill_values(columns: ExaminedColumns) -> dict[str, float]:
-    """Return by column the value that seems to mean a missing measurement, if there is one."""
+    """Return the value that seems to mean a missing measurement, for each column with such a value."""
     found = {name: _fill_value(columns.finite(name)) for name in columns.values if name not in columns.angles}
     return {name: value for name, value in found.items() if value is not None}
 
 
 def _fill_value(values: FloatArray) -> float | None:
-    """Return the least or the largest value if it is repeated, and further from the others than their whole range.
+    """Return the least or largest value if it is repeated and its distance from the others exceeds their range.
 
-    A moving quantity would have passed through values in between. The other values must be several, so that the column
-    is not switched, and must be in most of the rows. For a number of nines, such as -9999, one row is enough.
+    A moving quantity would have passed through values in between. There must be several other values, because a column
+    of two or three values may be switched. Most rows must have the other values. A number of nines, such as -9999, need
+    not be repeated.
     """
     unique, counts = np.unique(values, return_counts=True)
     if len(unique) <= _FEW:
@@ -205,11 +206,11 @@ def check_few_levels(columns: ExaminedColumns) -> Iterator[Finding]:
 
 
 def has_few_levels(parts: Parts) -> bool:
-    """Tell whether values are repeated so often that a quantity recorded in finer steps would have shown other values.
+    """Tell whether so many values are repeated that the column is rounded or switched.
 
-    A quantity recorded in steps at most half as large has one of the observed values by chance in every second row. A
-    wave whose period is a whole number of rows also repeats its values, each once or twice in a period; it does not
-    count.
+    Suppose that a moving quantity was recorded in steps of half the size or less. Then a further value equals one of
+    the observed values with probability 1/2 at most, so that many repetitions are improbable. A wave whose period is a
+    whole number of rows also repeats its values, each once or twice in a period; such a wave does not count.
     """
     values = _finite(parts)
     levels = len(np.unique(values))
@@ -220,7 +221,7 @@ def has_few_levels(parts: Parts) -> bool:
 
 
 def repeats_in_step(parts: Parts) -> bool:
-    """Tell whether a column is a wave with a period of whole rows, each value once or twice in a period."""
+    """Tell whether a column is a wave whose period is a whole number of rows, each value once or twice in a period."""
     levels = len(np.unique(_finite(parts)))
     return any(_has_period(parts, period) for period in range(levels, 2 * levels + 1))
 
@@ -244,9 +245,9 @@ def _finite(parts: Parts) -> FloatArray:
 def is_held(parts: Parts) -> bool:
     """Tell whether a column is constant from most rows to the next, and then jumps.
 
-    A column of few values is always switched.
+    A column of few values always counts as held.
 
-    A rounded quantity that moves smoothly changes to an adjacent value; jumps are larger.
+    A rounded quantity that moves smoothly does not count: it changes to adjacent values, and jumps are larger.
     """
     if has_few_levels(parts):
         return True
@@ -342,7 +343,7 @@ def check_relations(columns: ExaminedColumns) -> Iterator[Finding]:
 
 
 def linear_relations(columns: ExaminedColumns) -> list[Relation]:
-    """Return the relations by which the columns before a column determine it."""
+    """Return the relation of each column that is determined by the columns before it."""
     roles = columns.roles
     names = [name for name in roles.variables if name in columns.values and name != roles.target]
     if len(names) > _MOST_COLUMNS or (columns.roles.order == 2 and len(names) < 2):

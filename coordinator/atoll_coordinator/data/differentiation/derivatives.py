@@ -1,8 +1,8 @@
 """Values, derivatives and their uncertainty along trajectories, for one state at a time. Pure.
 
 Noisy states are smoothed by loess. Each row is also predicted from its neighbours by local polynomials of high order.
-If these predict left-out rows better than loess does, the noise is negligible, and the state is interpolated instead.
-If rows have different weights, noise is assumed.
+If these polynomials predict left-out rows better than loess does, the noise is negligible, and the state is
+interpolated instead. If rows have different weights, noise is assumed.
 
 The estimated bias of a smoothed derivative is the most doubtful of the results. It is the difference from a second fit
 with a narrower span. This difference is itself noisy, and it does not show features that are shorter than both spans.
@@ -53,8 +53,9 @@ ROUNDING: Final = 1e-12
 _NARROWER: Final = 0.6
 """The bias of a derivative is estimated from a second estimate, whose span is this share of the first span."""
 _QUIET_SHARE: Final = 0.5
-"""The share of rows that decide about interpolation if only slowly changing rows show that there is no noise: on fast
-transients the errors of interpolation are larger than the smoothing estimates."""
+"""If only slowly changing rows show that there is no noise, interpolation and smoothing are also compared on this share
+of the rows, the share with the smallest errors. On fast transients the errors of interpolation are large even without
+noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +72,8 @@ class StateEstimate:
     (None: no rounding). `standard_deviation` refers to the measurements. `smoother` is None for an interpolated state.
     `outliers`, the number of rows without weight, and `robustness_weights` are None unless loess was robust;
     `has_heavy_tails` means that robust loess is advisable. `narrower_noise` is the noise by loess with the narrower
-    span `narrower_span` (rows), which is used for the estimate of the bias. `points` (R,) are the values to which the
-    derivatives belong, if these are not `values`.
+    span `narrower_span` (rows), which is used for the estimate of the bias. `points` (R,) are the values of the state
+    at which the derivatives are estimated, if they differ from `values`.
     """
 
     values: FloatArray
@@ -271,8 +272,8 @@ def _by_interpolation(signals: Sequence[Signal], order: int, noise: float, devia
 def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: FloatArray) -> StateEstimate:
     """Return the estimate with unknown rows marked: infinite uncertainty, derivatives 0, a value nearby.
 
-    A missing value counts as known if the other rows determine it as well as one measurement would: if its noise gain
-    (R,) is at most 1.
+    A missing value counts as known if its noise gain (R,) is at most 1. Then the other rows determine the value at
+    least as well as one measurement would.
     """
     if all(signal.is_measured is None for signal in signals):
         return estimate

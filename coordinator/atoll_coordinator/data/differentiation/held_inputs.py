@@ -32,7 +32,7 @@ _DEGREES: Final = (1, 2, 3)
 """Degrees of the polynomials in all variables that are fitted to slopes for an estimate of their errors; the best fit
 is used."""
 _STEPS_PER_TERM: Final = 3
-"""Fewest steps for each term of a polynomial: with fifty steps the residual variance is then known within a quarter."""
+"""Fewest steps for each term of a polynomial: the residual variance is then known to within 25 % for fifty steps."""
 _NEIGHBOURS: Final = Smoother(2, 1, 0.0)
 """A line through two neighbouring rows, described as a smoother."""
 
@@ -92,7 +92,7 @@ def _over_all_rows(
     At a row where two pieces meet, the estimate of the later piece is used, since its input acts on the next rows. A
     row that ends a piece and begins no piece is not known, unless the trajectory ends there.
     """
-    of_row = dict(zip(rows, range(len(rows)), strict=True))  # of two estimates of a row, the last one
+    of_row = dict(zip(rows, range(len(rows)), strict=True))  # if a row has two estimates, the later one is used
     ends = {last - 1 for _, last in measurements.ranges}
     goes_on = {row for row, after in pairwise(rows) if after == row + 1}
     kept = [row for row in of_row if row in goes_on or row in ends]

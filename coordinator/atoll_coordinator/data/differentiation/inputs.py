@@ -80,7 +80,7 @@ class InputCurve:
 
     @property
     def until(self) -> float:
-        """The time up to which the `pieces` hold."""
+        """The time up to which the `pieces` are valid."""
         last = self.times[-1] - self.times[-2] if self.is_held and len(self.times) > 1 else 0.0
         return float(self.times[-1] + last)
 
@@ -102,8 +102,8 @@ def choose_input_kind(times: Sequence[FloatArray], values: Sequence[FloatArray])
     """Return whether one input is smooth or shape-preserving: the kind that predicts left-out rows better.
 
     Args:
-        times: of each trajectory, ascending strictly.
-        values: of the input at these times, finite.
+        times: The times of each trajectory, strictly ascending.
+        values: The values of the input at these times, finite.
     """
     samples, _ = _samples(times, values)
     if not samples:
@@ -117,7 +117,7 @@ def estimate_input_slopes(
 ) -> list[FloatArray]:
     """Return the slopes of one input at the rows of each trajectory, NaN for a held input.
 
-    For an input that is linear in time they are exact up to rounding. Arguments are as in `choose_input_kind`.
+    For an input that is linear in time, the slopes are exact up to rounding. Arguments are as in `choose_input_kind`.
     """
     if kind == "held":
         return [np.full(len(part), np.nan) for part in times]
@@ -132,9 +132,9 @@ def estimate_input_slopes(
 def relative_curve_error(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind) -> float:
     """Return the error of a smooth curve between rows over the standard deviation of the input (root mean squares).
 
-    The error of a cubic spline grows as the fourth power of the step: it is a sixteenth of the error at left-out rows
-    if every second row is left out. The result is 0 for inputs of other kinds, because the time of a switch between two
-    rows is not known.
+    The error of a cubic spline grows as the fourth power of the step. If every second row is left out, the step
+    doubles; so the error between rows is a sixteenth of the error at the left-out rows. The result is 0 for inputs of
+    other kinds, because the time of a switch between two rows is not known.
     """
     samples, _ = _samples(times, values)
     if kind != "smooth" or not samples:

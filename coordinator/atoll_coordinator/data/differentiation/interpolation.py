@@ -25,7 +25,8 @@ from atoll_coordinator.data.differentiation.smoothing import NORMAL_DEVIATION, S
 from atoll_core.data.dataset import FloatArray
 
 END_ROWS: Final = (HALF_WIDTHS + 1) // 2
-"""Rows at each end of a trajectory with much worse interpolated derivatives than others: half of a half width."""
+"""Number of rows at each end of a trajectory whose interpolated derivatives are much less accurate: half of a half
+width."""
 _AGREEMENT: Final = 2.0
 """Noise estimates from two stencils agree if they differ by at most this many standard errors. In simulations of pure
 noise (even and uneven steps, 50 to 1,000 rows) the mean estimate is 1.03 to 1.09 times the true value."""
@@ -43,7 +44,7 @@ _QUIET_ERROR: Final = 3.0156
 
 
 def mark_ends(lengths: Sequence[int]) -> FloatArray:
-    """Return 1.0 at the rows at both ends of trajectories if at least half of the rows remain, else 0.0."""
+    """Return 1.0 at rows near an end of a trajectory, else 0.0; 0.0 in trajectories shorter than 4 `END_ROWS`."""
     parts = [np.zeros(length) for length in lengths]
     for part in parts:
         if len(part) >= 4 * END_ROWS:
@@ -136,10 +137,10 @@ def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: boo
     the result is the largest estimate that agrees with the least one within the sampling error.
 
     Args:
-        errors: of rows predicted from their neighbours, (R, H); NaN where a stencil does not fit.
-        gains: their standard deviations for errors of standard deviation one, (R, H).
-        is_quiet: use the 10 % quantile instead of the median: if a state changes too fast for the sampling in places,
-            the other rows still show its noise. The standard error is 2.6 times as large.
+        errors: Errors of rows predicted from their neighbours, (R, H); NaN where a stencil does not fit.
+        gains: Standard deviations of `errors` for measurement errors of standard deviation one, (R, H).
+        is_quiet: Use the 10 % quantile instead of the median. If a state changes too fast for the sampling at some
+            rows, the other rows still show its noise. The standard error is 2.6 times as large.
     """
     rows = len(errors)
     share, deviation, error = (0.5, NORMAL_DEVIATION, _MEDIAN_ERROR)
@@ -186,7 +187,7 @@ def fill_missing(signal: Signal) -> Filled:
 def fill(
     times: FloatArray, values: FloatArray, is_known: npt.NDArray[np.bool_], pairs: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return values with the missing ones filled, steps and gains; see `Filled`.
+    """Return values with missing values filled, steps and gains; see `Filled`.
 
     For a row between known rows, polynomials through 1 to `pairs` known rows on each side are compared; the polynomial
     that differs least from the next smaller one is used. Other rows get the nearest known value, 0 if there is none.

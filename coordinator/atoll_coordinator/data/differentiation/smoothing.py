@@ -2,9 +2,9 @@
 
 The slope of the local polynomial is the derivative (Schmidt & Lipson 2008). Span and degree are chosen for each state
 by generalised cross-validation (GCV), pooled over its trajectories. If the span is wide, long signals are thinned
-first: means of neighbouring rows replace the rows. So every row counts, and the work does not grow with the span. The
-choice assumes independent errors: with errors that are correlated from row to row, GCV chooses spans that are too
-narrow, and the noise is underestimated.
+first: means of neighbouring rows replace the rows. So every row counts, and the work does not grow with the span. GCV
+assumes independent errors. If errors are correlated from row to row, GCV chooses spans that are too narrow, and the
+noise is underestimated.
 
 Robust loess reduces the weight of rows far from the curve, to 0 for outliers (Cleveland 1979, section 2). Unlike in
 that paper, span and degree are chosen again with every set of weights, because outliers favour wide spans.
@@ -37,7 +37,7 @@ ROUNDS: Final = 6
 """Maximum number of rounds that reweight rows by the residuals of the previous round; nearly all fits converge
 earlier."""
 _SPAN_RATIO: Final = 1.25
-"""Ratio of each span tried to the previous one."""
+"""Ratio of a span to the span tried before it."""
 _PATIENCE: Final = 5
 """Number of spans without a better score after which wider spans are not tried."""
 _FEWEST_OUTLIERS: Final = 3
@@ -48,7 +48,7 @@ _LEAST_BINS: Final = LIMITS.bins // 2
 """A signal with at most this many rows is never thinned, and a longer signal keeps at least as many bins. This leaves
 room for wide spans."""
 _NARROW_SPANS: Final = tuple(LIMITS.bins // part for part in (4, 2, 1))
-"""Spans in rows by which loess without thinning shows whether thinning has lost a fast wave."""
+"""Spans, in rows, of fits without thinning. These fits show whether thinning has lost a fast wave."""
 _MOST_LEVERAGE: Final = 0.999
 """Guard: a smoother with at least this mean leverage reproduces the data and has no score."""
 
@@ -148,7 +148,7 @@ def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
 
 
 def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
-    """Return means over bins of about `thinning` rows (1: the signal itself), and the actual width over `thinning`.
+    """Return means over bins of about `thinning` rows (1: the signal itself), and the ratio of bin width to `thinning`.
 
     A short signal is thinned less: then the ratio is below 1, and a span has more bins.
     """

@@ -1,9 +1,9 @@
 """Files of named arrays -> `RawTable`: NPZ, NPY, HDF5 and MATLAB.
 
 HDF5 (netCDF 4 is also HDF5) needs h5py (``pip install 'atoll[hdf5]'``). Each dataset is one array; if the dataset is a
-table, each of its fields is one. An attribute ``units`` gives the unit. scipy reads MATLAB files of versions 5 to 7, in
-a separate process (`matlab_child`); files of version 7.3 are HDF5 and are read by h5py. Letters: N rows, K columns of
-one array.
+table, each of its fields is one array. An attribute ``units`` gives the unit. scipy reads MATLAB files of versions 5 to
+7, in a separate process (`matlab_child`); files of version 7.3 are HDF5 and are read by h5py. Letters: N rows, K
+columns of one array.
 """
 
 import io
@@ -45,9 +45,9 @@ def table_of_arrays(
 ) -> RawTable:
     """Return the columns of arrays of one length N.
 
-    These are vectors (N,), and columns of matrices (N, K), numbered from `first`. If there is a time, N is its length,
-    and arrays of another length are left out. Single numbers are always left out. Raises DataError if the arrays do not
-    fit together, or if an array that options name would be left out.
+    The columns are vectors (N,), and the columns of matrices (N, K), numbered from `first`. If there is a time, N is
+    its length, and arrays of another length are left out. Single numbers are always left out. Raises DataError if the
+    arrays do not fit together, or if an array that options name would be left out.
     """
     given = {name: np.asarray(array) for name, array in arrays.items()}
     squeezed = {name: array if array.ndim == 1 else np.squeeze(array) for name, array in given.items()}
@@ -224,7 +224,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 
 
 def _refuse_elsewhere(name: str, path: str, item: Any) -> None:
-    """Raise DataError if a dataset keeps its numbers in another file: that could be any file that the user may read."""
+    """Raise DataError if a dataset keeps its numbers in another file: it could name any file that the user may read."""
     if item.external or item.is_virtual:
         raise DataError(f"dataset '{path}' of {name} is kept in another file; write its numbers into {name}")
 

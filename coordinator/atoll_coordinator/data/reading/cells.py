@@ -102,7 +102,7 @@ def cell_of(value: object) -> str:
             return value.isoformat()
         case fractions.Fraction():
             return NumberCell(float(value))
-        case numbers.Real():  # NumPy's
+        case numbers.Real():  # also the numbers of NumPy
             return NumberCell(value)
     return str(value)
 
@@ -131,7 +131,7 @@ def place(lines: Sequence[int], row: int) -> str:
     return f"line {lines[row]}" if lines[row] else f"row {row + 1}"
 
 
-def read_numbers(
+def parse_numbers(
     file: str, columns: Mapping[str, Sequence[str]], lines: Sequence[int], separator: str
 ) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
     """Return the numbers of the columns of one file, by name, and remarks on how they were read.
@@ -208,7 +208,7 @@ def _is_plain_decimal(cell: str) -> bool:
 
 
 def _has_decimals(cells: Sequence[str]) -> bool:
-    """Tell whether any point in the text cells of a column is a decimal point: it cannot separate thousands."""
+    """Tell whether any point in the text cells of a column is a decimal point, since it cannot separate thousands."""
     return any("." in cell and not _THOUSANDS.fullmatch(cell) for cell in _text_cells(cells))
 
 

@@ -258,7 +258,7 @@ def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], lines: 
     zones = {not is_clock and match["zone"] is not None for match in present}
     if len(zones) > 1:
         raise DataError(f"{column} gives a time zone in some rows only; give it in all or in none")
-    form = form or _order(column, matches, starts)
+    form = form or _day_month_order(column, matches, starts)
     values: list[int | None] = []
     for row, match in enumerate(matches):
         try:
@@ -307,7 +307,7 @@ def _date(match: _Match, form: str) -> int:
     return midnight + _clock(match) - ahead
 
 
-def _order(column: str, matches: Sequence[_Match | None], starts: Sequence[int]) -> str:
+def _day_month_order(column: str, matches: Sequence[_Match | None], starts: Sequence[int]) -> str:
     """Return whether day or month comes first; dots, numbers above 12 and ascending dates decide, in this order."""
     present = [match for match in matches if match is not None]
     mark = present[0]["mark"]
@@ -339,7 +339,7 @@ def _steps(values: Sequence[int | None], starts: Sequence[int]) -> Iterator[int]
 
 
 def _add_days_after_midnight(values: Sequence[int | None], starts: Sequence[int]) -> tuple[int | None, ...]:
-    """Add a day from where a clock time falls by more than half a day within a trajectory."""
+    """Where a clock time falls by more than half a day, add a day to this row and the rest of its trajectory."""
     day, added, last = NANOSECONDS["d"], 0, None
     counted: list[int | None] = []
     begins = set(starts)
@@ -364,8 +364,8 @@ def times_of(columns: Sequence[Dates], starts: Sequence[int], unit: str | None) 
     """Return the times (N,) of one column over all files read together, their unit, a remark, their origin.
 
     `columns` are the dates in each file, of one kind; `starts` the rows at which trajectories begin, counted over all
-    files. Without a `unit`, it is the longest of days, hours, minutes and seconds that does not exceed the median step
-    between rows. Raises DataError if no date is known, or if `unit` is no unit of dates.
+    files. Without a `unit`, the unit is the longest of days, hours, minutes and seconds that does not exceed the median
+    step between rows. Raises DataError if no date is known, or if `unit` is no unit of dates.
     """
     if unit is not None and unit not in _UNIT_OF_NAME:
         raise DataError(f"dates are counted in {', '.join(NANOSECONDS)}, but '{unit}' is wanted; choose one of these")

@@ -2,7 +2,7 @@
 
 1. The ending of a file's name gives its format; a file with an unknown ending is read as text. -> `RawTable` of text
    cells.
-2. `columns_of` converts cells into numbers and dates, and leaves out text columns. -> `FileColumns`.
+2. `convert_columns` converts cells into numbers and dates, and leaves out text columns. -> `FileColumns`.
 3. `table_of_parts` puts the rows of all files below each other, without empty columns, with the times of ``--step``.
 
 Blank rows and the ends of files separate trajectories. `Table.read_as` says how everything was read.
@@ -22,8 +22,8 @@ from atoll_coordinator.data.reading.cells import (
     is_missing,
     is_text,
     on_one_line,
+    parse_numbers,
     place,
-    read_numbers,
     shortened,
     visible,
 )
@@ -49,7 +49,7 @@ from atoll_coordinator.data.roles.names_and_options import (
     split_unit,
     strip_units,
 )
-from atoll_coordinator.data.roles.roles import assigned
+from atoll_coordinator.data.roles.roles import assign_roles_by_name
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import MANY, Origin, Table
@@ -66,8 +66,9 @@ _REFUSED: Final = {
 class FileColumns:
     """The columns of one file by name, each with its unit.
 
-    `skipped` are the text columns, `remarks` say how it was read. `labels` are the texts of a column of trajectories or
-    groups, which are numbered from 1 in it. `left_out` names other parts of the file that were not read.
+    `skipped` are the text columns, `remarks` say how the file was read. `labels` are the texts of a column of
+    trajectories or groups; the column has the number of each text, from 1. `left_out` names other parts of the file
+    that were not read.
     """
 
     file: str
@@ -84,8 +85,8 @@ class FileColumns:
 def read_table(paths: Sequence[Path], config: DataConfig, time_units: Mapping[str, str] | None = None) -> Table:
     """Read `paths` in order as one table; raises DataError with one sentence about the part that cannot be read.
 
-    `time_units` gives by column the unit in which dates are counted, and so do the units of `config`; without a unit,
-    the steps between dates decide.
+    `time_units` and the units of `config` give the unit in which the dates of a column are counted. Without a unit, the
+    steps between dates decide.
     """
     if not paths:
         raise DataError("no data file was given; name at least one, such as a CSV file")
@@ -96,7 +97,7 @@ def read_table(paths: Sequence[Path], config: DataConfig, time_units: Mapping[st
         if path.is_dir():
             raise DataError(f"{path} is a folder; name the files in it that hold the measurements")
         try:
-            parts.append(columns_of(path.name, _raw_table(path, config), config))
+            parts.append(convert_columns(path.name, _raw_table(path, config), config))
         except OSError as error:
             raise DataError(f"{path} cannot be read: {error.strerror or error}") from error
     return table_of_parts(parts, config, time_units)
@@ -127,7 +128,7 @@ def _raw_table(path: Path, config: DataConfig) -> RawTable:
 # ------------------------------------------------------------------------------------------- the columns of one file
 
 
-def columns_of(file: str, raw: RawTable, config: DataConfig) -> FileColumns:
+def convert_columns(file: str, raw: RawTable, config: DataConfig) -> FileColumns:
     """Convert cells into numbers and dates; raises DataError if columns share a name, or if a cell cannot be read.
 
     A column with text in every cell is left out unless `config` names it. Only the columns of trajectories and of
@@ -165,9 +166,9 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> FileColumns:
     }
     kept = {*runs, *dates.values, *plain}
     new_names = {name: dates.renamed.get(name, name) for name in names if name in kept}
-    if texts and not assigned([*new_names.values()], config, trajectory).equations:
+    if texts and not assign_roles_by_name([*new_names.values()], config, trajectory).equations:
         raise _no_numbers_error(file, {name: cells[name] for name in texts if name not in dates.values}, raw.lines)
-    read_columns, remarks = read_numbers(file, plain, raw.lines, raw.separator)
+    read_columns, remarks = parse_numbers(file, plain, raw.lines, raw.separator)
     read = cast(dict[str, FloatArray | Dates], {**runs, **read_dates, **read_columns})
     columns = enumerate(zip(raw.headers, raw.columns, strict=True), start=1)
     unnamed = [f"column {number}" for number, (header, column) in columns if not header and any(map(str.strip, column))]
@@ -317,14 +318,14 @@ def _with_common_labels(
 def _without_empty(table: Table, config: DataConfig) -> Table:
     """Return the table without columns that are empty in all rows, such as columns of disconnected instruments.
 
-    Columns that options name, or with the default names of the time or the trajectories, stay. If no column would be
-    left to have an equation, all stay; later checks refuse them.
+    Columns that options name stay, as do columns with the default name of the time or the trajectories. If no column
+    would be left to have an equation, all columns stay, and later checks refuse them.
     """
     trajectory = find_trajectory_column(table.names, config)
     needed = {*named_columns(config), *TIME_NAMES, trajectory}
     empty = [name for name in table.names if name not in needed and np.isnan(table.column(name)).all()]
     left = [name for name in table.names if name not in empty]
-    if not empty or not assigned(left, config, trajectory).equations:
+    if not empty or not assign_roles_by_name(left, config, trajectory).equations:
         return table
     kept = [table.names.index(name) for name in left]
     phrase = f"empty columns left out: {', '.join(empty)}"

@@ -1,7 +1,7 @@
 """The process that reads a MATLAB file of versions 5 to 7 with scipy: a damaged file can crash scipy.
 
-``python -m atoll_coordinator.data.reading.matlab_child FILE`` writes the arrays to stdout as NPZ: ``names`` is JSON, a
-list of pairs of a run (0 for arrays of no run) and a name; each array has as key the index of its pair.
+``python -m atoll_coordinator.data.reading.matlab_child FILE`` writes the arrays to stdout as NPZ: ``names`` is a JSON
+list of pairs (run, name); run 0 means that an array belongs to no run. The key of each array is the index of its pair.
 """
 
 import io

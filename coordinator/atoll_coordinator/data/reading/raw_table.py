@@ -7,7 +7,7 @@ All rules depend on which cells are numbers or dates, because titles, notes and 
 - units: a row below the header, without numbers, in which one cell is a known unit;
 - footer: the rows below the last row of data (totals, sources, numbers of observations). Its first row must read as a
   line of text, or begin with a word in a column where all rows above have a number or a date. Any other row may be a
-  damaged row of data and is refused, as in other places.
+  damaged row of data and is refused, as a damaged row within the table is.
 """
 
 import re
@@ -35,12 +35,13 @@ _QUOTED: Final = 3
 """Lines of a footer that a message quotes."""
 _LETTERS: Final = r"[^\W\d_]"
 _WORD: Final = re.compile(rf"[^0-9]*?(?:{_LETTERS}{{2,}}|[^\x00-\x7f\d\W_])[^0-9]*")
-"""Text with a word, or with a letter such as Σ, but without a digit: a damaged number has digits."""
+"""Text that has a word, or a letter such as Σ, and no digit: a damaged number has digits."""
 _TEXTS: Final = rf"[^0-9]*{_LETTERS}{{2,}}.*|\W*{_LETTERS}(?:\s*[=:<>]|\)\s).*|\W*[^\w\s]{{3,}}\W*"
 _BEGINS_WITH_A_WORD: Final = re.compile(_TEXTS, re.DOTALL)
-"""A word before any digit, ``n = 20``, ``p < 0.05``, ``(c) 2020``, or a line of three or more marks."""
+"""Text with a word before any digit, such as ``n = 20``, ``p < 0.05``, ``(c) 2020``, or a line of three or more
+marks."""
 _LINE_OF_TEXT: Final = re.compile(rf"{_TEXTS}|\W*\d+ .*{_LETTERS}{{3,}}.*", re.DOTALL)
-"""The same, or ``20 observations``, which may also be a damaged date."""
+"""Text as in `_BEGINS_WITH_A_WORD`, or such as ``20 observations``, which may also be a damaged date."""
 _ALIKE: Final = 3
 """Number of first characters that a damaged name or date has in common with others of its column, such as the first
 letters of a month."""
@@ -126,9 +127,9 @@ def _with_unnamed(
 ) -> tuple[list[str], list[list[str]]]:
     """Return headers and rows if the header has too few cells: the first or the last columns have no name.
 
-    Trailing cells that are empty in all rows are removed. Names of rows come first. Otherwise the names belong to the
-    first columns or to the last ones: one of the two assignments, and only one, must make the time ascend and put names
-    above numbers.
+    Trailing cells that are empty in all rows are removed. If rows have names, the first column has no header. Otherwise
+    the headers belong to the first columns or to the last columns. Exactly one of the two assignments must make the
+    time ascend and put headers above numbers; if not, the result is unchanged.
     """
     width = len(rows[0]) if rows else 0
     if width <= len(headers) or any(len(row) != width for row in rows):
@@ -238,13 +239,13 @@ def _is_footer(cells: Sequence[str], is_numeric: bool, names: Sequence[str]) -> 
     """
     first, filled = cells[0].strip(), [cell for cell in cells if not is_missing(cell)]
     if is_missing(first) or is_datum(first) or any(name.startswith(first[:_ALIKE]) for name in names):
-        return False  # a truncated row begins as other rows do
+        return False  # a truncated row of data begins like other rows of data
     has_numbers = any(map(is_datum, filled))
     if _WORD.fullmatch(first) and (is_numeric or not has_numbers):
         return True
     may_be_date = any(name[0].isdecimal() for name in names)
     is_sentence = _BEGINS_WITH_A_WORD if may_be_date else _LINE_OF_TEXT
-    is_split = sum(not is_datum(cell) for cell in filled) > 1  # at the spaces of a sentence
+    is_split = sum(not is_datum(cell) for cell in filled) > 1  # a sentence that was split at its spaces
     return is_sentence.fullmatch(" ".join(cells)) is not None and (is_split or not has_numbers)
 
 

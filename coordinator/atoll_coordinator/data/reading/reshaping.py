@@ -27,8 +27,8 @@ from atoll_coordinator.data.reading.cells import (
     is_text,
     number,
     on_one_line,
+    parse_numbers,
     place,
-    read_numbers,
 )
 from atoll_coordinator.data.reading.dates import MONTHS, is_date, is_datum, read_dates
 from atoll_coordinator.data.reading.raw_table import RawTable
@@ -72,7 +72,7 @@ def _listed(columns: Sequence[str]) -> tuple[str, ...]:
 def has_times(header: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
     """Tell whether a header has names of columns followed by times, above rows of names and numbers."""
     first = _first_time(header)
-    return first is not None and _fits(first, [*zip_longest(*rows, fillvalue="")])
+    return first is not None and _has_names_and_numbers(first, [*zip_longest(*rows, fillvalue="")])
 
 
 def _with_times_as_rows(file: str, raw: RawTable, config: DataConfig) -> RawTable:
@@ -86,7 +86,11 @@ def _with_times_as_rows(file: str, raw: RawTable, config: DataConfig) -> RawTabl
         if years is not None:
             return _rows_of_months(raw, years, [months[month] for month in sorted(months)])
     first = _first_time(raw.headers)
-    if first is None or not _fits(first, raw.columns) or named_columns(config) & set(raw.headers[first:]):
+    if (
+        first is None
+        or not _has_names_and_numbers(first, raw.columns)
+        or named_columns(config) & set(raw.headers[first:])
+    ):
         return raw
     return _rows_of_times(file, raw, first, config)
 
@@ -107,10 +111,10 @@ def _first_time(header: Sequence[str]) -> int | None:
     return first if all(one is not None and other is not None and one < other for one, other in pairs) else None
 
 
-def _fits(first: int, columns: Sequence[Sequence[str]]) -> bool:
+def _has_names_and_numbers(first: int, columns: Sequence[Sequence[str]]) -> bool:
     """Tell whether rows have names, and numbers from column `first` on.
 
-    This excludes columns called 1, 2, 3 next to a time.
+    A table with a time and columns called 1, 2, 3 does not pass this test.
     """
     has_names = any(map(_are_names, columns[:first]))
     return has_names and any(is_numeral(cell) for column in columns[first:] for cell in column)
@@ -219,16 +223,16 @@ _KINDS: Final = tuple(
     for parts in ("quarter", "month day hour minute second", "month day hour minute", "month day hour", "month day",
                   "yearday hour minute", "yearday hour", "yearday", "month")
 )  # fmt: skip
-"""Combinations of parts that are a time together; the first combination whose parts all exist is used."""
+"""Combinations of parts that together give a time; the first combination whose parts all exist is used."""
 _FINER: Final = ("day", "hour", "minute", "second")
-"""Parts that must not be ignored if the table has them: without them the time would be another time."""
+"""Parts that must not be ignored if the table has them: without them the time would be wrong."""
 _LARGEST: Final = {"quarter": 4, "month": 12, "yearday": 366, "day": 31, "hour": 24, "minute": 59, "second": 60}
 _YEAR: Final = re.compile(r"1\d{3}|2[01]\d\d")
 _QUARTER: Final = re.compile(r"(?P<year>1\d{3}|2[01]\d\d)[ -]?Q(?P<n>[1-4])|Q(?P<m>[1-4])[ -/](?P<at>1\d{3}|2[01]\d\d)")
 
 
 def _with_joined_times(raw: RawTable, config: DataConfig) -> RawTable:
-    """Return the table with one time column in place of columns that are a time together; options may name it."""
+    """Return the table with one time column in place of the parts of a time; options may name the new column."""
     names = _names(raw.headers)
     config = strip_units(config, filter(None, names))
     is_given = config.target is not None or config.derivatives is not None
@@ -303,7 +307,7 @@ def _times_of_parts(columns: Mapping[str, Sequence[str]]) -> list[str] | None:
 
 
 def _part(part: str, cell: str) -> str:
-    """Return the digits in a cell: of a year, of a quarter (3, Q3), of a month (3, March), and so on; "" for none."""
+    """Return the digits of the year, quarter (3, Q3), month (3, March) or other part in a cell; "" for none."""
     text = cell.lower().removesuffix(".0")
     if part == "month" and text.strip(".") in MONTHS:
         return str(MONTHS[text.strip(".")])
@@ -364,7 +368,7 @@ def _widened(file: str, raw: RawTable, config: DataConfig) -> RawTable:
     cells, trajectory = long.cells, config.trajectory or TRAJECTORY_NAME
     runs = [tuple(cells[name][row] for name in long.runs) for row in range(len(raw.lines))]
     times = _times_of_rows(long, runs)
-    if _ascend(times, raw.starts, cells.get(trajectory)):
+    if _times_ascend(times, raw.starts, cells.get(trajectory)):
         return raw
     rows_by_key = _rows_by_key(long, runs, times)
     keys = sorted(rows_by_key)
@@ -377,7 +381,7 @@ def _widened(file: str, raw: RawTable, config: DataConfig) -> RawTable:
         differing = next((sorted(some)[:2] for some in values if len(some) > 1), None)
         if differing is not None:
             raise DataError(
-                f"column '{name}' of {file}, a long table, differs between observables of one time "
+                f"column '{name}' of {file}, a long table, differs between observables at the same time "
                 f"({' and '.join(differing)}); write a table with a column for each observable"
             )
         wide[name] = [next(iter(some)) for some in values]
@@ -436,7 +440,7 @@ def _long_table(file: str, raw: RawTable, config: DataConfig) -> _LongTable | No
 def _times_of_rows(long: _LongTable, runs: Sequence[tuple[str, ...]]) -> list[float | None]:
     texts, lines = long.cells[long.time], long.raw.lines
     if not is_date(next((text for text in texts if not is_missing(text)), "")):
-        numbers, _ = read_numbers(long.file, {long.time: texts}, lines, long.raw.separator)
+        numbers, _ = parse_numbers(long.file, {long.time: texts}, lines, long.raw.separator)
         return [None if math.isnan(value) else float(value) for value in numbers[long.time]]
     series = [*zip(runs, long.cells[long.observable], strict=True)]
     starts = [row for row in range(len(series)) if not row or series[row] != series[row - 1]]
@@ -444,7 +448,7 @@ def _times_of_rows(long: _LongTable, runs: Sequence[tuple[str, ...]]) -> list[fl
     return [None if value is None else float(value) for value in dates.nanoseconds]
 
 
-def _ascend(times: Sequence[float | None], starts: Sequence[int], trajectories: Sequence[str] | None) -> bool:
+def _times_ascend(times: Sequence[float | None], starts: Sequence[int], trajectories: Sequence[str] | None) -> bool:
     """Tell whether the table can be read without reshaping: times ascend along its trajectories."""
     segments = np.searchsorted(starts, np.arange(len(times)), side="right").tolist()
     known = [

@@ -116,7 +116,7 @@ class Preamble:
 def find_preamble(rows: Sequence[Record]) -> Preamble | None:
     """Return the preamble of a table from its nonblank rows; None if there is no preamble, or if it is not clear."""
     rows = rows[:SAMPLED]
-    first = next((place for place in range(len(rows)) if _begins(rows[place:])), None)
+    first = next((place for place in range(len(rows)) if _begins_table(rows[place:])), None)
     if not first or any(_is_data(cells, rows[first][1]) for _, cells in rows[:first]):
         return None  # there is no header, the header is a comment, or there are two tables
     if has_times(rows[first][1], [cells for _, cells in rows[first + 1 :]]):
@@ -139,7 +139,7 @@ def find_preamble(rows: Sequence[Record]) -> Preamble | None:
     return Preamble(rows[start][0], tuple(line for line, _ in rows[:start]), tuple(line for line, _ in between))
 
 
-def _begins(rows: Sequence[Record]) -> bool:
+def _begins_table(rows: Sequence[Record]) -> bool:
     """Tell whether rows of numbers begin here: all of one width, with columns of only numbers or dates.
 
     A setting such as ``Rate, 100`` has a number in one column only.
@@ -182,7 +182,8 @@ def _block(rows: Sequence[Record], first: int) -> list[int]:
 def _header_of(rows: Sequence[Record], block: Sequence[int]) -> int | None:
     """Return the index of the header among rows of text; None if it is not clear.
 
-    It is the only row that is wide enough, or the only row that names a time; below other lines, the first row.
+    The header is one of the widest rows: the only one, or the only one that names a time. Otherwise it is the first of
+    the widest rows, if other rows stand above it.
     """
     width = max((len(rows[place][1]) for place in block), default=0)
     wide = [place for place in block if len(rows[place][1]) == width]
@@ -273,7 +274,7 @@ def _beginning(name: str, text: str) -> _Beginning:
         if preamble is not None:
             header = next(line for line in sample if line[0] == preamble.header)
             return beginning._replace(separator=candidate, first=header, preamble=preamble)
-        if any(_begins(rows[place:]) for place in range(len(rows))):
+        if any(_begins_table(rows[place:]) for place in range(len(rows))):
             return beginning
     return beginning
 
@@ -408,7 +409,7 @@ def _names_in_comment(comment: str, separator: str, count: int, is_strict: bool)
 
 
 def _preamble_error(name: str, text: str, first: int) -> DataError | None:
-    """Return the error if most lines have as many cells as a header below line `first`, and lines above it have not."""
+    """Return the error if most lines have as many cells as a header below line `first`, unlike lines above it."""
     lines = [(number, line) for number, line in _lines(text) if number >= first and line.strip()]
     for separator in "\t;,":
         counts = [len(cells_of(line, separator)) for _, line in lines]

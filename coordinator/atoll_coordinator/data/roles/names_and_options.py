@@ -75,7 +75,7 @@ def find_time_column(names: Sequence[str], config: DataConfig) -> str | None:
 
 
 def find_trajectory_column(names: Iterable[str], config: DataConfig) -> str | None:
-    """Return the trajectory column: the one named, else one called ``trajectory`` that has no other role."""
+    """Return the column that options name for trajectories, else a column ``trajectory`` that has no other role."""
     if config.trajectory is not None:
         return config.trajectory
     return TRAJECTORY_NAME if TRAJECTORY_NAME in names and TRAJECTORY_NAME not in named_columns(config) else None
@@ -145,7 +145,7 @@ def check_options(config: DataConfig) -> None:
 
 
 def are_units(texts: Sequence[str]) -> bool:
-    """Tell whether `texts` are units: one of them is known, and none is a number or too long to be one."""
+    """Tell whether `texts` are units: one of them is known, and none is a number or too long to be a unit."""
     if any(len(text) > _LONGEST or _SYMBOL.search(text) is None or _is_number(text) for text in texts):
         return False
     return any(map(_is_known_unit, texts))

@@ -117,7 +117,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
             parse_unit(unit)
         except UsageError as error:
             raise UsageError(f"--unit for '{name}': {error}") from error
-    roles = assigned(table.names, config, trajectory)
+    roles = assign_roles_by_name(table.names, config, trajectory)
     text_time = next((name for name in TIME_NAMES if name in table.skipped), None)
     if roles.time is None and not roles.is_given and text_time is not None:
         reason = f"column '{text_time}' of {table.files[0]} holds text that is neither a number nor a date"
@@ -127,7 +127,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
     return roles, config
 
 
-def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
+def assign_roles_by_name(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
     """Return the roles of columns by their names, without any checks."""
     time = find_time_column(names, config)
     taken = {time, trajectory, config.group, config.target, config.weights, *config.inputs, *(config.derivatives or ())}
@@ -227,9 +227,10 @@ def _missing_time_error(table: Table, states: Sequence[str], config: DataConfig)
 
 
 def _restarts(table: Table, name: str) -> int | None:
-    """Return how often the numbers of a column do not increase within a trajectory, as times do not at a restart.
+    """Return how many numbers of a column are not above the previous number, as at a restart of the time.
 
-    None if they cannot be times: the rows between two such places are too few for a trajectory.
+    Steps between two trajectories do not count. The result is None if the numbers cannot be times, because two restarts
+    have too few rows between them for a trajectory.
     """
     steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
     ends = np.flatnonzero(~(steps > 0.0))

@@ -1,9 +1,9 @@
 """The usable rows of a table as checked trajectories: the input of smoothing. Pure.
 
 A trajectory is one continuous measurement. Times are centred over the whole data set, so that an offset of 1900 or of
-10**9 costs no precision. They are made exactly even if they are even within their own precision. Angles are unwrapped.
-If a gap in the times is longer than the span of smoothing, the trajectory is split there: the motion within the gap is
-unknown, and no slope or simulation should cross it.
+10**9 costs no precision. Times that are evenly spaced within their precision are made exactly even. Angles are
+unwrapped. If a gap in the times is longer than the span of smoothing, the trajectory is split there: the motion within
+the gap is unknown, and no slope or simulation should cross it.
 
 The checks are fast enough to run in a client, before it uploads the data.
 """
@@ -50,8 +50,9 @@ Range = tuple[int, int]
 class Trajectories:
     """States along trajectories.
 
-    `names[i]` is the user's name of trajectory i; `times[i]` are its times minus `offset`, the centre of all times, and
-    ascend strictly; `states[name][i]` is a state along it, angles unwrapped and in radians, NaN where it is missing.
+    `names[i]` is the user's name of trajectory i; `times[i]` are its strictly ascending times minus `offset`, the
+    centre of all times; `states[name][i]` is a state along the trajectory, angles unwrapped and in radians, NaN where
+    it is missing.
     """
 
     names: tuple[str, ...]
@@ -218,8 +219,8 @@ def select_held_out(holdout: int | str | None, trajectory: str | None, values: S
     """Return for each trajectory whether it is held out: equations are judged by it, and it influences no choice.
 
     `holdout` is the number of trajectories to hold out, from the end, or ``COLUMN=VALUE``; `values` has the value of
-    the column `trajectory` for each trajectory. Raises UsageError if COLUMN does not distinguish them, DataError if
-    there are too few trajectories, or none with this value.
+    the column `trajectory` for each trajectory. Raises UsageError if COLUMN does not distinguish trajectories,
+    DataError if there are too few trajectories, or no trajectory with this value.
     """
     count = len(values)
     if isinstance(holdout, str):

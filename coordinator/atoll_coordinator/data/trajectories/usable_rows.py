@@ -70,7 +70,7 @@ def check_size(name: str, size: float) -> None:
 
 
 def check_rates(time: str, times: Sequence[FloatArray], states: Mapping[str, Sequence[FloatArray]], order: int) -> None:
-    """Raise DataError if squares of time steps, or of a state's rates over them, over- or underflow.
+    """Raise DataError if squares of time steps, or of a state's rates of change, over- or underflow.
 
     `times` ascend strictly; `states` has values by name along the same trajectories; `order` is the order of the
     derivatives.
@@ -130,8 +130,8 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
     A wrapped angle stays within one turn, and after subtraction of a full turn its jumps are as smooth as its other
     steps. A jump is larger than all other steps, whereas noise makes steps of all sizes. With few rows far apart, a
     step may be about a full turn by chance. If none of n other steps reaches half a turn, the next step does so with
-    probability 1/(n + 2) (Laplace's rule of succession). This is multiplied by the difference between step and full
-    turn, as a share of a turn.
+    probability 1/(n + 2) (Laplace's rule of succession). This probability is multiplied by the difference between step
+    and full turn, as a share of a turn.
     """
     parts = [part[np.isfinite(part)] for part in parts]
     values = np.concatenate(parts)
@@ -143,7 +143,7 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
         usual = max(float(np.max(np.abs(each)[np.abs(each) < 0.5 * turn], initial=0.0)) for each in steps)
         margins = [margin for each in steps for margin in _margins_of_turns(each, usual, turn)]
         others = sum(int(np.count_nonzero(np.abs(each) < 0.5 * turn)) for each in steps)
-        mean = math.fsum(margins) / max(len(margins), 1)  # several jumps do not multiply: they may be one kind of event
+        mean = math.fsum(margins) / max(len(margins), 1)  # several jumps may have a common cause
         if margins and min(2.0 * mean / turn, 1.0) / (others + 2) <= SETTINGS.inference.improbable:
             count = f"{len(margins)} time{'s' if len(margins) > 1 else ''}"
             raise DataError(

@@ -47,8 +47,8 @@ from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import piece_remarks
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.smoothing_noise import estimate_variances
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.result.equations import Constant, Prediction
 from atoll_coordinator.result.findings import Errors

@@ -42,8 +42,8 @@ from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import refit_on_all_rows, with_longest_pieces
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.system import SharedNumber
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, structure

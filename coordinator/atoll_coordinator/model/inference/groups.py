@@ -20,7 +20,7 @@ from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.shooting import system
-from atoll_coordinator.model.shooting.trajectory_fit import covariance
+from atoll_coordinator.model.shooting.fit_result import covariance
 from atoll_core.expression.program import Program, structure
 from atoll_core.expression.writing.expansion import factored_forms
 

@@ -24,10 +24,10 @@ import numpy as np
 from atoll_coordinator.model.inference.final_model import FinalModel
 from atoll_coordinator.model.inference.trajectory_simulation import compute_r2
 from atoll_coordinator.model.selection.shortcut import predictable_rows
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, growth_rate, speed_growth
 from atoll_coordinator.model.shooting.integration import Unsimulated
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, growth_rate, speed_growth
 from atoll_coordinator.result.findings import Chaos
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray

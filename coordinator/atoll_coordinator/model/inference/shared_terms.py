@@ -22,8 +22,8 @@ from atoll_coordinator.model.constants.rounding import Estimates
 from atoll_coordinator.model.description_length import structure_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
+from atoll_coordinator.model.shooting.fit_result import bounded_covariance
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
-from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places

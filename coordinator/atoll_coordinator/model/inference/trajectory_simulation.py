@@ -17,8 +17,8 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.thinning import curve, curves, spread_places
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.settings import SETTINGS

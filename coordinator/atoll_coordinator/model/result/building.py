@@ -22,7 +22,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.description_length import select_member
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.errors import measure_errors
@@ -34,6 +33,7 @@ from atoll_coordinator.model.result.tables import (
     describe_smoothing,
     describe_system,
 )
+from atoll_coordinator.model.selection.front_member import select_member
 from atoll_coordinator.model.thinning import curve, spread_places
 from atoll_coordinator.result.base import finite
 from atoll_coordinator.result.equations import (

@@ -1,7 +1,9 @@
 """Which equations together are the model: candidates are combined into systems, and the system with the shortest
 description is chosen.
 
-- `stages`: `select_model`, the entry point, and the table of stages that propose candidates and compare systems
+- `model_selection`: `select_model`, the entry point, and the table of stages that propose candidates and compare
+  systems
+- `front_member`: which member of a front is shown while the search runs
 - `task`: the measurements and candidates (`ModellingTask`), and the chosen system (`SelectedModel`)
 - `proposals`: functions that propose programs for an equation
 - `pool`: the ranked candidates of all equations, and the best system of a few of them; `candidates` ranks the

@@ -25,7 +25,7 @@ from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.proposals import with_target_values_of
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
-from atoll_coordinator.model.sparse.atoms import libraries, sum_of
+from atoll_coordinator.model.sparse.atoms import polynomial_and_fourier_libraries, sum_of
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.settings import SETTINGS
@@ -233,7 +233,7 @@ def _find_agreeing_programs(selection: SelectedModel, index: int) -> list[Progra
         return []
     columns, operators, candidates = task.columns(name), task.operators(name), task.candidates[name].programs
     most = comparison.score.length(own) + SETTINGS.inference.exact_nats
-    if any(_are_dependent(terms, problem.inputs) for terms in libraries(columns, operators)):
+    if any(_are_dependent(terms, problem.inputs) for terms in polynomial_and_fourier_libraries(columns, operators)):
         unfactored = most + SETTINGS.inference.exact_nats  # a pursuit prices sums term by term
         candidates += [*neighbours(own, columns, operators), *pursue(problem, columns, operators, (), unfactored)]
     squares = LeastSquares(problem, restrictions=comparison.restrictions(index))

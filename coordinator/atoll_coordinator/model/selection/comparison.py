@@ -29,11 +29,11 @@ from atoll_coordinator.model.least_squares import SETTLED
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.score import FittedModel, Score, SummarizedFit
 from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.points_between import points_in_boxes
 from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of

@@ -17,7 +17,7 @@ import numpy as np
 from atoll_coordinator.model.description_length import least_term_length
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
-from atoll_coordinator.model.shooting.trajectory_fit import covariance
+from atoll_coordinator.model.shooting.fit_result import covariance
 from atoll_coordinator.model.structure.moves.reductions import multiply_out, reductions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program, constant_places, structure, with_constants

@@ -1,6 +1,6 @@
 """The pool of candidates: the ranked programs for each equation, and the best system of a few of them.
 
-Proposals come in stages (`stages`). Each call of `add` ranks the new programs of each equation by its trajectories
+Proposals come in stages (`STAGES`). Each call of `add` ranks the new programs of each equation by its trajectories
 alone (`candidates`), then fits a few systems of the best ones. As soon as the residuals of a system are noise, new
 programs are no longer added if they are so long that no decrease of the misfit could compensate their length. Doubt:
 `is_sufficient` can stop too early if the best system fits by chance; later stages try further programs.

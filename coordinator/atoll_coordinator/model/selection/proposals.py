@@ -19,7 +19,7 @@ from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
-from atoll_coordinator.model.sparse.atoms import libraries, sum_of
+from atoll_coordinator.model.sparse.atoms import polynomial_and_fourier_libraries, sum_of
 from atoll_coordinator.model.sparse.pursuit import PURSUED, Pursuit
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
@@ -102,7 +102,7 @@ def propose_pairs(task: ModellingTask, name: str) -> list[Program]:
     term at a time does not reach the sum of both.
     """
     problem = task.dataset.problem(name)
-    terms = next(libraries(task.columns(name), task.operators(name)), [])
+    terms = next(polynomial_and_fourier_libraries(task.columns(name), task.operators(name)), [])
     columns = np.array([values_of(sum_of([term], [1.0]), problem.inputs) for term in terms])
     fitted = list[tuple[float, Program]]()
     for first, second in combinations(range(len(terms)), 2):

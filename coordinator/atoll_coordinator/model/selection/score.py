@@ -28,10 +28,10 @@ from atoll_coordinator.model.description_length import (
     system_length,
 )
 from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, bounded_covariance
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.residual_noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.system import System
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places

@@ -29,7 +29,7 @@ from atoll_coordinator.model.selection.joint_search import (
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.piece_lengths import choose_piece_length
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, growth_rate
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, growth_rate
 from atoll_coordinator.model.sparse.laws import find_all_laws
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program

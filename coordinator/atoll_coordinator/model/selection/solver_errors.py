@@ -21,10 +21,10 @@ import numpy as np
 from atoll_coordinator.data.recording import Recording, Smoothing
 from atoll_coordinator.model.constants.rounding import Estimates
 from atoll_coordinator.model.selection.task import ModellingTask
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.integration import STEPS_PER_ROW
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.system import System
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import NUMPY, function_of

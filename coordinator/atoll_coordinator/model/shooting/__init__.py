@@ -6,7 +6,7 @@
 - `integration`: states and sensitivities along segments; `kernels`: compiled parts of integration and of a fit's steps
 - `error_model`: correlated errors of neighbouring rows; `smoothing_noise` and `residual_noise`: the size of errors of
   measurement, before a law is known and from its residuals
-- `trajectory_fit`: a fitted system, the covariance of its constants, the growth of its errors
+- `fit_result`: a fitted system (`TrajectoryFit`), the covariance of its constants, the growth of its errors
 - `points_between`: points away from the measured curves, each computed from two measured points
 - `warmup`: compiles or loads the kernels
 

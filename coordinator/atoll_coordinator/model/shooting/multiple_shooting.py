@@ -45,11 +45,11 @@ import numpy as np
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.least_squares import LEAST_DAMPING, SETTLED, Fitter, Solver, hold_numbers, minimize
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.integration import OVERHEAD_NUMBERS, STEEPEST, Integrator, Method, Unsimulated
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints

@@ -111,7 +111,7 @@ def products_of(program: Program, degree: int) -> list[Product] | None:
 # ----------------------------------------------------------------------------------------------------- libraries
 
 
-def product_libraries(
+def polynomial_libraries(
     columns: Sequence[int], rows: float, degrees: Sequence[int]
 ) -> Iterator[tuple[list[Product], bool]]:
     """Yield, for each possible degree, all products up to it, and whether the highest degree is possible.
@@ -125,7 +125,9 @@ def product_libraries(
         yield terms, len(allowed) == len(candidates)
 
 
-def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[list[Expression]]:
+def polynomial_and_fourier_libraries(
+    variables: Sequence[int], operators: Collection[int]
+) -> Iterator[list[Expression]]:
     """Yield libraries over these variables, as far as the operators (codes) allow them, the constant term first.
 
     The libraries are: products up to the second and up to the third degree; products with sines and cosines; products

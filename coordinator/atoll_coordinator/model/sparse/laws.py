@@ -26,8 +26,8 @@ from atoll_coordinator.model.description_length import constant_nats_of, log, st
 from atoll_coordinator.model.pools import Law, LawsByGroup, may_be_shown
 from atoll_coordinator.model.sparse.atoms import (
     Product,
+    polynomial_libraries,
     product_atoms,
-    product_libraries,
     products,
     products_of,
     program_atom,
@@ -230,7 +230,7 @@ def _find_laws_without_noise(problem: Problem, columns: Sequence[int]) -> Iterat
     """
     rows, limit = Rows(problem.inputs, problem.target.values), problem.target.convergence_error()
     ways = []
-    for terms, is_tested in product_libraries(columns, len(rows.sides), _DEGREES):
+    for terms, is_tested in polynomial_libraries(columns, len(rows.sides), _DEGREES):
         regression = Regression(rows, product_atoms(problem.inputs, terms))
         if not regression.is_finite:
             break
@@ -315,7 +315,7 @@ def _find_laws_with_noise(
     target = problem.names.index(recording.state_symbols[place])
     half = half_width(measured, recording.smoothing[place], len(columns))
     rows = weak_rows(measured, target, half)
-    libraries = [] if rows is None else list(product_libraries(columns, rows.independent, _DEGREES))
+    libraries = [] if rows is None else list(polynomial_libraries(columns, rows.independent, _DEGREES))
     if not libraries:
         return
     largest, is_tested = libraries[-1]

@@ -24,7 +24,7 @@ from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.pools import Law
-from atoll_coordinator.model.sparse.atoms import Atom, Product, dictionary, product_atoms, product_libraries
+from atoll_coordinator.model.sparse.atoms import Atom, Product, dictionary, polynomial_libraries, product_atoms
 from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum, make_grid, rank_further_terms
 from atoll_coordinator.model.sparse.regression import Regression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
@@ -231,7 +231,7 @@ def _short_sum(equation: Equation) -> Sum | None:
     """
     rows, best = equation.rows, None
     degrees = _DEGREES if rows.is_precise else _DEGREES[:2]
-    sizes = list(product_libraries(equation.columns, rows.independent, degrees))
+    sizes = list(polynomial_libraries(equation.columns, rows.independent, degrees))
     for place, (terms, _) in enumerate(sizes):
         if place == len(_DEGREES[:2]):
             best = _add_functions(equation, best, sizes[:place])
@@ -319,7 +319,7 @@ def _add_functions_of_other_laws(equation: Equation, best: Sum | None, functions
         atom = function.over(rows.inputs)
         own = () if best is None else best.atoms
         plain = [one for one in own if one.shape.function is None]
-        for terms, _ in list(product_libraries(equation.columns, rows.independent, _DEGREES[:2]))[-1:]:
+        for terms, _ in list(polynomial_libraries(equation.columns, rows.independent, _DEGREES[:2]))[-1:]:
             library = product_atoms(rows.inputs, terms)
             found = (_search_sum(rows, library, [*start, atom], frozenset([atom])) for start in (plain, own))
             best = shortest([best, *found])

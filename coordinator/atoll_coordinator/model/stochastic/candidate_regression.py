@@ -31,7 +31,7 @@ from atoll_coordinator.model.description_length import RegressionCriterion, cons
 from atoll_coordinator.model.regression.equation import make_target_shortening
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.shortening import MeasuredProgram
-from atoll_coordinator.model.sparse.atoms import product_atoms, product_libraries
+from atoll_coordinator.model.sparse.atoms import polynomial_libraries, product_atoms
 from atoll_coordinator.model.sparse.regression import Regression, Sum
 from atoll_coordinator.model.sparse.rows import Rows
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
@@ -171,7 +171,7 @@ def _fit_sparse_sums(problem: Problem, weights: FloatArray, columns: Sequence[in
     """Return the best sums of products by Schwarz's criterion: terms are removed one by one from each library."""
     rows, roots = Rows(problem.inputs, problem.target.values), np.sqrt(weights)
     sums: list[Sum] = []
-    for terms, _ in product_libraries(columns, len(roots), range(1, SETTINGS.sparse.degree + 1)):
+    for terms, _ in polynomial_libraries(columns, len(roots), range(1, SETTINGS.sparse.degree + 1)):
         regression = Regression(rows, product_atoms(rows.inputs, terms))
         sums += regression.elimination_path(range(len(terms)), roots)
     sums.sort(key=lambda fit: fit.nats)

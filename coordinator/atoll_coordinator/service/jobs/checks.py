@@ -52,7 +52,7 @@ def resume_reason(
 ) -> str | None:
     """Return why a stored search does not fit the prepared data; None: it fits.
 
-    `dataset_digest` is the digest of the dataset that was prepared earlier; None: there was no earlier one.
+    `dataset_digest` is the digest of the dataset that was prepared earlier; None: no dataset was prepared earlier.
     """
     if (has_cuts or resumed) and dataset_digest not in (None, prepared.blob):
         return "its data, prepared again after a restart, came out differently; submit it again under another id"

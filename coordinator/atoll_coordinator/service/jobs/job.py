@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from atoll_coordinator.data.recording import STENCIL_ROWS, Recording
-from atoll_coordinator.model.description_length import count_constants, front_length
 from atoll_coordinator.model.refinement import Refinement
+from atoll_coordinator.model.selection.front_member import count_constants, front_length
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.checkpoint_schedule import StoredSearchState
 from atoll_coordinator.service.search.collector import DivergedError, Measure
@@ -42,8 +42,9 @@ STAGNATION_GIVEN: Final = 60
 columns have no trajectories with which refining could improve an approximate equation."""
 
 STAGNATION_CLEAN: Final = 5
-"""Least number for a clean target; it grows with the epochs until the last improvement. On random systems simulated at
-solver tolerances, 3, 5, 8 and 12 find the same 48 equations in 24 to 30 epochs (ADR 0033)."""
+"""Fewest epochs without improvement after which the search for a clean target ends. The number grows with the epochs
+until the last improvement. On random systems simulated at solver tolerances, 3, 5, 8 and 12 find the same 48 equations
+in 24 to 30 epochs (ADR 0033)."""
 
 STAGNATION_NOISY: Final = 3
 
@@ -124,7 +125,7 @@ class Job:
 
     @property
     def has_ended(self) -> bool:
-        """Whether it has ended, so that it does not change."""
+        """Whether the job has ended; an ended job does not change."""
         return self.state in FINAL_STATES
 
     def open_archipelago(self, variable: str) -> Archipelago | None:
@@ -173,7 +174,8 @@ class Job:
         self, prepared: Prepared, cuts: Mapping[str, Cut], now: float,
         resumed: Mapping[str, StoredSearchState] | None = None,
     ) -> list[JobAction]:  # fmt: skip
-        """Set up the archipelagos. Variables in `cuts` have ended before; those in `resumed` have a checkpoint."""
+        """Set up the archipelagos. The searches of variables in `cuts` have ended before; variables in `resumed` have a
+        checkpoint."""
         self._step("prepared")
         self.prepared = prepared
         self.preparation_seconds = self._preparing_seconds(now)
@@ -199,7 +201,7 @@ class Job:
             self.started_at = now
 
     def hold(self, is_held: bool) -> list[JobAction]:
-        """Let its islands stop at their next checkpoints, or continue; `workers.placing.Scheduler` does this."""
+        """Set whether the job is held; `workers.placement.Placer` then stops or continues its islands."""
         self.is_held = is_held
         return []
 
@@ -241,9 +243,9 @@ class Job:
     def tick(self, now: float) -> list[JobAction]:
         """Apply `--max-time`, which ends preparing, the search and refining.
 
-        The search ends at each variable's last completely reported epoch, so early that refining has its share of the
-        time. When refining is stopped, equations stay as the search found them. While a job is held, its time does not
-        pass.
+        The search ends at each variable's last completely reported epoch, early enough that refining has its share of
+        the time. When refining is stopped, equations stay as the search found them. The time for which a job is held
+        does not count.
         """
         if self.is_held and all(archipelago.placement is None for archipelago in self.open_archipelagos):
             self.searched_before, self.started_at = self.search_seconds(now), None
@@ -281,7 +283,7 @@ class Job:
         return [CommitResult()]
 
     def cancel(self) -> list[JobAction]:
-        """End it and keep the equations found; without effect on a job that has ended.
+        """End the job and keep the equations found; without effect on a job that has ended.
 
         Only the result is committed, and not the cuts. After a crash before this commit the job continues, and stored
         cuts would end its searches.
@@ -295,7 +297,7 @@ class Job:
         return [CommitResult()]
 
     def fail(self, fault: Fault, sentence: str) -> list[JobAction]:
-        """End it with a reason; without effect on a job that has ended."""
+        """Let the job fail for a reason; without effect on a job that has ended."""
         if self.has_ended:
             return []
         self._step("fail")

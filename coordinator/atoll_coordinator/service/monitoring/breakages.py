@@ -1,6 +1,7 @@
 """Breakages: internal errors of the coordinator, which must not end its loop.
 
-Breakages are counted. The first one at each place in the code is logged with its traceback and recorded as an event.
+Breakages are counted. The first breakage at each place in the code is logged with its traceback and recorded as an
+event.
 """
 
 import contextlib
@@ -41,7 +42,7 @@ JobGuard = Callable[[str], AbstractContextManager[None]]
 
 
 def unguarded(job_id: str) -> AbstractContextManager[None]:
-    """Return a context that raises errors."""
+    """Return a context that does not catch errors."""
     return contextlib.nullcontext()
 
 

@@ -2,7 +2,7 @@
 
 A topic is a job, or all events (None) that a viewer sees. A change of the state of a job is sent at once; other changes
 are collected and sent every `INTERVAL_S`. Each change has its own sequence number and the number of the change before
-it, so that a follower notices a missed change. It then asks again, and gets the missed events from the store.
+it, so that a follower notices a missed change. The follower then asks again, and gets the missed events from the store.
 """
 
 import itertools
@@ -25,7 +25,7 @@ LEASE_S: Final = 30.0
 """Seconds for which a silent follower is notified; a follower renews its lease after a third of this time."""
 
 MAX_FOLLOWERS: Final = 10_000
-"""The number of sessions of the router."""
+"""Largest number of followers, equal to the router's largest number of sessions."""
 
 PAGE: Final = 200
 """Largest number of events in one change."""

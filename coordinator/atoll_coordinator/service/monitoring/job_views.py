@@ -76,11 +76,11 @@ def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int, anal
     count only if a place is free for them; the other waiting jobs, and held jobs, need no worker yet.
 
     Args:
-        begun: the jobs that have begun.
-        queued: number of jobs that wait for their turn.
-        ready: number of these that wait only for their turn: neither they nor the queue are paused.
-        places: number of jobs that may be prepared and searched at once.
-        analyses: number of open questions about results.
+        begun: The jobs that have begun.
+        queued: Number of jobs that wait for their turn.
+        ready: Number of queued jobs that wait only for their turn: neither the job nor the queue is paused.
+        places: Number of jobs that may be prepared and searched at once.
+        analyses: Number of open questions about results.
     """
     jobs = tuple(begun)
     states = [job.state for job in jobs]
@@ -198,12 +198,12 @@ def job_view(
     Equations are not judged here, because this reads all rows of the data; they are judged in the result.
 
     Args:
-        job: the job.
-        queue: in which it may wait.
-        now: seconds of the bus.
-        waiting_reason: a sentence on why its archipelagos or tasks without workers wait; None: they do not wait.
-        counters: the counters of this job.
-        stalls: sentences on why its archipelagos make no progress.
+        job: The job.
+        queue: The queue in which the job may wait.
+        now: The time in seconds of the bus.
+        waiting_reason: A sentence on why its archipelagos or tasks without workers wait; None: they do not wait.
+        counters: The counters of this job.
+        stalls: Sentences on why its archipelagos make no progress.
     """
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
@@ -245,7 +245,7 @@ def ended_view(record: JobRecord, result: str | None) -> JobView:
     """
     try:
         config = JobConfig.model_validate_json(record.spec)
-    except ValidationError:  # of another version
+    except ValidationError:  # a result of another version
         config = JobConfig()
     view = JobView(
         job=record.id,
@@ -371,11 +371,11 @@ class JobViews:
         self._breakages = breakages
 
     def view(self, job_id: str, now: float) -> JobView | None:
-        """Return the view of a job; None for an unknown one."""
+        """Return the view of a job; None for an unknown job."""
         return next(iter(self.views([job_id], now)), None)
 
     def views(self, job_ids: Iterable[str], now: float) -> Iterator[JobView]:
-        """Yield the views of jobs, leaving out unknown ones.
+        """Yield the views of jobs, leaving out unknown jobs.
 
         After an error, the view of a job has only fields of its record; other jobs are not affected.
         """
@@ -435,7 +435,7 @@ class JobViews:
             as_it_was = {"state": ending.was, "reason": None, "fault": None}
             return self._live_view(ending.job, now).model_copy(update=as_it_was)
         if kept is not None:
-            with contextlib.suppress(ValidationError):  # otherwise another version has stored it
+            with contextlib.suppress(ValidationError):  # otherwise another version has stored the result
                 return JobView.model_validate_json(kept)
         record = self._store.job(job_id)
         if record is None:

@@ -17,7 +17,7 @@ RESULT_RESERVE: Final = 512 * 1024
 
 
 class Admission:
-    """Decides by the current limits. A known job is admitted again, because the answer to its client was lost."""
+    """Decides by the current limits. A known job is admitted again: its client may not have got the answer."""
 
     def __init__(
         self, controller: JobController, store: Store, uploads: Uploads, retention: Retention = KEEP_ALL

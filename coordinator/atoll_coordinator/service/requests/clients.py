@@ -20,8 +20,8 @@ from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_SHOWN_ISLANDS, chunk
 from atoll_core.wire.messages.views import CoordinatorView, JobView, WorkerView
 
 MAX_PAGE_BYTES: Final = CHUNK_SIZE
-"""JSON bytes of a list of jobs, unless a single job has more. Each item of a message has at least two bytes of JSON, so
-that a list stays below `atoll_core.wire.codec.MAX_ITEMS`."""
+"""Largest number of JSON bytes of a list of jobs, unless a single job has more. Each item of a message has at least two
+bytes of JSON, so that a list stays below `atoll_core.wire.codec.MAX_ITEMS`."""
 
 MAX_RESULT_BYTES: Final = 1024 * 1024
 """Bytes of results that one list may read to make missing views, which takes 10 ms."""
@@ -241,7 +241,10 @@ class ClientRequests:
         return messages.JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
 
     def _find(self, prefix: str, viewer: Viewer | None) -> messages.JobStatus | messages.Failure:
-        """Return the job whose id is `prefix`, or the only one that begins with it, among those the viewer sees."""
+        """Return the job whose id is `prefix`, or the only job whose id begins with it.
+
+        Only jobs that the viewer sees are found.
+        """
         if self._store.job(prefix) is not None and (viewer is None or self._store.is_seen(prefix, viewer)):
             return self._status(prefix)
         count = self._store.count_jobs(prefix, viewer)

@@ -9,7 +9,7 @@ from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError
 
 CHECK_INTERVAL_S: Final = 60.0
-"""Seconds between two searches for expired jobs. While there are some, one is deleted at each tick."""
+"""Seconds between two searches for expired jobs. While there are expired jobs, one job is deleted at each tick."""
 
 
 class JobDeletion:

@@ -123,7 +123,7 @@ class RequestDispatcher:
             return Failure(failure="internal", sentence=str(error)[:4000])
 
     def _greet(self, payload: bytes, name: str | None) -> Welcome | Refusal:
-        """Answer a greeting on the key of `name`; None: a test, whose answer is the same and which changes nothing."""
+        """Answer a greeting on the key of `name`; None: the greeting is a test, which changes nothing."""
         try:
             hello = decode(payload, Greeting, MAX_MESSAGE).body
         except RemoteProtocolError as error:

@@ -1,7 +1,7 @@
 """Uploads of tables that no job uses yet. Each upload has a lease, which every message about it renews.
 
-Uploads do not count in the retention of jobs. When the disk is nearly full, all uploads are deleted, unfinished ones
-too: otherwise the store could not be written, which would end the coordinator and all searches.
+Uploads do not count in the retention of jobs. When the disk is nearly full, all uploads are deleted, including
+unfinished uploads. Otherwise the store could not be written, which would end the coordinator and all searches.
 """
 
 import hashlib
@@ -23,15 +23,15 @@ MAX_STORED_BYTES: Final = 16 * 1024**3
 
 MOST_OF_USER: Final = 1_000
 MOST_OF_ALL: Final = 20_000
-"""Largest number of tables that are uploaded and not submitted, of one user (or session) and of all users. Each takes
-3 kB of memory, even if it is small."""
+"""Largest number of tables that are uploaded and not submitted, of one user (or session) and of all users. Even a small
+table takes 3 kB of memory."""
 
 LEAST_RESERVE: Final = 256 * 1024**2
 MOST_RESERVE: Final = 2 * 1024**3
 RESERVED_SHARE: Final = 0.05
 MOST_RESERVED_SHARE: Final = 0.25
-"""Space of the disk that is reserved for checkpoints and results: `RESERVED_SHARE` of it, within the two bounds in
-bytes, but at most `MOST_RESERVED_SHARE`."""
+"""Bounds of the space that is reserved for checkpoints and results: the share `RESERVED_SHARE` of the disk, within the
+two bounds in bytes, but at most the share `MOST_RESERVED_SHARE`."""
 
 LEASE_S: Final = 5 * CHUNK_LIMIT_S
 """An active client sends a message within `CHUNK_LIMIT_S`; the factor allows for retries."""

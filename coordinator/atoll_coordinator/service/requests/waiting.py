@@ -1,8 +1,8 @@
 """Questions of clients that wait for their turn, or for the result of a job that is being composed. Pure.
 
 The loop answers one question at a time and handles other events before the next one; users take turns
-(`atoll_core.wire.bus`). So many questions of one user delay a heartbeat, a report or another user by one answer at
-most.
+(`atoll_core.wire.bus`). Even many questions of one user therefore delay a heartbeat, a report or another user by one
+answer at most.
 """
 
 from collections.abc import Callable
@@ -54,7 +54,7 @@ class Deferred(Generic[T]):
 
 
 class DeferredQuestions(Generic[T]):
-    """Waiting questions in the order of arrival, by job and whether they wait for its final result."""
+    """Waiting questions in the order of arrival, by job and by whether they wait for the job's final result."""
 
     def __init__(self) -> None:
         self._waiting: dict[tuple[str, bool], list[Deferred[T]]] = {}

@@ -1,4 +1,4 @@
-"""Fair share between users: deficit round robin over users, then priority and age among the jobs of one. Pure.
+"""Fair share between users: deficit round robin over users, then priority and age among a user's jobs. Pure.
 
 Deficit round robin (M. Shreedhar, G. Varghese, *Efficient fair queuing using deficit round robin*, IEEE/ACM
 Transactions on Networking 4(3), 1996, 375-385) gives each user in turn a quantum of service. Here the cost of a job is
@@ -7,10 +7,10 @@ in the same authors' surplus round robin.
 
 A user's *round* is the number of quanta that the user has used up. Users in the lowest round are served first, in the
 order of their arrival. A user who was idle enters the lowest round, behind the users who are in it: idle time gives no
-credit, and an excess stays owed. Only users who want more service than they have determine the lowest round. A user who
-already has all the service that it can use gets no credit, and owes nothing for service that no other user wanted.
-While such a user is served in an earlier round, the lowest round is one less, so that no user loses the rest of a
-quantum.
+credit, and an excess stays owed. The lowest round is determined only by users who want more service than they have. A
+user who already has all the service that it can use gets no credit, and owes nothing for service that no other user
+wanted. While such a user is served in an earlier round, the lowest round is one less, so that no user loses the rest of
+a quantum.
 
 **The longest wait.** Let N users have jobs, let S jobs be served at once, let Q be the quantum in seconds, and let each
 user be charged after at most t seconds. A new user with one job enters the lowest round, v. The users before it are the
@@ -32,7 +32,8 @@ from typing import Final
 
 QUANTUM_S: Final = 60.0
 """Seconds of service of a user in one turn. A change of turns costs about two seconds (waiting at a checkpoint, sending
-states to other workers), which should be at most the 3 % that checkpoints may cost (`checkpoints.SHARE`)."""
+states to other workers). This should be at most 3 % of a turn, as much as checkpoints may cost
+(`checkpoint_schedule.SHARE`)."""
 
 AGE_S: Final = 3600.0
 """Among the jobs of one user, each step of priority is worth this number of seconds of waiting. Nearly all jobs take
@@ -40,7 +41,7 @@ less, so that priority decides among jobs submitted together. After 20 hours a j
 new job of the highest priority."""
 
 _RUNNING_S: Final = 1e10
-"""More seconds than any age or priority is worth: running tasks come before waiting ones."""
+"""More seconds than any age or priority is worth: running tasks come before waiting tasks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +150,7 @@ class TaskTurns(FairShare):
     """The shares of users in the task processes of workers, charged in seconds of one worker."""
 
     def order_tasks(self, waiting: Collection[Turn], running: Collection[Turn]) -> list[str]:
-        """Return the ids of jobs with waiting tasks, the next one first.
+        """Return the ids of jobs with waiting tasks, in the order of their turns.
 
         Running tasks count as the first turns of their users, so that other users come first.
         """

@@ -39,7 +39,7 @@ class _Entry:
     stage: Stage = "waiting"
     is_paused: bool = False
     had_begun: bool = False
-    """Whether it had begun before a restart: a paused queue stops only jobs that had not begun."""
+    """Whether the job had begun before a restart: a paused queue stops only jobs that had not begun."""
 
     @property
     def has_begun(self) -> bool:

@@ -117,7 +117,7 @@ class Limits(Frozen):
     time: Times = Times()
 
     def of(self, user: str | None) -> Allowance:
-        """Return the limits of a user: its own limits, and the general limits of users where it has none."""
+        """Return the limits of a user: its own limits, and elsewhere the general limits of users."""
         own = self.users.get(user) if user is not None else None
         if own is None:
             return self.user

@@ -36,7 +36,7 @@ FORGET_EPOCHS: Final = 16
 MOST_PULLED_EPOCHS: Final = 64
 
 PLAN_COMMITS: Final = 10
-"""Least number of commits between two planned changes of a placement; a leaving worker does not wait for it."""
+"""Least number of commits between two planned changes of a placement; the islands of a leaving worker move earlier."""
 
 ArchipelagoKey = tuple[str, str]
 """Job and variable of an archipelago."""
@@ -102,7 +102,7 @@ class Archipelago:
 
     @property
     def workers(self) -> tuple[str, ...]:
-        """The workers that have islands of it, sorted; none without a placement."""
+        """The workers that have islands of the archipelago, sorted; none without a placement."""
         return tuple(sorted(set(self.placement.workers))) if self.placement is not None else ()
 
     def islands_of(self, worker: str) -> tuple[int, ...]:
@@ -127,7 +127,7 @@ class Archipelago:
 
     @property
     def has_no_commit(self) -> bool:
-        """Whether no checkpoint has become durable since it was placed."""
+        """Whether no checkpoint has become durable since the archipelago was placed."""
         return self.placement is not None and self.durable == self.placement.epoch
 
     @property
@@ -181,8 +181,8 @@ class Archipelago:
         """Add a report; return True when at least one more epoch is complete.
 
         Raises:
-            RemoteProtocolError: Its term is unknown, its islands are another worker's, or its contents are impossible.
-            DivergedError: It contradicts an earlier report.
+            RemoteProtocolError: Its term is unknown, its islands belong to another worker, or its contents are
+            impossible. DivergedError: It contradicts an earlier report.
         """
         if self.cut is not None or self.placement is None or report.term < self.placement.term:
             return False
@@ -205,8 +205,8 @@ class Archipelago:
     def update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> Commit | None:
         """Record the epochs that a worker's islands have reported, its snapshots, and its first hit.
 
-        Return the commit that is due, if any: it tells workers of a hit, at which they stop, or which messages they may
-        forget.
+        Return the commit that is due, if any. A commit tells workers which messages they may forget, or at which hit
+        they stop.
         """
         if self.placement is None:
             return None
@@ -286,7 +286,7 @@ class Archipelago:
         return Checkpoint(self.job, self.variable, placement.term, gathering.epoch, state, states)
 
     def mark_durable(self, checkpoint: Checkpoint, now: float) -> Commit | None:
-        """Record that a checkpoint is durable; return the commit to publish, if its term is the current one."""
+        """Record that a checkpoint is durable; return the commit to publish, if its term is the current term."""
         self.is_writing = False
         epochs, seconds = checkpoint.epoch - self.durable, now - self._durable_at
         self.interval = interval_of(seconds / epochs, checkpoint.size, self.interval)

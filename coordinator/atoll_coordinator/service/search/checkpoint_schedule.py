@@ -38,9 +38,9 @@ def interval_of(epoch_s: float, size: int, former: int) -> int:
     """Return the number of epochs until the next checkpoint.
 
     Args:
-        epoch_s: seconds that an epoch of the archipelago takes.
-        size: bytes of all its states.
-        former: the previous interval.
+        epoch_s: Seconds that an epoch of the archipelago takes.
+        size: Bytes of all states of the archipelago.
+        former: The previous interval.
     """
     pause_s = max(PAUSE_S, (COST_S + COST_S_PER_BYTE * size) / SHARE)
     most = min(MOST_INTERVAL, MOST_GROWTH * former)
@@ -50,8 +50,8 @@ def interval_of(epoch_s: float, size: int, former: int) -> int:
 def schedule_after(schedule: Schedule, epoch: int, interval: int, wants_barrier: bool) -> Schedule:
     """Return the schedule that follows when the checkpoint of `epoch` is durable.
 
-    The checkpoint that workers already know does not change. The new one is `interval` epochs after it or, for a
-    barrier, one epoch after it: no island can have passed a checkpoint that no worker knows.
+    The checkpoint that workers already know does not change. The new checkpoint is `interval` epochs after it, or, for
+    a barrier, one epoch after it: no island can have passed a checkpoint that no worker knows.
     """
     if schedule.holds:
         return Schedule(next=schedule.last, last=schedule.last, holds=True)

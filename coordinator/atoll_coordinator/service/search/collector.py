@@ -44,7 +44,7 @@ class _Filed:
     report: IslandReport | None
 
     def contradicts(self, report: IslandReport) -> bool:
-        """Return whether this report and another one of the same island and epoch cannot both be true."""
+        """Return whether this report contradicts another report of the same island and epoch."""
         if self.generations == report.generations:
             return (self.is_hit, self.digest) != (report.hit is not None, report.digest)
         # An island stops when it meets the target, so the report with fewer generations cannot contain a hit.
@@ -93,8 +93,8 @@ class Collector:
         `seconds` have passed since the search began.
 
         Raises:
-            DivergedError: A report differs from an earlier one.
-            RemoteProtocolError: There is no such epoch or island; the state has not changed.
+            DivergedError: A report differs from an earlier report. RemoteProtocolError: There is no such epoch or
+            island; the state has not changed.
         """
         if self.cut is not None:
             return False
@@ -248,7 +248,7 @@ class Collector:
             self._end(why, epoch * self.limits.commit_order.generations + hit.generation if hit is not None else None)
 
     def _add_improvements(self, additions: Iterable[FrontEntry]) -> None:
-        """Add the improvements of one epoch; the last one in a generation is the best of that generation."""
+        """Add the improvements of one epoch; the last improvement in a generation is the best of that generation."""
         convergence = self.state.convergence
         for entry in sorted(additions, key=lambda addition: (addition.generation, -addition.error)):
             before = convergence.get(entry.island, ())

@@ -88,10 +88,10 @@ class Convergence(Frozen):
 class Cut(Frozen):
     """The end of one archipelago, as it is stored.
 
-    `epochs` is a number, so the last epoch is `epochs` - 1. `generation`, counted from the start of the search, is the
-    generation that met the target (None: the target was not met, and the whole last epoch counts). `evaluations` are
-    the point evaluations of all islands, by part. `seconds` is the time from the start of the first epoch to the end of
-    the last slice that counts. `runners_up` are the next best entries, which are not in the front
+    `epochs` is the number of epochs, so the last epoch is `epochs` - 1. `generation`, counted from the start of the
+    search, is the generation that met the target (None: the target was not met, and the whole last epoch counts).
+    `evaluations` are the point evaluations of all islands, by part. `seconds` is the time from the start of the first
+    epoch to the end of the last slice that counts. `runners_up` are the next best entries, which are not in the front
     (`atoll_core.search.pareto.runners_up`).
     """
 

@@ -23,10 +23,12 @@ class PullBudget:
 
     def __init__(self) -> None:
         self._pulls = 0
-        self._gathered: dict[ArchipelagoKey, int] = {}  # bytes, in the order in which they were begun
+        self._gathered: dict[
+            ArchipelagoKey, int
+        ] = {}  # bytes of each checkpoint, in the order in which checkpoints were begun
         self._written: dict[ArchipelagoKey, int] = {}
         self.is_short = False
-        """Whether a checkpoint waits for others to be written."""
+        """Whether a checkpoint waits until other checkpoints are written."""
 
     @property
     def held_bytes(self) -> int:

@@ -18,7 +18,8 @@ from atoll_coordinator.service.store.schema import BUSY_LIMIT_S, FILE_NAME, chec
 from atoll_core.errors import StoreError, WrongStoreError
 
 STEP_PAGES: Final = 1024
-"""Pages of 4 KB that are read in one step: 4 MB, some milliseconds of a disk. A commit waits for at most one step."""
+"""Pages of 4 KB that are read in one step: 4 MB, which a disk reads in some milliseconds. A commit waits for at most
+one step."""
 
 PAUSE_S: Final = 0.005
 """Pause between two steps, about as long as a step takes, so that a backup uses at most half of the disk's time."""
@@ -61,13 +62,13 @@ def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = la
     source = directory / FILE_NAME
     if not source.is_file():
         raise WrongStoreError(f"there is no store in {directory}; name the folder of `coordinator serve` with --state")
-    with _draft_of(target) as draft, contextlib.closing(_connected(source)) as store:
-        with _translated(f"the store {source} cannot be copied", "choose an undamaged one"):
+    with _draft_for(target) as draft, contextlib.closing(_connect(source)) as store:
+        with _translate_errors(f"the store {source} cannot be copied", "choose an undamaged store"):
             check_kind(store, source)
             store.execute("BEGIN")
             store.execute("SELECT count(*) FROM realm").fetchone()  # the copy has the contents of this instant
         with (
-            _translated(f"the copy {target} cannot be written", "check that there is room"),
+            _translate_errors(f"the copy {target} cannot be written", "check that there is room"),
             contextlib.closing(sqlite3.connect(draft, isolation_level=None)) as copy,
         ):
 
@@ -87,7 +88,7 @@ def check_copy(file: Path, what: str, mode: str = "ro") -> Copy:
         StoreError: The file is damaged, no store, of a newer version, or cannot be read.
     """
     advice = "use another copy"
-    with _translated(f"{what} cannot be read", advice), contextlib.closing(_connected(file, mode)) as copy:
+    with _translate_errors(f"{what} cannot be read", advice), contextlib.closing(_connect(file, mode)) as copy:
         if not check_kind(copy, file):
             raise WrongStoreError(f"{what} holds no store; {advice}")
         (finding,) = copy.execute("PRAGMA integrity_check(1)").fetchone()
@@ -102,9 +103,9 @@ def check_copy(file: Path, what: str, mode: str = "ro") -> Copy:
 def restore(source: Path, directory: Path, *, replaces: bool = False) -> Restored:
     """Create the store in `directory` from the copy `source`, with a new cluster name, open it once and check it.
 
-    The name is new because the copied store may still be served elsewhere: both stores would issue the same terms. With
-    `replaces` an existing store is renamed. SQLite's files of a store that was moved away are always renamed, because
-    SQLite would apply them to the new store.
+    The name is new because the copied store may still be served elsewhere, and both stores would issue the same terms.
+    With `replaces` an existing store is renamed. SQLite's files of a store that was moved away are always renamed,
+    because SQLite would apply them to the new store.
 
     Raises:
         StoreError: The copy is missing, damaged or no store; the directory has a store or a coordinator, or no room.
@@ -120,9 +121,9 @@ def restore(source: Path, directory: Path, *, replaces: bool = False) -> Restore
                 "--replace"
             )
         found = check_copy(source, f"the copy {source}")
-        with _draft_of(place, exists=True) as draft:
-            with _translated(f"the store {place} cannot be written", "check that there is room"):
-                name = _renamed_copy(source, draft)
+        with _draft_for(place, exists=True) as draft:
+            with _translate_errors(f"the store {place} cannot be written", "check that there is room"):
+                name = _copy_renamed(source, draft)
             aside = _put_aside(place)
         there = check_copy(place, f"the restored store {place}", "rw")  # opened as `serve` opens it
         if (there.cluster, there.jobs) != (name, found.jobs):
@@ -136,10 +137,10 @@ def restore(source: Path, directory: Path, *, replaces: bool = False) -> Restore
         lock.release()
 
 
-def _renamed_copy(source: Path, target: Path) -> str:
+def _copy_renamed(source: Path, target: Path) -> str:
     """Copy a store into another file under a new cluster name; return the name."""
     with (
-        contextlib.closing(_connected(source, "ro")) as copy,
+        contextlib.closing(_connect(source, "ro")) as copy,
         contextlib.closing(sqlite3.connect(target, isolation_level=None)) as store,
     ):
         copy.backup(store)
@@ -153,7 +154,7 @@ def _put_aside(place: Path) -> tuple[Path, ...]:
 
     An undamaged store is one file afterwards. If the store was moved away, only SQLite's other files exist.
     """
-    with _translated(f"the store {place} cannot be renamed", "move it away by hand"):
+    with _translate_errors(f"the store {place} cannot be renamed", "move it away by hand"):
         if place.exists():
             try:
                 with contextlib.closing(sqlite3.connect(place, isolation_level=None, timeout=BUSY_LIMIT_S)) as former:
@@ -178,7 +179,7 @@ def _companions(path: Path) -> list[Path]:
 
 
 @contextlib.contextmanager
-def _draft_of(target: Path, *, exists: bool = False) -> Iterator[Path]:
+def _draft_for(target: Path, *, exists: bool = False) -> Iterator[Path]:
     """Yield a file that is durably renamed to `target` at the end of the block; after an error it is deleted.
 
     Raises:
@@ -187,13 +188,13 @@ def _draft_of(target: Path, *, exists: bool = False) -> Iterator[Path]:
     """
     there = [] if exists else _companions(target)
     if there:
-        raise WrongStoreError(f"{there[0]} exists already; name another file for the copy, or remove it")
+        raise WrongStoreError(f"{there[0]} exists already; name another file for the copy, or remove this file")
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        with _translated(f"the file {target} cannot be written", "name another file"):
+        with _translate_errors(f"the file {target} cannot be written", "name another file"):
             draft.touch(mode=0o600)  # measurements are private
         yield draft
-        with _translated(f"the file {target} cannot be written", "check that there is room"):
+        with _translate_errors(f"the file {target} cannot be written", "check that there is room"):
             _sync(draft)
             draft.replace(target)
             _sync(target.parent)
@@ -210,14 +211,14 @@ def _sync(path: Path) -> None:
         os.close(opened)
 
 
-def _connected(file: Path, mode: str = "rw") -> sqlite3.Connection:
+def _connect(file: Path, mode: str = "rw") -> sqlite3.Connection:
     """Open an existing file. Readers of a store that is served need "rw" because they write to the index of the WAL."""
     uri = f"{file.absolute().as_uri()}?mode={mode}"
     return sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_LIMIT_S)
 
 
 @contextlib.contextmanager
-def _translated(what: str, advice: str) -> Iterator[None]:
+def _translate_errors(what: str, advice: str) -> Iterator[None]:
     """Turn errors of SQLite and the system into a StoreError with `what` failed, the reason, and advice."""
     try:
         yield

@@ -36,7 +36,7 @@ class BlobStore(OpenFile):
         return int(self._value("SELECT size FROM blobs WHERE digest = ? AND complete", digest) or 0)
 
     def is_sound(self, digest: str) -> bool:
-        """Return whether a blob is stored completely and undamaged; a damaged one is deleted.
+        """Return whether a blob is stored completely and undamaged; a damaged blob is deleted.
 
         It reads all bytes, one chunk per transaction. Call it in a separate thread: other threads wait for one chunk at
         most.
@@ -100,14 +100,14 @@ class BlobStore(OpenFile):
         return tuple(digest for (digest,) in self._rows(f"SELECT digest FROM uploads WHERE {_UNUSED}"))
 
     def delete_unused_blobs(self, digests: Iterable[str]) -> None:
-        """Delete those of these blobs that no job uses, complete or not."""
+        """Delete the given blobs, complete or not, unless a job uses them."""
         with self._transaction() as sql:
             delete_unused(sql, digests)
 
     def _write_blob(self, digest: str, data: bytes) -> None:
-        """Write a missing blob, one chunk a transaction. `finish` completes it in the caller's transaction.
+        """Write a missing blob, one chunk per transaction. `finish` completes it in the caller's transaction.
 
-        Until then it does not count as an upload: clients cannot add to it, and it is not deleted as unused.
+        Until then the blob does not count as an upload: clients cannot add to it, and it is not deleted as unused.
         """
         if self.has_blob(digest) and self.is_sound(digest):
             return
@@ -144,7 +144,7 @@ def take(sql: sqlite3.Connection, digest: str) -> None:
 
 
 def delete_unused(sql: sqlite3.Connection, digests: Iterable[str]) -> None:
-    """Delete those of these blobs that no job uses."""
+    """Delete the given blobs unless a job uses them."""
     for digest in digests:
         _delete(sql, digest, _UNUSED)
 

@@ -12,7 +12,8 @@ MAX_EVENTS: Final = 2000
 """Number of events that are kept for each job, and of events without a job; older events are deleted."""
 
 LEAST_COMMITS: Final = 500
-"""Number of commits and log lines that are kept; beyond this number they are deleted before rarer events."""
+"""Number of commits and log lines that are kept; beyond this number, commits and log lines are deleted before rarer
+events."""
 
 _COMMON: Final = "kind IN ('commit', 'log')"
 

@@ -2,7 +2,7 @@
 
 A blob counts once for a user, for any number of jobs, and once for all users together (`ALL`). It is *live* for a user
 while an unfinished job of this user uses it. It is *freeable* for a user whose ended jobs use it, if no unfinished job
-of any user uses it: only then does deleting ended jobs free its bytes. Functions that take `sql` are part of the
+of any user uses it: in this case, deleting ended jobs frees its bytes. Functions that take `sql` are part of the
 caller's transaction.
 """
 
@@ -16,7 +16,7 @@ ALL: Final = "*"
 """Owner of the sums over all users; no certificate can have this name."""
 
 Kind = Literal["table", "made"]
-"""An uploaded table, which counts towards a user's limit, or data prepared from one."""
+"""An uploaded table, which counts towards a user's limit, or data prepared from a table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +90,9 @@ def add_result(sql: sqlite3.Connection, owner: str | None, size: int) -> None:
 
 
 def _count_freeable(sql: sqlite3.Connection, digest: str, kind: Kind, sign: int) -> None:
-    """Add a blob to the freeable bytes of all users whose ended jobs use it, if no live job uses it. -1: subtract it.
+    """Add a blob to the freeable bytes of all users whose ended jobs use it, if no live job uses it.
 
-    The cost grows with the number of users of the same blob.
+    With `sign` -1 the blob is subtracted. The cost grows with the number of users of the same blob.
     """
     sql.execute(
         "INSERT INTO holdings SELECT owner, 0, 0, 0, ? * size FROM uses WHERE digest = ? AND kind = ? AND ended > 0 "

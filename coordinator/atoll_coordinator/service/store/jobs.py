@@ -1,5 +1,7 @@
-"""The store's table of jobs, and the views of ended ones. Functions that take `sql` are part of the caller's
-transaction."""
+"""The store's table of jobs, and the views of ended jobs.
+
+Functions that take `sql` are part of the caller's transaction.
+"""
 
 import sqlite3
 from collections.abc import Iterable, Mapping
@@ -18,9 +20,9 @@ class JobRecord:
 
     `table_digest`, `dataset_digest` and `prepared_digest` (kept until the job ends) name blobs: the uploaded table, the
     dataset of the search, and the rest of the prepared data. `priority` is from -10 to 10; each step doubles the job's
-    share of its user's workers. `submitter` is the name in the certificate (None: there was none); other users see the
-    job when it is `shared`. `submitted_s` and `ended_at` are seconds for which the store had been served when the job
-    was submitted (None: by an earlier version) and ended.
+    share of the worker time of its user. `submitter` is the name in the certificate (None: there was none); other users
+    see the job when it is `shared`. `submitted_s` and `ended_at` are seconds for which the store had been served when
+    the job was submitted (None: by an earlier version) and ended.
     """
 
     id: str
@@ -130,7 +132,7 @@ class JobStore(OpenFile):
             return tuple(sql.execute(f"{' UNION '.join(parts)} ORDER BY number DESC LIMIT :limit", values))
 
     def count_jobs(self, prefix: str, viewer: Viewer | None = None) -> int:
-        """Return how many ids of jobs that the viewer sees begin with `prefix`, up to `MAX_COUNTED`."""
+        """Return the number, up to `MAX_COUNTED`, of jobs that the viewer sees and whose ids begin with `prefix`."""
         parts = [
             f"SELECT * FROM (SELECT id FROM jobs WHERE {_WHOSE[whose]} AND id >= :prefix AND id < :beyond LIMIT :most)"
             for whose in (("all",) if viewer is None else ("own", "shared"))
@@ -172,7 +174,7 @@ class JobStore(OpenFile):
             update(sql, job, changes)
 
     def result(self, job: str) -> str | None:
-        """Return a job's result as JSON; None without one."""
+        """Return a job's result as JSON; None without a result."""
         result: str | None = self._value("SELECT result FROM jobs WHERE id = ?", job)
         return result
 
@@ -231,7 +233,7 @@ def end(
 ) -> bool:
     """Give a job its final `state` and `result`; return False, changing nothing, when it had ended before.
 
-    The prepared data are no longer needed and no longer named.
+    The prepared data are no longer needed, so the job no longer names them.
     """
     done = sql.execute(
         "UPDATE jobs SET state = ?, result = ?, result_bytes = ?, reason = ?, finished = ?, prepared_digest = NULL "
@@ -242,7 +244,7 @@ def end(
 
 
 def keep_view(sql: sqlite3.Connection, job: str, view: str) -> None:
-    """Store the view (JSON) of an ended job; without effect for an unknown one."""
+    """Store the view (JSON) of an ended job; without effect for an unknown job."""
     sql.execute("INSERT OR REPLACE INTO views SELECT id, ? FROM jobs WHERE id = ?", (view, job))
 
 

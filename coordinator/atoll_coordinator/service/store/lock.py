@@ -1,4 +1,4 @@
-"""The lock on the store's directory: only one coordinator serves the store, and beats show that it runs.
+"""The lock on the store's directory: only one coordinator serves the store, and beats show that this coordinator runs.
 
 A beat is a new modification time of the lock file.
 The operating system releases the lock when its process dies. A process that hangs keeps the lock, but its beats stop,
@@ -31,11 +31,12 @@ _GUARD_NAME: Final = "guard"
 name, which other users could open."""
 
 _BEATS: Final = "beats"
-"""A mark in the lock file: its coordinator beats. Coordinators of older versions never beat, and are not treated as
-hung."""
+"""A mark in the lock file: the coordinator that has the lock writes beats. Coordinators of older versions never beat,
+and are not treated as hung."""
 
 _SIGN_OF_LIFE_S: Final = 3.0
-"""Wait for a beat (six ticks of a coordinator), if other users could open the lock and it has no process id."""
+"""Seconds to wait for a beat (six ticks of a coordinator) if other users could open the lock and it has no process
+id."""
 
 _ATTEMPTS: Final = 5
 """Attempts to take a lock that other coordinators replace during the attempt."""
@@ -64,9 +65,9 @@ class Lock:
             sentence = "other users of this machine could read the store; their access has been removed"
             _LOG.warning(sentence, extra=fields(store=str(directory), closed=", ".join(closed)))
         for _ in range(_ATTEMPTS):
-            file = _opened(directory, directory / LOCK_NAME)
-            if not _locks(file):
-                holder = _holder(file)
+            file = _open_private(directory, directory / LOCK_NAME)
+            if not _take_lock(file):
+                holder = _holder_process(file)
                 os.close(file)
                 process = f" (process {holder})" if holder is not None else ""
                 raise StoreInUseError(
@@ -78,20 +79,20 @@ class Lock:
             os.close(file)  # it was replaced between opening and locking it
         else:
             raise StoreInUseError(f"other coordinators keep taking over the store {directory}; stop them")
-        _sign(file, directory)
+        _write_process_id(file, directory)
         self._file = file
 
     @classmethod
     def seize(cls, directory: Path, beat: Beat) -> Self | None:
-        """Replace the lock of a hung coordinator by a new one; None: this or another coordinator runs.
+        """Replace the lock of a hung coordinator, and return the new lock; None: that coordinator or another one runs.
 
         `beat` is its last known beat. Raises StoreError when the directory cannot be written.
         """
-        with _guarded(directory) as is_ours:
+        with _guard_replacement(directory) as is_ours:
             if not is_ours or last_beat(directory) != beat:
                 return None
-            file = _replacement(directory)
-            _sign(file, directory)
+            file = _open_replacement(directory)
+            _write_process_id(file, directory)
             _draft(directory).replace(directory / LOCK_NAME)
         lock = cls.__new__(cls)
         lock._file = file
@@ -134,7 +135,7 @@ def _close_to_others(directory: Path) -> tuple[str, ...]:
             return closed
     except OSError:
         return closed
-    with _guarded(directory, waits=True):
+    with _guard_replacement(directory, waits=True):
         return (*closed, LOCK_NAME) if _replace_open(directory) else closed
 
 
@@ -143,32 +144,34 @@ def _replace_open(directory: Path) -> bool:
 
     Another user who opened the file may hold its lock for ever. A coordinator is recognised by its process, which
     belongs to our user, or by its beats. A coordinator that opened the former file in the meantime finds that the file
-    was replaced, and opens the new one.
+    was replaced, and opens the new file.
     """
     path = directory / LOCK_NAME
-    file = _opened(directory, path)
+    file = _open_private(directory, path)
     try:
         if not is_open(os.fstat(file)) or not _is_at(file, path):
             return False  # another coordinator was faster
-        if not _locks(file) and (_holder(file) is not None or _beats(directory)):
+        if not _take_lock(file) and (_holder_process(file) is not None or _is_beating(directory)):
             return False
-        os.close(_replacement(directory))
+        os.close(_open_replacement(directory))
         _draft(directory).replace(path)
         return True
     finally:
         os.close(file)
 
 
-def _beats(directory: Path) -> bool:
+def _is_beating(directory: Path) -> bool:
     """Return whether the coordinator that has the lock beats; other processes cannot write to the lock."""
     before = last_beat(directory)
     time.sleep(_SIGN_OF_LIFE_S)
     return last_beat(directory) != before
 
 
-def _holder(file: int) -> int | None:
-    """Return the process whose id is in an open lock file; None unless it runs, has this file open, and has our
-    user."""
+def _holder_process(file: int) -> int | None:
+    """Return the process whose id is in an open lock file; None: it does not run, or is not the holder.
+
+    A holder has this file open and belongs to our user.
+    """
     try:
         process = int(os.pread(file, 32, 0).split()[0])
         if not Path("/proc/self/fd").exists():  # not Linux
@@ -190,11 +193,11 @@ def _has_open(process: int, file: os.stat_result) -> bool:
 
 
 @contextlib.contextmanager
-def _guarded(directory: Path, *, waits: bool = False) -> Iterator[bool]:
+def _guard_replacement(directory: Path, *, waits: bool = False) -> Iterator[bool]:
     """Yield whether this process alone may replace the lock during the block; `waits`: wait for other processes."""
-    guard = _opened(directory, directory / _GUARD_NAME)
+    guard = _open_private(directory, directory / _GUARD_NAME)
     try:
-        yield _locks(guard, waits=waits)
+        yield _take_lock(guard, waits=waits)
     finally:
         os.close(guard)
 
@@ -203,15 +206,15 @@ def _draft(directory: Path) -> Path:
     return directory / f".{LOCK_NAME}.{os.getpid()}"
 
 
-def _replacement(directory: Path) -> int:
+def _open_replacement(directory: Path) -> int:
     """Return an open and locked file that will become the lock; call it only within the guard."""
     _draft(directory).unlink(missing_ok=True)  # left by a dead process that had the same id
-    file = _opened(directory, _draft(directory))
-    _locks(file)
+    file = _open_private(directory, _draft(directory))
+    _take_lock(file)
     return file
 
 
-def _opened(directory: Path, path: Path) -> int:
+def _open_private(directory: Path, path: Path) -> int:
     """Open a file of the directory, creating it if necessary. Only its user gets access, because any user who can open
     a file can lock it."""
     try:
@@ -234,7 +237,7 @@ def _make_private(directory: Path) -> None:
     directory.mkdir(mode=0o700, exist_ok=True)
 
 
-def _locks(file: int, *, waits: bool = False) -> bool:
+def _take_lock(file: int, *, waits: bool = False) -> bool:
     """Take the lock on an open file, waiting for it if `waits`; return whether this process has it now."""
     import fcntl
 
@@ -258,7 +261,7 @@ def _is_at(file: int, path: Path) -> bool:
     return (here.st_dev, here.st_ino) == (there.st_dev, there.st_ino)
 
 
-def _sign(file: int, directory: Path) -> None:
+def _write_process_id(file: int, directory: Path) -> None:
     """Write the id of this process into a locked file."""
     try:
         os.ftruncate(file, 0)

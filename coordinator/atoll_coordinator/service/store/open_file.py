@@ -1,6 +1,6 @@
 """The store's file while it is open: ownership, transactions, their durations, and free space.
 
-Any thread may call. The changes of a transaction are on the disk (``synchronous=FULL``) when it ends.
+Methods may be called from any thread. The changes of a transaction are on the disk (``synchronous=FULL``) when it ends.
 """
 
 import contextlib
@@ -183,7 +183,7 @@ class OpenFile:
             return sql.execute(query, values).fetchall()
 
     def _check_incarnation(self, connection: sqlite3.Connection) -> None:
-        """Raise StoreError if another coordinator has opened the store since; its changes must not be overwritten."""
+        """Raise StoreError if another coordinator has opened the store since: its changes must not be overwritten."""
         (incarnation,) = connection.execute("SELECT incarnation FROM realm").fetchone()
         if incarnation != self.incarnation:
             raise StoreError(

@@ -1,4 +1,4 @@
-"""The store's file: its tables and versions, opening it, and refusing files that are not stores. SQLite in WAL mode."""
+"""The store's file, SQLite in WAL mode: its tables, their versions, opening, and refusing files that are no stores."""
 
 import contextlib
 import sqlite3
@@ -169,7 +169,7 @@ _LAYOUTS: Final = (
     _LAYOUT_1, _LAYOUT_2, _LAYOUT_3_DEATHS, _LAYOUT_4_DELETED_JOBS, _LAYOUT_5_SERVED, _LAYOUT_6_ENDED_JOBS,
     _LAYOUT_7_USERS, _LAYOUT_8_HOLDINGS, _LAYOUT_9_SHARED_BLOBS,
 )  # fmt: skip
-"""Changes of each version of the layout. A new store gets all changes in order, an old store the missing ones."""
+"""Changes of each version of the layout. A new store gets all changes in order, an old store the missing changes."""
 
 SCHEMA_VERSION: Final = len(_LAYOUTS)
 
@@ -226,7 +226,7 @@ def translated(place: Path | None) -> Iterator[None]:
 
 
 def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
-    """Return the layout version of a file, 0 for an empty one; raises StoreError for a foreign or newer file."""
+    """Return the layout version of a file, 0 for an empty file; raises StoreError for a foreign or newer file."""
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()

@@ -45,7 +45,7 @@ class Silence:
 
 
 class Standby:
-    """Waits for the store in a directory. A message goes to `say`, unless it equals the last one."""
+    """Waits for the store in a directory. A message goes to `say`, unless it equals the last message."""
 
     def __init__(
         self, directory: Path, stop: threading.Event, obstacle: Callable[[], str | None], say: Callable[[str], None]
@@ -53,10 +53,10 @@ class Standby:
         """Set up.
 
         Args:
-            directory: the directory of the store.
-            stop: is set to end the wait.
-            obstacle: returns why this coordinator cannot serve while the hung one exists; None: it can.
-            say: shows a message to the user.
+            directory: The directory of the store.
+            stop: Is set to end the wait.
+            obstacle: Returns why this coordinator cannot serve while the hung coordinator exists; None: it can.
+            say: Shows a message to the user.
         """
         self._directory = directory
         self._stop = stop
@@ -72,13 +72,13 @@ class Standby:
             StoreError: No coordinator has the store, but it cannot be opened.
         """
         while not self._stop.is_set():
-            store = self._free() or self._hung()
+            store = self._take_free_store() or self._take_hung_store()
             if store is not None:
                 return store
             self._stop.wait(LOOK_S)
         return None
 
-    def _free(self) -> Store | None:
+    def _take_free_store(self) -> Store | None:
         """Return the store if no coordinator has its lock."""
         try:
             return Store.open(self._directory)
@@ -89,8 +89,8 @@ class Standby:
             )
         return None
 
-    def _hung(self) -> Store | None:
-        """Return the store if its coordinator hangs and this one can serve while the hung one exists; else None."""
+    def _take_hung_store(self) -> Store | None:
+        """Return the store if its coordinator hangs and this coordinator can serve in its presence; else None."""
         beat = last_beat(self._directory)
         if not self._silence.look(beat, time.monotonic()) or beat is None:
             return None

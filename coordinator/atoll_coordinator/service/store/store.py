@@ -1,9 +1,9 @@
 """The coordinator's durable memory, in SQLite. Every method is one transaction.
 
-Any thread may call. When a method returns, its changes are on the disk (``synchronous=FULL``), so that a message sent
-afterwards never has to be withdrawn. The store does not interpret contents, which are JSON text and bytes. The parts
-are in `jobs`, `searches`, `blobs`, `events` and `holdings`. This module has the methods that change several parts in
-one transaction.
+Methods may be called from any thread. When a method returns, its changes are on the disk (``synchronous=FULL``), so
+that a message sent afterwards never has to be withdrawn. The store does not interpret contents, which are JSON text and
+bytes. The parts are in `jobs`, `checkpoints`, `blobs`, `events` and `holdings`. This module has the methods that change
+several parts in one transaction.
 
 *Doubts.* Five classes share one connection by inheritance, so that one transaction can change several tables. Names of
 methods must therefore be unique over all parts.
@@ -13,19 +13,19 @@ import hashlib
 import sqlite3
 from collections.abc import Iterable, Mapping
 
-from atoll_coordinator.service.store import blobs, holdings, searches
+from atoll_coordinator.service.store import blobs, checkpoints, holdings
 from atoll_coordinator.service.store import jobs as job_table
 from atoll_coordinator.service.store.blobs import BlobStore
+from atoll_coordinator.service.store.checkpoints import CheckpointStore
 from atoll_coordinator.service.store.events import EventStore
 from atoll_coordinator.service.store.holdings import HoldingStore, Kind
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.open_file import first_value
-from atoll_coordinator.service.store.searches import SearchStore
 from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.messages.views import FINAL_STATES
 
 
-class Store(SearchStore, BlobStore, EventStore, HoldingStore):
+class Store(CheckpointStore, BlobStore, EventStore, HoldingStore):
     """An open store."""
 
     # jobs from submission to deletion
@@ -55,8 +55,9 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
         """Store the prepared data of a job: its dataset, and the rest until the job ends.
 
         Without the rest, equations found by the search could be neither shown nor refined after a restart. Return the
-        digest of the dataset that was stored before, if any. If that dataset is different and a search from it is
-        stored, it is kept. Without effect if the job has ended. Each chunk is one transaction. Call it in a separate
+        digest of the dataset that was stored before, if any. That earlier dataset is kept if it is different and a
+        search from it is stored. Without effect if the job has ended. Each chunk is one transaction. Call it in a
+        separate
         thread: other threads wait for one chunk at most.
         """
         made = {hashlib.sha256(data).hexdigest(): data for data in (dataset, prepared)}
@@ -70,7 +71,7 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
                     blobs.delete_unused(sql, made)
                     return None
                 former = record.dataset_digest
-                if former not in (None, digests[0]) and searches.has_search(sql, job):
+                if former not in (None, digests[0]) and checkpoints.has_search(sql, job):
                     blobs.delete_unused(sql, made)
                     return former
                 # Another job with the same data may have been deleted meanwhile, with the data: write them again.
@@ -87,7 +88,7 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
     ) -> bool:  # fmt: skip
         """Store a job's final `state`, `result` (JSON) and `view` (JSON), and delete its checkpoints.
 
-        With `keeps_checkpoints` the last checkpoint of each archipelago stays, until `searches.MAX_FAILED` more jobs
+        With `keeps_checkpoints` the last checkpoint of each archipelago stays, until `checkpoints.MAX_FAILED` more jobs
         have failed. Return False, changing nothing, if the job had ended before: the first end counts.
         """
         with self._transaction() as sql:
@@ -99,10 +100,10 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
             for digest, kind in _used_blobs(record):
                 holdings.use(sql, record.submitter, digest, kind, live=-1, ended=1)
             if keeps_checkpoints:
-                searches.keep_last_checkpoints(sql, job)
+                checkpoints.keep_last_checkpoints(sql, job)
             else:
-                searches.forget_checkpoints(sql, job)
-            searches.forget_deaths(sql, job)
+                checkpoints.forget_checkpoints(sql, job)
+            checkpoints.forget_deaths(sql, job)
             if view is not None:
                 job_table.keep_view(sql, job, view)
             job_table.update(sql, job, {"ended_at": self.served_s})
@@ -110,7 +111,7 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
             return True
 
     def first_to_delete(self) -> JobRecord | None:
-        """Return the job to delete for space: the oldest ended one of the user with the most freeable bytes."""
+        """Return the job to delete for space: the oldest ended job of the user with the most freeable bytes."""
         with self._reading() as sql:
             owner = holdings.most_freeable(sql)
             return job_table.oldest_ended(sql, Viewer(owner or None)) if owner is not None else None
@@ -129,8 +130,8 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
                 return
             if record.state not in FINAL_STATES:
                 raise LocalProtocolError(f"job {job} is {record.state} and cannot be deleted")
-            searches.forget_checkpoints(sql, job)
-            searches.forget_deaths(sql, job)
+            checkpoints.forget_checkpoints(sql, job)
+            checkpoints.forget_deaths(sql, job)
             sql.execute("DELETE FROM archipelagos WHERE job = ?", (job,))
             sql.execute("DELETE FROM events WHERE job = ?", (job,))
             size = first_value(sql, "SELECT result_bytes FROM jobs WHERE id = ?", job) or 0

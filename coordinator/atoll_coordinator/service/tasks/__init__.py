@@ -4,6 +4,6 @@
 reports, and posts outcomes to the service's loop. `analyses` has the questions (pure). `background` works on large
 values in a separate thread, and defines the outcomes.
 
-A job is to be prepared -> `TaskController.prepare` -> `task_table.plan` -> Lease -> a worker's result ->
+A job is to be prepared -> `TaskController.prepare` -> `task_table.plan_leases` -> Lease -> a worker's result ->
 `Background.read_result` -> `TaskController.take_result` -> `JobPrepared` is posted.
 """

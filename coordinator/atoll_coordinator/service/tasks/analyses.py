@@ -48,7 +48,7 @@ class Analysis:
 
     @property
     def is_open(self) -> bool:
-        """Whether it has neither an answer nor failed."""
+        """Whether the question has no answer yet and has not failed."""
         return self.answer is None and self.failed is None
 
 

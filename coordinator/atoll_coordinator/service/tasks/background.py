@@ -1,12 +1,12 @@
 """Background work: a separate thread works on large values, one after another, and posts outcomes to the loop.
 
 The thread writes checkpoints, checks tables, reads results of tasks, and composes results of jobs that are not refined.
-So the service's loop never handles more bytes at a time than one message has.
+So the service's loop never handles more bytes at a time than the bytes of one message.
 
 The thread changes the store, but no job: an outcome is posted to the loop, and only the loop changes jobs. The loop may
 have ended or deleted the job meanwhile, so each handler of an outcome must check this. Exceptions are part of outcomes,
-and the loop raises them. *Doubts.* There is one thread, so that a result that takes long delays the checkpoints of all
-jobs.
+and the loop raises them. *Doubts.* There is one thread, so a result that takes long to compose delays the checkpoints
+of all jobs.
 """
 
 import hashlib
@@ -54,7 +54,7 @@ class Dependencies:
 
 @dataclass(frozen=True, slots=True)
 class TableChecked:
-    """The table of a job was checked. `is_sound`: it is stored undamaged; `error`: the error of reading it."""
+    """The table of a job was checked. `is_sound`: the table is stored undamaged; `error`: the error of reading it."""
 
     job: str
     is_sound: bool

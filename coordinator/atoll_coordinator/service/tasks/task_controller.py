@@ -25,7 +25,7 @@ from atoll_coordinator.service.tasks.background import (
     ResultRead,
     TaskResult,
 )
-from atoll_coordinator.service.tasks.task_table import Slot, Task, TaskTable, plan, task_id
+from atoll_coordinator.service.tasks.task_table import Slot, Task, TaskTable, plan_leases, task_id
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import NO_WORKER, Membership
 from atoll_coordinator.tasks.preparing import Prepared
@@ -233,7 +233,7 @@ class TaskController:
             (task for task in waiting if task.turn in ranks), key=lambda task: (ranks[task.turn], task.waiting_since)
         )
         lasting = [task for task in running if task.began_at is not None and now - task.began_at >= self.help_after_s]
-        planned = plan(waiting, lasting, self._slots(), self._hosts(), self._hosts(is_alone=True))
+        planned = plan_leases(waiting, lasting, self._slots(), self._hosts(), self._hosts(is_alone=True))
         for worker in planned.recalled:
             self._recall(worker)
         for task, worker, threads in planned.leases:
@@ -284,7 +284,7 @@ class TaskController:
             for worker in [*task.helpers]:
                 if self._membership.service(worker) == "draining":
                     self._recall(worker)
-        for task in self.table.overdue(now):
+        for task in self.table.timed_out(now):
             self._fail(task, "time", f"it took longer than {task.limit_s:,.0f} s and was ended", now)
         self.dispatch(now)
 

@@ -2,7 +2,7 @@
 
 A worker has one task at a time: its own task, or a task of another worker with which it helps. Waiting tasks are leased
 first, in the given order; idle workers then help with running tasks. A task that ran out of memory gets a host without
-other tasks: `plan` keeps a host free of other tasks and helpers for it.
+other tasks: `plan_leases` keeps a host free of other tasks and helpers for it.
 """
 
 import hashlib
@@ -112,7 +112,7 @@ class Task:
 
     @property
     def limit_s(self) -> float:
-        """Seconds after its lease from which it is treated as hung."""
+        """The task is treated as hung this number of seconds after its lease."""
         return max(LIMIT_S, self.seconds or 0.0)
 
     def step(self, step: Step) -> None:
@@ -202,7 +202,7 @@ class TaskTable:
         self._wait_again(task, "retry", now)
         return None
 
-    def overdue(self, now: float) -> list[Task]:
+    def timed_out(self, now: float) -> list[Task]:
         """Return the tasks that have taken too long."""
         held = (task for task in self._tasks.values() if task.worker is not None and not task.is_read)
         return [task for task in held if now - task.leased_at > task.limit_s]
@@ -254,7 +254,7 @@ class TaskPlan:
     recalled: list[str] = field(default_factory=list)
 
 
-def plan(
+def plan_leases(
     waiting: Sequence[Task], running: Sequence[Task], slots: Sequence[Slot], busy_hosts: Counter[str],
     closed_hosts: Collection[str] = (),
 ) -> TaskPlan:  # fmt: skip

@@ -2,9 +2,9 @@
 
 `worker_controller` handles events of workers. `membership` has the states and leases of workers. `crash_loops` counts
 deaths of workers by archipelago, reserves workers for quarantined archipelagos, and lengthens leases of slow workers.
-`placing` plans placements and corrects the holdings of workers. `stalls` finds causes of missing progress. `channel`
+`placement` plans placements and corrects the holdings of workers. `stalls` finds causes of missing progress. `channel`
 sends messages.
 
-Heartbeat -> `worker_controller` -> `membership` -> `placing.corrections` -> `channel`.
-Lost worker -> `membership` -> `crash_loops` -> `placing.Scheduler` -> placements through `channel`.
+Heartbeat -> `worker_controller` -> `membership` -> `placement.corrections` -> `channel`.
+Lost worker -> `membership` -> `crash_loops` -> `placement.Placer` -> placements through `channel`.
 """

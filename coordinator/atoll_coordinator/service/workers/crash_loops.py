@@ -17,13 +17,13 @@ from typing import Final, Literal
 from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
-from atoll_coordinator.service.store.searches import Death
+from atoll_coordinator.service.store.checkpoints import Death
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.membership import Membership
 
 QUARANTINE_AFTER: Final = 3
 FAIL_AFTER: Final = 5
-"""Numbers of successive terms that ended by a death."""
+"""Numbers of successive terms that ended by a death, after which an archipelago is quarantined or its job fails."""
 
 MAX_FACTOR: Final = 64.0
 """Largest factor on leases."""
@@ -62,7 +62,7 @@ class CrashLoop:
         return any(process in processes for processes in self._processes.values())
 
     def add_death(self, term: int, process: Process) -> bool:
-        """Add the death of a process that had islands under `term`; return whether it is the first of that term."""
+        """Add the death of a process that had islands under `term`; return whether it is the term's first death."""
         if self.state == "failed":
             return False
         is_first = term not in self._processes
@@ -87,7 +87,7 @@ class CrashLoop:
         return bool(terms)
 
     def add_commit(self, epoch: int) -> None:
-        """Forget the deaths if the commit is later than all previous ones: after a death, epochs are computed again."""
+        """Forget the deaths if the commit is later than all before: epochs are computed again after a death."""
         self._is_evicted = False
         if epoch > self._committed and self.state != "failed":
             self._committed = epoch

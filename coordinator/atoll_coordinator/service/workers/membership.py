@@ -21,8 +21,8 @@ LEASE_S: Final = 15.0
 """Seconds of silence after which a connected worker is lost: its process hangs."""
 
 ABSENCE_S: Final = 0.5
-"""Seconds after the end of its connection from which a worker is lost; the connection may return earlier. A worker that
-is wrongly treated as lost costs the work since the last checkpoint; a longer wait delays the islands of dead
+"""A worker is lost this number of seconds after the end of its connection; the connection may return earlier. A worker
+that is wrongly treated as lost costs the work since the last checkpoint; a longer wait delays the islands of dead
 workers."""
 
 STANDING_S: Final = 60.0
@@ -74,14 +74,14 @@ class Member:
 
     @property
     def is_ready(self) -> bool:
-        """Whether islands can be placed there now."""
+        """Whether islands can be placed on this worker now."""
         if self.state != "here" or self.status is None or not self.has_our_kernels:
             return False
         return self.status.state not in ("compiling", "leaving")
 
     @property
     def is_leaving(self) -> bool:
-        """Whether it has announced its end."""
+        """Whether the worker has announced its end."""
         return self.status is not None and self.status.state == "leaving"
 
 
@@ -165,7 +165,7 @@ class Membership:
                 member.gone_at = now
 
     def expire(self, now: float, factors: Mapping[str, float] | None = None) -> list[Member]:
-        """Mark workers whose leases have ended as lost or hung; return those that were not hung before.
+        """Mark workers whose leases have ended as lost or hung; return the workers that were not hung before.
 
         `factors`, by worker, lengthen leases; `Member.lost_by` is the reason of a loss.
         """
@@ -223,7 +223,7 @@ class Membership:
         return member is not None and member.status is not None and job in member.status.jobs
 
     def has_room(self, worker: str, needed: int) -> bool:
-        """Return whether a worker's machine has this number of bytes of free memory, or does not report it."""
+        """Return whether a worker's machine has this number of bytes of free memory, or does not report its memory."""
         member = self._members.get(worker)
         available = member.status.available_bytes if member is not None and member.status is not None else None
         return available is None or available >= needed
@@ -256,7 +256,7 @@ class Membership:
             return None
         return (
             f"a worker named {hello.name!r} is already connected from {known.hello.host} (process {known.hello.pid}); "
-            "give this one another name with --name"
+            "give this worker another name with --name"
         )
 
     def _fingerprint_refusal(self, hello: Hello) -> str | None:

@@ -16,7 +16,7 @@ PATIENCE_S: Final[dict[Cause, float]] = {
     "others": 30.0, "migrants": 5.0, "slow": 60.0,
 }  # fmt: skip
 """Seconds for which the lack of progress and its cause must last to be a stall. The first cause in this order counts:
-it may be the reason of later ones."""
+it may be the reason of later causes."""
 
 _SILENT_S: Final = 3.0
 _STANDING_S: Final = 5.0

@@ -18,7 +18,7 @@ from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.crash_loops import CrashLoops, Quarantine
 from atoll_coordinator.service.workers.membership import Member, Membership
-from atoll_coordinator.service.workers.placing import Assignment, Scheduler, corrections
+from atoll_coordinator.service.workers.placement import Assignment, Placer, corrections
 from atoll_coordinator.service.workers.stalls import StallDetector
 from atoll_core.compilation.cache import WORKER, source_digest
 from atoll_core.errors import RemoteProtocolError
@@ -58,7 +58,7 @@ class WorkerController:
     def __init__(
         self, live: LiveJobs, store: Store, channel: WorkerChannel, events: EventLog, expected_workers: int
     ) -> None:
-        """`expected_workers`: see `Scheduler`."""
+        """`expected_workers`: see `Placer`."""
         self.membership: Final = Membership(source_digest(WORKER))
         self.counters: Final = CounterRegistry()
         self.crash_loops: Final = CrashLoops(store, events)
@@ -74,7 +74,7 @@ class WorkerController:
         self._guarded = live.guarded
         self._breakages = live.breakages
         self._quarantine = Quarantine(self.membership, self.crash_loops)
-        self._scheduler = Scheduler(self.membership, self._quarantine, expected_workers)
+        self._placer = Placer(self.membership, self._quarantine, expected_workers)
         self._stalls = StallDetector(self.membership)
 
     def register(self, hello: Hello, now: float) -> str | None:
@@ -233,7 +233,7 @@ class WorkerController:
             return self._guarded(job, "placing islands", now)
 
         self.crash_loops.save()
-        plan = self._scheduler.plan(tuple(self._begun.values()), now, guarded)
+        plan = self._placer.plan_placements(tuple(self._begun.values()), now, guarded)
         for key in plan.broken:
             with guarded(key[0]):
                 text = "a worker of its placement is lost, or reserved for another archipelago"

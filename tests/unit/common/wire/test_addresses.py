@@ -47,7 +47,9 @@ def test_what_is_no_address_is_refused_with_an_example(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["unixsock-stream/", "unixsock-stream//tmp/a?b", "unixsock-stream//" + 30 * "long"])
 def test_what_is_no_socket_is_refused(text: str) -> None:
-    with pytest.raises(UsageError, match=r"such as unixsock-stream//tmp/mine/bus|has one of|longer than 103 bytes"):
+    with pytest.raises(
+        UsageError, match=r"such as unixsock-stream//tmp/mine/bus|or a line break|longer than 103 bytes"
+    ):
         parse_address(text)
 
 

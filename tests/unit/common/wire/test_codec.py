@@ -138,7 +138,7 @@ def test_arrays_come_back_with_type_shape_and_bits(dtype: str, shape: tuple[int,
 
 @pytest.mark.parametrize("array", [np.array(["text"]), np.array([None]), np.zeros(2, dtype=bool), np.zeros((1,) * 5)])
 def test_other_types_of_arrays_do_not_travel(array: np.ndarray) -> None:
-    with pytest.raises(LocalProtocolError, match="cannot travel"):
+    with pytest.raises(LocalProtocolError, match="cannot be sent"):
         codec.encode_arrays({}, {"x": array})
 
 

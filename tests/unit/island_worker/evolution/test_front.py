@@ -94,7 +94,7 @@ class Arena:
         is_operator = lists.code[0] > 1
         lists.left[0, is_operator] += room
         lists.right[0, is_operator] += room
-        improvements = self.offering.offer(lists, np.ones(1), self.counters, (0, 10, 0), looks_beside=True)
+        improvements = self.offering.offer(lists, np.ones(1), self.counters, (0, 10, 0), offers_next_best=True)
         self.additions += improvements[0]
         return improvements
 

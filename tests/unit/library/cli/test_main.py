@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from atoll.cli import main as entry
-from atoll.cli.exit_codes import ending
+from atoll.cli.exit_codes import exit_code_and_reason
 from atoll.cli.main import main
 from atoll.cli.options import VERBS, build_parser, parse
 from atoll_core.config import DataConfig, JobConfig
@@ -244,7 +244,7 @@ FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=3, expression="2.0*x"),)
 def test_the_end_of_a_job_decides_the_exit_code(
     changes: dict[str, object], target: float | None, code: int, words: str | None
 ) -> None:
-    found, sentence = ending(job_view(target_error=target, **changes))
+    found, sentence = exit_code_and_reason(job_view(target_error=target, **changes))
     assert found == code
     assert (sentence is None) == (words is None)
     assert words is None or words in (sentence or "")

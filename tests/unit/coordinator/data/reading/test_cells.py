@@ -10,7 +10,7 @@ import openpyxl
 import pytest
 
 from atoll.api.tables import table_of
-from atoll_coordinator.data.reading.cells import read_numbers
+from atoll_coordinator.data.reading.cells import parse_numbers
 from atoll_core.config import DataConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError
@@ -18,7 +18,7 @@ from atoll_core.errors import DataError
 
 def numbers(separator=",", **columns):
     cells = {name: text.split("|") for name, text in columns.items()}
-    read, remarks = read_numbers("a.csv", cells, [0] * len(next(iter(cells.values()))), separator)
+    read, remarks = parse_numbers("a.csv", cells, [0] * len(next(iter(cells.values()))), separator)
     return {name: values.tolist() for name, values in read.items()}, remarks
 
 

@@ -71,7 +71,9 @@ def test_what_options_name_is_kept(read):
     assert table.names == ("t", "run", "T", "prey", "big cat")
     assert table.labels == {"run": ("warm", "cold")}
     assert table.column("T").tolist() == [37.0] * 6 + [4.0] * 6
-    with pytest.raises(DataError, match=r"column 'T' of a\.csv, a long table, differs between observables of one time"):
+    with pytest.raises(
+        DataError, match=r"column 'T' of a\.csv, a long table, differs between observables at the same time"
+    ):
         read("variable,t,value,T\nA,0,1,7\nA,1,2,7\nB,0,3,8\nB,1,3,7\n", inputs=("T",))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from atoll_coordinator.model.inference.final_model import attach_estimates
 from atoll_coordinator.model.inference.trajectory_simulation import fit_initial_states
-from atoll_coordinator.model.shooting.trajectory_fit import covariance
+from atoll_coordinator.model.shooting.fit_result import covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import constant_places, structure
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, Known, compare, measurements

@@ -4,7 +4,7 @@ import numpy as np
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection.candidates import collect_candidates
-from atoll_coordinator.model.selection.stages import STAGES, Choice
+from atoll_coordinator.model.selection.model_selection import STAGES, Choice
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_core.config import JobConfig
 from tests.unit.coordinator.model.shooting.made import pools, table

@@ -20,9 +20,9 @@ from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.joint_search import exchange_programs
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
+from atoll_coordinator.model.shooting.fit_result import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
-from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance, covariance
 from atoll_coordinator.settings import SETTINGS, EffortSettings
 from atoll_core.config import DataConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset

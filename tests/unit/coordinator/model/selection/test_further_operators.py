@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.selection.stages import operator_remarks
+from atoll_coordinator.model.selection.model_selection import operator_remarks
 from atoll_core.config import BASE_OPERATORS, JobConfig, SpaceConfig
 from atoll_core.data.notes import Note
 from tests.unit.coordinator.model.selection.begun import looked_again, selected

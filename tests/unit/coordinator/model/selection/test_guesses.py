@@ -7,7 +7,7 @@ import pytest
 
 from atoll_coordinator.model.selection.alternatives import rank_alternatives
 from atoll_coordinator.model.selection.candidates import CandidateSet, form_key
-from atoll_coordinator.model.selection.stages import try_guesses
+from atoll_coordinator.model.selection.model_selection import try_guesses
 from tests.unit.coordinator.model.selection.begun import selected
 from tests.unit.coordinator.model.shooting.made import Known
 

@@ -6,7 +6,7 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import OUT_OF_TIME, refine_all
-from atoll_coordinator.model.selection import stages
+from atoll_coordinator.model.selection import model_selection
 from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.expression.text.infix import to_infix
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
@@ -20,14 +20,14 @@ WILD = {"x": ("0.7*x*sin(1.4 - y*y)",), "y": ("1.3*sin(x*y) - y*sin(y)",)}
 def refined(monkeypatch, stage):
     """Return what is refined when time is over right after, or before, a stage of the selection."""
     seconds = [0.0]
-    original = getattr(stages, stage)
+    original = getattr(model_selection, stage)
 
     def late(*arguments):
         made = original(*arguments)
         seconds[0] = 70.0
         return made
 
-    monkeypatch.setattr(stages, stage, late)
+    monkeypatch.setattr(model_selection, stage, late)
     prepared = prepare(table(PREY, ([1.0, 0.5], [2.5, 1.0]), 0.1 * np.arange(80.0), noise=0.02, seed=3), CONFIG)
     return refine_all(prepared, CONFIG, pools(prepared, **WILD), Deadline(100.0, lambda: seconds[0]))
 

@@ -9,11 +9,11 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.model_selection import select_model
 from atoll_coordinator.model.selection.piece_lengths import piece_remarks, refit_on_all_rows
-from atoll_coordinator.model.selection.stages import select_model
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
+from atoll_coordinator.model.shooting.fit_result import covariance
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
-from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig, SpaceConfig
 from tests.unit.coordinator.model.fitting import settings

@@ -12,8 +12,8 @@ from atoll_coordinator.model.pools import Law, Member
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection import proposals
 from atoll_coordinator.model.selection.candidates import CandidateSet
+from atoll_coordinator.model.selection.model_selection import select_model
 from atoll_coordinator.model.selection.shortcut import add_laws, select_laws
-from atoll_coordinator.model.selection.stages import select_model
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import PRESETS
 from atoll_core.expression.text.infix import to_infix

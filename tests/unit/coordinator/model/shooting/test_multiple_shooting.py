@@ -8,10 +8,10 @@ import pytest
 from atoll_coordinator.data.differentiation.smoothing import Signal, fit_robustly
 from atoll_coordinator.model.shooting import multiple_shooting
 from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.shooting.fit_result import covariance
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import system_of, variable_program
-from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.shooting.made import (

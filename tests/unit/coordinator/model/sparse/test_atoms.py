@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from atoll_coordinator.model.description_length import constant_nats_of, structure_length
 from atoll_coordinator.model.sparse.atoms import (
     dictionary,
-    libraries,
+    polynomial_and_fourier_libraries,
     powers,
     product_of,
     products,
@@ -91,7 +91,7 @@ WAVES = [(code, variable) for variable in (X, Y) for code in (SIN, COS)]
 
 
 def test_polynomials_waves_and_coupled_phases_over_two_variables():
-    quadratic, cubic, mixed, products, phases = libraries([0, 1], [*PLAIN, SUBTRACT, SIN, COS])
+    quadratic, cubic, mixed, products, phases = polynomial_and_fourier_libraries([0, 1], [*PLAIN, SUBTRACT, SIN, COS])
     assert quadratic == SQUARES
     assert cubic == [*SQUARES, *map(product_of, ((X, X, X), (X, X, Y), (X, Y, Y), (Y, Y, Y)))]
     assert mixed == [*SQUARES, *WAVES]
@@ -101,21 +101,25 @@ def test_polynomials_waves_and_coupled_phases_over_two_variables():
 
 @pytest.mark.parametrize("variables", [1, 2, 3, 5, 8])
 def test_no_library_is_larger_than_allowed_and_none_has_a_term_twice(variables):
-    for terms in libraries(range(variables), [operator.code for operator in BY_NAME.values()]):
+    for terms in polynomial_and_fourier_libraries(range(variables), [operator.code for operator in BY_NAME.values()]):
         assert len(terms) <= SETTINGS.effort.longest_sum
         assert len(set(terms)) == len(terms)
 
 
 def test_libraries_use_only_allowed_operators():
-    assert list(libraries([0, 1], [MULTIPLY, DIVIDE])) == []
-    assert list(libraries([0, 1], [ADD, SIN, COS])) == []
-    assert len(list(libraries([0, 1], [*PLAIN, SIN]))) == 2
-    assert len(list(libraries([0, 1], [*PLAIN, SIN, COS]))) == 4
-    codes = {code for terms in libraries([0, 1], PLAIN) for code in sum_of(terms, [0.5] * len(terms)).operators}
+    assert list(polynomial_and_fourier_libraries([0, 1], [MULTIPLY, DIVIDE])) == []
+    assert list(polynomial_and_fourier_libraries([0, 1], [ADD, SIN, COS])) == []
+    assert len(list(polynomial_and_fourier_libraries([0, 1], [*PLAIN, SIN]))) == 2
+    assert len(list(polynomial_and_fourier_libraries([0, 1], [*PLAIN, SIN, COS]))) == 4
+    codes = {
+        code
+        for terms in polynomial_and_fourier_libraries([0, 1], PLAIN)
+        for code in sum_of(terms, [0.5] * len(terms)).operators
+    }
     assert codes <= {0, 1, ADD, MULTIPLY, BY_NAME["square"].code}
 
 
-ALL = {term for terms in libraries([0, 1], [*PLAIN, SUBTRACT, SIN, COS]) for term in terms}
+ALL = {term for terms in polynomial_and_fourier_libraries([0, 1], [*PLAIN, SUBTRACT, SIN, COS]) for term in terms}
 TERMS = st.lists(st.sampled_from(sorted(ALL, key=repr)), min_size=1, max_size=8, unique=True)
 
 

@@ -154,7 +154,7 @@ def test_no_copy_is_made_where_sqlite_left_something_of_another(state: Path, tmp
 def test_a_restored_store_that_is_another_one_is_not_called_restored(
     copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(backup, "_renamed_copy", lambda source, draft: (draft.write_bytes(source.read_bytes()), "x")[1])
+    monkeypatch.setattr(backup, "_copy_renamed", lambda source, draft: (draft.write_bytes(source.read_bytes()), "x")[1])
     with pytest.raises(StoreError, match=r"holds 2 jobs of the cluster .*, but 2 of x were expected"):
         restore(copy, tmp_path / "new")
 

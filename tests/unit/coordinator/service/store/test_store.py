@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from atoll_coordinator.service.store.checkpoints import MAX_FAILED, Death
 from atoll_coordinator.service.store.events import LEAST_COMMITS, MAX_EVENTS, EventRecord
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.lock import Lock, last_beat
 from atoll_coordinator.service.store.schema import FILE_NAME, SCHEMA_VERSION
-from atoll_coordinator.service.store.searches import MAX_FAILED, Death
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import LocalProtocolError, StoreError
 from atoll_core.wire.messages.limits import CHUNK_SIZE

@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from atoll_coordinator.service.tasks.task_table import Slot, Task, TaskPlan, plan
+from atoll_coordinator.service.tasks.task_table import Slot, Task, TaskPlan, plan_leases
 from atoll_core.wire.messages.tasks import TaskFunction
 
 
@@ -37,7 +37,7 @@ def test_a_task_goes_where_its_data_are_then_where_a_process_is_loaded_then_wher
     ]  # fmt: skip
     order = []
     while slots:
-        ((_, worker, _),) = leases(plan([task("a", job="j")], [], slots, Counter()))
+        ((_, worker, _),) = leases(plan_leases([task("a", job="j")], [], slots, Counter()))
         order.append(worker)
         slots = [one for one in slots if one.worker != worker]
     assert order == ["w3", "w2", "w1", "w0"]
@@ -45,55 +45,55 @@ def test_a_task_goes_where_its_data_are_then_where_a_process_is_loaded_then_wher
 
 def test_a_task_may_use_the_cores_of_workers_of_its_host_that_have_nothing_to_do() -> None:
     slots = [slot("w0", "a"), slot("w1", "a"), slot("w2", "a", helps="r"), slot("w3", "b")]
-    assert leases(plan([task("t")], [], slots, Counter())) == [("t", "w0", 2)]
-    two = leases(plan([task("t"), task("u")], [], slots, Counter()))
+    assert leases(plan_leases([task("t")], [], slots, Counter())) == [("t", "w0", 2)]
+    two = leases(plan_leases([task("t"), task("u")], [], slots, Counter()))
     assert two == [("t", "w0", 2), ("u", "w1", 1)]
 
 
 def test_who_is_idle_helps_with_what_has_fewest_helpers_and_comes_in_batches() -> None:
     tasks = [running("a", helpers=2), running("b", since=2.0), running("c", since=1.0), running("d", "prepare")]
-    made = plan([], tasks, [slot(f"w{number}") for number in range(4)], Counter())
+    made = plan_leases([], tasks, [slot(f"w{number}") for number in range(4)], Counter())
     assert helps(made) == [("c", "w0"), ("b", "w1"), ("a", "w2"), ("c", "w3")]
 
 
 def test_a_helper_is_recalled_only_for_a_task_that_nobody_else_can_take() -> None:
     slots = [slot("w0", helps="r"), slot("w1", "b")]
-    made = plan([task("t")], [running("r")], slots, Counter())
+    made = plan_leases([task("t")], [running("r")], slots, Counter())
     assert (leases(made), made.recalled) == ([("t", "w1", 1)], [])
-    made = plan([task("t"), task("u")], [running("r")], slots, Counter())
+    made = plan_leases([task("t"), task("u")], [running("r")], slots, Counter())
     assert (leases(made), made.recalled) == ([("t", "w1", 1), ("u", "w0", 1)], ["w0"])
 
 
 def test_who_helps_already_gets_no_second_task_to_help_with() -> None:
-    assert plan([], [running("r")], [slot("w0", helps="r")], Counter()).helps == []
+    assert plan_leases([], [running("r")], [slot("w0", helps="r")], Counter()).helps == []
 
 
 def test_what_must_be_alone_waits_for_a_host_without_tasks_and_that_host_is_kept_free_for_it() -> None:
     alone = task("t", is_alone=True)
     slots = [slot("w0", "a"), slot("w1", "b"), slot("w2", "b")]
     busy = Counter({"a": 2, "b": 1})
-    made = plan([alone, task("u"), task("v")], [running("r")], slots, busy)
+    made = plan_leases([alone, task("u"), task("v")], [running("r")], slots, busy)
     assert leases(made) == [("u", "w0", 1)]  # b has fewest tasks: nothing more is given to it
     assert made.helps == []
-    made = plan([alone, task("u")], [], slots, Counter({"a": 2}))
+    made = plan_leases([alone, task("u")], [], slots, Counter({"a": 2}))
     assert leases(made) == [("t", "w1", 1), ("u", "w0", 1)]
 
 
 def test_what_must_be_alone_has_no_helpers_and_no_neighbours() -> None:
     alone = task("t", "refine", is_alone=True)
     slots = [slot("w0", "a"), slot("w1", "a", helps="r"), slot("w2", "a")]
-    made = plan([alone], [running("r")], slots, Counter())
+    made = plan_leases([alone], [running("r")], slots, Counter())
     assert (leases(made), made.recalled, made.helps) == ([("t", "w0", 1)], ["w1"], [])
     alone.state = "running"
-    made = plan([task("u")], [alone, running("r")], [slot("w2", "a"), slot("w3", "b")], Counter({"a": 1}), {"a"})
+    made = plan_leases([task("u")], [alone, running("r")], [slot("w2", "a"), slot("w3", "b")], Counter({"a": 1}), {"a"})
     assert (leases(made), made.helps) == ([("u", "w3", 1)], [])
 
 
 def test_the_only_other_worker_of_a_host_whose_core_a_task_has_by_a_thread_does_not_help() -> None:
     two = task("a")
-    assert leases(plan([two], [], [slot("w0"), slot("w1"), slot("w2")], Counter())) == [("a", "w0", 2)]
+    assert leases(plan_leases([two], [], [slot("w0"), slot("w1"), slot("w2")], Counter())) == [("a", "w0", 2)]
     one = running("b")
     one.threads = 2
-    assert helps(plan([], [one], [slot("w1")], Counter({"lab": 1}))) == []
-    assert helps(plan([], [one], [slot("w1", "other")], Counter({"lab": 1}))) == [("b", "w1")]
-    assert helps(plan([], [one], [slot("w1"), slot("w2")], Counter({"lab": 1}))) == [("b", "w1"), ("b", "w2")]
+    assert helps(plan_leases([], [one], [slot("w1")], Counter({"lab": 1}))) == []
+    assert helps(plan_leases([], [one], [slot("w1", "other")], Counter({"lab": 1}))) == [("b", "w1")]
+    assert helps(plan_leases([], [one], [slot("w1"), slot("w2")], Counter({"lab": 1}))) == [("b", "w1"), ("b", "w2")]

@@ -66,10 +66,10 @@ def test_a_task_may_take_so_long_or_as_long_as_its_job_was_given(seconds: float 
     one, limit_s = task(), seconds or LIMIT_S
     one.seconds = seconds
     table = table_with(one)
-    assert table.overdue(9.0 * LIMIT_S) == []  # nobody has it
+    assert table.timed_out(9.0 * LIMIT_S) == []  # nobody has it
     table.lease(one, "w", 0.0)
-    assert table.overdue(limit_s) == []
-    assert table.overdue(limit_s + 1.0) == [one]
+    assert table.timed_out(limit_s) == []
+    assert table.timed_out(limit_s + 1.0) == [one]
 
 
 class Histories(RuleBasedStateMachine):

@@ -7,8 +7,8 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection.candidates import collect_candidates
+from atoll_coordinator.model.selection.model_selection import STAGES, Choice
 from atoll_coordinator.model.selection.shortcut import add_laws
-from atoll_coordinator.model.selection.stages import STAGES, Choice
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import BudgetConfig, JobConfig, SpaceConfig
 from tests.unit.coordinator.model.shooting.made import Known, pools, table

@@ -1,4 +1,4 @@
-"""The store's tables of searches: archipelagos (terms, placements, cuts), checkpoints with states, and worker deaths.
+"""The store's tables of searches: checkpoints with states, archipelagos (terms, placements, cuts), and worker deaths.
 
 Functions that take `sql` are part of the caller's transaction.
 """
@@ -27,15 +27,15 @@ class Death(NamedTuple):
     instance: str
 
 
-class SearchStore(JobStore):
-    """The part of the store that holds searches. Every method is one transaction."""
+class CheckpointStore(JobStore):
+    """The part of the store that holds checkpoints, placements and cuts. Every method is one transaction."""
 
     def begin_terms(self, archipelagos: Sequence[tuple[str, str]], place: Callable[[int, int], bytes]) -> None:
         """Raise the terms of archipelagos and store their placements, all in one transaction.
 
         Args:
-            archipelagos: by job and variable.
-            place: returns the placement of archipelago number `index` under its new `term`.
+            archipelagos: The archipelagos, each as a job and a variable.
+            place: Returns the placement of archipelago number `index` under its new `term`.
         """
         with self._transaction() as sql:
             for index, key in enumerate(archipelagos):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, growth_rate
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, growth_rate
 from atoll_core.config import PRESETS
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.shooting.made import SWING, table

@@ -15,11 +15,11 @@ from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.crash_loops import CrashLoops, Quarantine
 from atoll_coordinator.service.workers.membership import ABSENCE_S, Membership
-from atoll_coordinator.service.workers.placing import (
+from atoll_coordinator.service.workers.placement import (
     DATASET_ROOM,
     EXPECT_S,
     PlacementPlan,
-    Scheduler,
+    Placer,
     spread,
 )
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
@@ -59,16 +59,16 @@ def join(membership: Membership, name: str) -> None:
 
 
 @pytest.fixture
-def scheduler_of() -> Iterator[Callable[..., Scheduler]]:
-    """Return a function that makes a scheduler, over a store without any deaths."""
+def placer_of() -> Iterator[Callable[..., Placer]]:
+    """Return a function that makes a placer, over a store without any deaths."""
     with Store.open(None) as store:
         crash_loops = CrashLoops(store, EventLog(store, lambda: ""))
-        yield lambda membership, expected=1: Scheduler(membership, Quarantine(membership, crash_loops), expected)
+        yield lambda membership, expected=1: Placer(membership, Quarantine(membership, crash_loops), expected)
 
 
-def plan_of(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) -> PlacementPlan:
+def plan_of(placer: Placer, *archipelagos: Archipelago, now: float = 0.0) -> PlacementPlan:
     """Return the plan for one running job of these archipelagos."""
-    return scheduler.plan([running(*archipelagos)], now)
+    return placer.plan_placements([running(*archipelagos)], now)
 
 
 def running(*archipelagos: Archipelago, size: int = 0) -> Job:
@@ -82,21 +82,21 @@ def carry_out(plan: PlacementPlan, term: int, now: float) -> None:
         assignment.archipelago.place(assignment.placement(1, term), now)
 
 
-def placed(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) -> list[tuple[str, ...]]:
-    return [assignment.workers for assignment in plan_of(scheduler, *archipelagos, now=now).assignments]
+def placed(placer: Placer, *archipelagos: Archipelago, now: float = 0.0) -> list[tuple[str, ...]]:
+    return [assignment.workers for assignment in plan_of(placer, *archipelagos, now=now).assignments]
 
 
-def test_the_expected_workers_are_waited_for_but_not_for_ever(scheduler_of: Callable[..., Scheduler]) -> None:
-    scheduler = scheduler_of(members("a"), 3)
-    assert placed(scheduler, now=-EXPECT_S) == []
-    assert placed(scheduler, archipelago()) == []
-    assert placed(scheduler, archipelago(), now=0.9 * EXPECT_S) == []
-    assert placed(scheduler, archipelago(), now=EXPECT_S) == [("a", "a", "a", "a")]
+def test_the_expected_workers_are_waited_for_but_not_for_ever(placer_of: Callable[..., Placer]) -> None:
+    placer = placer_of(members("a"), 3)
+    assert placed(placer, now=-EXPECT_S) == []
+    assert placed(placer, archipelago()) == []
+    assert placed(placer, archipelago(), now=0.9 * EXPECT_S) == []
+    assert placed(placer, archipelago(), now=EXPECT_S) == [("a", "a", "a", "a")]
 
 
-def test_what_a_lost_worker_had_goes_to_those_with_the_least_to_do(scheduler_of: Callable[..., Scheduler]) -> None:
+def test_what_a_lost_worker_had_goes_to_those_with_the_least_to_do(placer_of: Callable[..., Placer]) -> None:
     membership = members("a", "b", "c")
-    scheduler = scheduler_of(membership)
+    placer = placer_of(membership)
     jobs = [
         running(archipelago("a", islands=1, job="p")),
         running(archipelago("a", islands=1, job="q")),
@@ -104,7 +104,7 @@ def test_what_a_lost_worker_had_goes_to_those_with_the_least_to_do(scheduler_of:
     ]
     membership.record_presence("a", False, 0.0)
     membership.expire(ABSENCE_S)
-    plan = scheduler.plan(jobs, 60.0)
+    plan = placer.plan_placements(jobs, 60.0)
     assert plan.broken == [("p", "x"), ("q", "x")]
     assert [assignment.workers for assignment in plan.assignments] == [("c",), ("b",)]
 
@@ -116,14 +116,14 @@ def test_moves_come_to_an_end(placements: list[tuple[str, int]], workers: int) -
     with Store.open(None) as store:
         membership = members(*"abcd"[:workers])
         crash_loops = CrashLoops(store, EventLog(store, lambda: ""))
-        scheduler = Scheduler(membership, Quarantine(membership, crash_loops))
+        placer = Placer(membership, Quarantine(membership, crash_loops))
         jobs = [
             running(archipelago(*worker * islands, islands=islands, job=f"job{number}"))
             for number, (worker, islands) in enumerate(placements)
         ]
         for _ in range(1 + len(jobs) * 8):
-            carry_out(scheduler.plan(jobs, 0.0), 2, 0.0)
-        assert scheduler.plan(jobs, 0.0).assignments == []
+            carry_out(placer.plan_placements(jobs, 0.0), 2, 0.0)
+        assert placer.plan_placements(jobs, 0.0).assignments == []
 
 
 def heard(membership: Membership, name: str, **said: object) -> None:
@@ -132,35 +132,35 @@ def heard(membership: Membership, name: str, **said: object) -> None:
 
 
 def test_of_workers_with_as_much_to_do_those_come_first_that_have_the_dataset(
-    scheduler_of: Callable[..., Scheduler],
+    placer_of: Callable[..., Placer],
 ) -> None:
     membership = members("a", "b", "c")
     heard(membership, "c", jobs=("job",))
-    assert placed(scheduler_of(membership), archipelago(islands=2), archipelago(islands=1)) == [("c", "a"), ("b",)]
+    assert placed(placer_of(membership), archipelago(islands=2), archipelago(islands=1)) == [("c", "a"), ("b",)]
 
 
 def test_machines_without_room_for_a_dataset_are_left_out_while_there_are_others(
-    scheduler_of: Callable[..., Scheduler],
+    placer_of: Callable[..., Placer],
 ) -> None:
     membership = members("a", "b")
     heard(membership, "a", available_bytes=DATASET_ROOM * 1000 - 1)
-    scheduler = scheduler_of(membership)
-    (large,) = scheduler.plan([running(archipelago(islands=2), size=1000)], 0.0).assignments
+    placer = placer_of(membership)
+    (large,) = placer.plan_placements([running(archipelago(islands=2), size=1000)], 0.0).assignments
     assert large.workers == ("b", "b")
-    (fits,) = scheduler.plan([running(archipelago(islands=2), size=999)], 0.0).assignments
+    (fits,) = placer.plan_placements([running(archipelago(islands=2), size=999)], 0.0).assignments
     assert fits.workers == ("a", "b")
     heard(membership, "b", available_bytes=0)
-    (nowhere,) = scheduler.plan([running(archipelago(islands=2), size=1000)], 0.0).assignments
+    (nowhere,) = placer.plan_placements([running(archipelago(islands=2), size=1000)], 0.0).assignments
     assert nowhere.workers == ("a", "b")
 
 
-def test_a_cordoned_worker_gets_nothing_and_a_drained_one_hands_over(scheduler_of: Callable[..., Scheduler]) -> None:
+def test_a_cordoned_worker_gets_nothing_and_a_drained_one_hands_over(placer_of: Callable[..., Placer]) -> None:
     membership = members("a", "b")
-    scheduler, made = scheduler_of(membership), archipelago("a", "b", islands=2)
+    placer, made = placer_of(membership), archipelago("a", "b", islands=2)
     membership.set_cordons({"b": False})
-    assert placed(scheduler, archipelago(islands=2)) == [("a", "a")]
-    assert placed(scheduler, made, now=1.0) == []
+    assert placed(placer, archipelago(islands=2)) == [("a", "a")]
+    assert placed(placer, made, now=1.0) == []
     membership.set_cordons({"b": True})
-    carry_out(plan_of(scheduler, made, now=2.0), 2, 2.0)  # it has no commit yet: what is lost is next to nothing
+    carry_out(plan_of(placer, made, now=2.0), 2, 2.0)  # it has no commit yet: what is lost is next to nothing
     assert made.workers == ("a",)
     assert [membership.service(name) for name in "ab"] == ["open", "draining"]

@@ -2,8 +2,8 @@
 
 Placements decide when and where islands are computed, and never their results.
 
-`Scheduler.plan` visits all archipelagos at each event that may change something. A placement that has lost a worker
-ends at once, and the next term continues from the last commit. For all other changes (a leaving worker, a better
+`Placer.plan_placements` visits all archipelagos at each event that may change something. A placement that has lost a
+worker ends at once, and the next term continues from the last commit. For all other changes (a leaving worker, a better
 balance, a held job) the archipelago first gets a barrier, so that no work is lost. Soon after a placement there is no
 barrier, because little has been computed. *Doubts.* The load of a worker is its number of islands; differences between
 islands or machines are not measured.
@@ -75,7 +75,7 @@ class PlacementPlan:
     released: list[Placement] = field(default_factory=list)
 
 
-class Scheduler:
+class Placer:
     """Plans the placements of all archipelagos on the present workers."""
 
     def __init__(self, membership: Membership, quarantine: Quarantine, expected_workers: int = 1) -> None:
@@ -86,7 +86,7 @@ class Scheduler:
         self._first_ready_at: float | None = None
         self._sizes: dict[str, int] = {}
 
-    def plan(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> PlacementPlan:
+    def plan_placements(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> PlacementPlan:
         """Plan terms for archipelagos that have no workers or lost workers, or could use more; `now` in bus seconds.
 
         Archipelagos whose placements end are unplaced; archipelagos that should move get a barrier. Each is handled
@@ -169,7 +169,9 @@ class Scheduler:
                 _unplace(archipelago, load)
             else:
                 archipelago.request_barrier()
-        elif archipelago.may_plan and not self._is_young(archipelago, now) and self._better(archipelago, load):
+        elif (
+            archipelago.may_plan and not self._is_young(archipelago, now) and self._better_placement(archipelago, load)
+        ):
             archipelago.request_barrier()
 
     def is_broken(self, archipelago: Archipelago) -> bool:
@@ -187,14 +189,14 @@ class Scheduler:
         if len(self._membership.ready()) < self._expected:
             return None
         if archipelago.placement is not None:
-            return self._better(archipelago, load) if self._is_young(archipelago, now) else None
+            return self._better_placement(archipelago, load) if self._is_young(archipelago, now) else None
         return self._spread(archipelago, load)
 
     def _spread(self, archipelago: Archipelago, load: Mapping[str, int]) -> tuple[str, ...] | None:
         """Return the worker of each island, among the ready workers; None: no worker is ready.
 
-        Workers without memory for the dataset are used only if there are no others. Among workers with the same load,
-        workers that have the dataset come first.
+        Workers without memory for the dataset are used only if there are no other workers. Among workers with the same
+        load, workers that have the dataset come first.
         """
         job, needed = archipelago.job, DATASET_ROOM * self._sizes.get(archipelago.job, 0)
         ready = self._quarantine.ready_for(archipelago.key)
@@ -206,7 +208,7 @@ class Scheduler:
         """Return whether little has been computed since the archipelago was placed."""
         return now - archipelago.placed_at <= REPLACE_WITHIN_S
 
-    def _better(self, archipelago: Archipelago, load: Mapping[str, int]) -> tuple[str, ...] | None:
+    def _better_placement(self, archipelago: Archipelago, load: Mapping[str, int]) -> tuple[str, ...] | None:
         """Return a placement that lowers the largest load of the archipelago's workers; None: there is none.
 
         Each such move lowers the sum of squares of all loads, so there are only finitely many moves.
@@ -220,7 +222,7 @@ class Scheduler:
         return workers if busiest < max(load.get(worker, 0) for worker in own) else None
 
     def _update_expected(self, now: float) -> None:
-        """Expect one worker only, after all expected workers were ready or the first one has waited for `EXPECT_S`."""
+        """Stop waiting for workers when all expected workers are ready, or the first has waited for `EXPECT_S`."""
         ready = len(self._membership.ready())
         if not ready:
             return
@@ -235,8 +237,9 @@ def spread(
 ) -> tuple[str, ...]:  # fmt: skip
     """Return the worker of each island: workers in turn, the least loaded first.
 
-    So loads that differ by at most one island continue to do so, and each archipelago is on as many workers as
-    possible. Then each loss of a worker affects few of its islands, and it has its share of every worker.
+    Loads that differ by at most one island before still do so afterwards, and each archipelago is on as many workers as
+    possible. Then the loss of a worker affects few islands of an archipelago, and each archipelago has its share of
+    every worker.
 
     Args:
         islands: number of islands.

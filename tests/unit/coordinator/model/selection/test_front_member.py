@@ -7,13 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.description_length import (
-    count_constants,
-    front_length,
-    log,
-    select_member,
-)
+from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.pools import may_be_shown
+from atoll_coordinator.model.selection.front_member import count_constants, front_length, select_member
 from atoll_coordinator.model.sparse.atoms import expression_of, products, sum_of
 from atoll_core.data.dataset import Target
 from atoll_core.expression.program import MAX_NODES
