@@ -23,7 +23,7 @@ from benchmarks.harness.journal import Journal
 from benchmarks.harness.service import JobEndedError, Searches
 from benchmarks.harness.stopwatch import Stopwatch
 
-BROKE = "broke ("
+BROKE = "failed ("
 """What a sentence or warning says when something of ours failed."""
 
 

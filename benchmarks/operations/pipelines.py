@@ -87,7 +87,7 @@ def played(seed: int) -> tuple[End, str]:
     preparation = prepared.preparation
     result = build_result("drawn", prepared.config, preparation, outcomes, Account("done", 1.0, 1.0), refinement)
     render_text(Result.load(json.loads(json.dumps(result.as_dict(), allow_nan=False))))
-    broken = [warning for warning in result.warnings if "broke (" in warning]
+    broken = [warning for warning in result.warnings if "failed (" in warning]
     return ("broke", broken[0]) if broken else ("done", "")
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 Rounds = tuple[tuple[int, int], ...]
-"""Rounds of a comparison: for each, the steps of a fit and the number of systems that are kept."""
+"""Rounds of a comparison: for each round, the steps of a fit and the number of systems that are kept."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,10 @@ class CommonSettings:
     clean: float = 1e-5
     """Noise or uncertainty below this share counts as zero: bias and rounding of noise-free data are about as large."""
     fewest_rows: int = 5
-    """Fewest rows of a differentiated trajectory, of a span, and of any search: four for a cubic, one to judge it."""
+    """Fewest rows of a differentiated trajectory, of a span, and of any search: four rows determine a cubic, one more
+    tests it."""
     few_values: int = 8
-    """Fewest distinct values: with fewer, a pattern in them, such as a common step, is often chance."""
+    """Fewest distinct values of a column: with fewer values, a pattern such as a common step is often due to chance."""
     significant: float = 3.0
     """Number of standard errors beyond which a finding, or a correlation, is significant (p = 0.003)."""
     improbable: float = 1e-6
@@ -54,9 +55,9 @@ class SmoothingSettings:
     smallest_noise: float = 1e-9
     """Noise, as a share of the state's standard deviation, below which data count as noise-free."""
     judged_shares: tuple[float, ...] = (0.95, 0.75)
-    """Shares of the rows, best rows first, on which interpolation and smoothing are compared, so that neither jumps nor
-    rows at rest decide. Without noise interpolation wins on at least one share; with noise it loses on both, by a
-    factor near 1.5."""
+    """Interpolation and smoothing are compared on these shares of the rows, best rows first. So neither jumps nor rows
+    at rest decide the comparison. Without noise, interpolation has the smaller error on at least one share; with noise,
+    it has the larger error on both, by a factor near 1.5."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,9 @@ class ColumnSettings:
     """Largest residual of a relation up to noise, as a share of the column's standard deviation. With twice this limit,
     chance relations of slow motions were reported in 2 of 563 random tables (residuals of 6 and 8 %)."""
     clear: float = 0.3
-    """Noise of curvatures, as a share of their median size, below which they are compared. Of 128 tables of full states
-    none was mistaken for a table of positions only (with half this value, one was); of 128 tables of positions only, 71
-    were recognised."""
+    """Curvatures are compared if their noise is below this share of their median size. Measured: of 128 tables of full
+    states, none was mistaken for a table of positions only (with half this value, one was). Of 128 tables of positions
+    only, 71 were recognised."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class RowSettings:
     over_median_uncertainty: float = 5.0
     """Rows whose uncertainty is less than this many times the median uncertainty are kept."""
     least_kept: float = 0.7
-    """Share of the rows that is kept regardless of uncertainty, and that pieces between gaps must contain."""
+    """This share of the rows is kept regardless of uncertainty. Pieces between gaps must also contain this share."""
     most_uneven: float = 2.0
     """Largest ratio of the root mean square of the uncertainty to its mean, over the selected rows."""
 
@@ -95,7 +96,8 @@ class RowSettings:
 
     @property
     def compared(self) -> int:
-        """Most rows, values or windows that are compared with each other: time grows with their number squared."""
+        """Most rows, values or windows that are compared with each other: the time grows with the square of their
+        number."""
         return self.most // 5
 
 
@@ -104,13 +106,13 @@ class EffortSettings:
     """Amounts of work, in the unit of `MultipleShooting.work`."""
 
     work: int = 60_000_000
-    """Work of each part of a selection (libraries, exchange, local search) after which it starts nothing new: some
-    seconds of one core. Fits that have begun may need the same amount again."""
+    """Limit of the work of each part of a selection (libraries, exchange, local search): some seconds of one core.
+    Beyond the limit, no new fit starts. Fits that have begun may need the same amount again."""
     steps: int = 40
     """Most steps of a fit; nearly all fits converge within ten."""
     beam: int = 12
-    """Number of alternatives, decisions, neighbours or members that are kept, and of constants that may become
-    simple."""
+    """Number of alternatives, decisions, neighbours or members that are kept. Also the most constants that may be
+    replaced by simple numbers."""
 
     @property
     def brief_steps(self) -> int:
@@ -129,13 +131,15 @@ class EffortSettings:
 
     @property
     def fitted_sensitivities(self) -> int:
-        """Constants of many states are fitted to at most this many rows times the square of the number of states (the
-        sensitivities of a row to its initial states), so that a fit takes `work` at most."""
+        """Largest product of the number of rows and the squared number of states in a fit of constants. The squared
+        number of states is the number of sensitivities of a row to the initial states. With this limit, a fit takes
+        `work` at most."""
         return self.work // self.steps
 
     @property
     def longest_sum(self) -> int:
-        """Longest sum, in terms, that is fitted again without each term: the work grows with its length squared."""
+        """Largest number of terms in a sum that is fitted again without each term: the work grows with the square of
+        this number."""
         return 2 * self.beam
 
     @property
@@ -175,14 +179,15 @@ class SparseSettings:
     """Sparse regression: sums of products, and of products with functions."""
 
     degree: int = 4
-    """Highest degree of products: few laws have a higher one, and libraries grow as a power of it."""
+    """Highest degree of products: few laws have a higher degree, and the size of a library grows fast with the
+    degree."""
     largest_library: int = 130
     """Larger libraries are not tried: eliminating their terms costs the fourth power of their number."""
     rows_per_term: float = 2.0
     """Fewest independent rows for each term of a library: with fewer, a full library fits anything."""
     windows_in_width: int = 4
-    """Number of windows of the weak form that begin within one width. Also the fewest half widths in the longest
-    trajectory."""
+    """Number of windows of the weak form that begin within the width of one window. The longest trajectory must also
+    contain at least this many half widths."""
     functions: int = 2
     """Most products with functions that are added to a sum."""
     most_constants: int = 7
@@ -190,15 +195,15 @@ class SparseSettings:
     most_atoms: int = 40_000
     """Most products with functions, one for each inner constant tried, that are compared: some seconds of work."""
     trusted_share: float = 0.4
-    """Share of the derivatives, most certain first, with which functions are searched. Measured for seven states with
-    fast transients and 51 rows for each trajectory: the errors of these derivatives were 1e-3 of the standard
-    deviation; with a share of 0.7 they were 0.3."""
+    """Share of the derivatives, most certain first, that are used in the search for functions. Measured for seven
+    states with fast transients and 51 rows for each trajectory: with this share, the errors of the derivatives were
+    1e-3 of the standard deviation; with a share of 0.7, they were 0.3 of it."""
     screened: int = 8
     """Most variables of an equation, if there are too many variables for a library of all products."""
 
     @property
     def rows(self) -> int:
-        """Number of rows that determine the largest library; this number is also enough for a pursuit."""
+        """Number of rows that determine the largest library. A pursuit also uses this number of rows."""
         return round(self.rows_per_term * self.largest_library)
 
 
@@ -209,9 +214,9 @@ class ShootingSettings:
     exact: float = 1e-8
     """Errors below this share of a state's standard deviation are integration errors, not errors of the model."""
     lengths: tuple[int, ...] = (10, 30, 100)
-    """Rows of the first segments of a fit (short segments converge from any guess). Also the rows of the pieces in
-    which trajectories are simulated, if errors of an initial state or of the solver grow too much along whole
-    trajectories."""
+    """Lengths, in rows, of the first segments of a fit: fits of short segments converge from any guess. Trajectories
+    are also simulated in pieces of these lengths, if errors of an initial state or of the solver grow too much along
+    whole trajectories."""
     segment_growth: int = 5
     """Largest factor by which segments grow from one stage of a fit to the next, and from the longest segments to whole
     pieces."""
@@ -231,29 +236,31 @@ class SelectionSettings:
 
     least_noise: float = 1e-4
     """Independent errors below this share of a state's standard deviation cannot hide a term of a law. Residuals below
-    it are systematic errors, for instance of a solver, and their rows are not independent. A process with less noise
-    than this share of its median step counts as deterministic."""
+    this share are systematic errors, for instance of a solver, and are not independent between rows. A process with
+    less noise than this share of its median step counts as deterministic."""
     usual_length: float = 30.0
     """Description length in nats of an equation's structure and constants, above which an equation is suspect: of the
     174 laws that `benchmarks.corpus --in-turn --seeds 1600-1628` draws, four in five are shorter (median 22, 2.5 nats
-    for each constant). If an equation is longer, there may be a short law that was not proposed, no matter how small
-    the residuals are."""
+    for each constant). If an equation is longer, a short law may exist that was not proposed, even if the residuals are
+    small."""
     systematic_numbers: float = 10.0
-    """Fewest independent numbers in the systematic errors of a state; also the number for errors of a solver. It is
-    small because these errors follow from the tolerance and the state. A misfit smaller by a decade gains 1.15 nats for
-    each number. Necessary terms of a law gain several decades; a term that fits a solver's errors gains less than a
-    third of a decade."""
+    """Least number of independent numbers in the systematic errors of a state. Errors of a solver count as this many
+    numbers: few, since these errors follow from the tolerance and the state. For each number, residuals smaller by a
+    factor of ten gain 1.15 nats. Necessary terms of a law gain several decades; a term that fits a solver's errors
+    gains less than a third of a decade."""
     compared_rows: int = 1_200
     """Approximate maximum of rows on which structures are compared; constants are then fitted on all rows."""
     fewest_steps: int = 100
-    """Fewest steps from row to row for the search of a stochastic process: they determine a variance within 14 %."""
+    """Fewest steps from row to row for the search of a stochastic process; 100 steps determine a variance within 14
+    %."""
     least_gain: float = 0.1
     """Smallest difference of description lengths that counts, in nats."""
 
     @property
     def compared_numbers(self) -> int:
-        """Structures of many states are compared on at most about this many numbers, rows times states: the work of a
-        row grows at least with the square of the number of states, and each row has information on every equation."""
+        """With many states, structures are compared on at most about this many numbers (rows times states). The work
+        for a row grows at least with the square of the number of states, and each row has information on every
+        equation."""
         return 6 * self.compared_rows
 
 
@@ -269,11 +276,11 @@ class InferenceSettings:
     """Share of a variance, or of a measured range, that is relevant: a pattern in residuals, unexplained variance, or a
     simulation outside of the range. An equation that explains less is not a model."""
     improbable: float = 0.01
-    """Probability below which residuals do not count as noise. Also the share of good equations that may be chance;
-    half of this share of exact verdicts may be wrong."""
+    """Probability below which residuals do not count as noise. Also the accepted share of good equations that are due
+    to chance. The accepted share of wrong exact verdicts is half of this share."""
     largest_uncertainty: float = 0.01
-    """Largest uncertainty of a target: a more uncertain target does not distinguish a law from wrong equations of the
-    same error."""
+    """Largest uncertainty of a target, as a share of its standard deviation: a more uncertain target does not
+    distinguish a law from wrong equations of the same error."""
     distinct_nats: float = 3.0
     """Alternatives within this Δ description length may be right (odds of 20: one in twenty good verdicts may be
     wrong)."""

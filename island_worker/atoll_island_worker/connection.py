@@ -2,9 +2,10 @@
 
 A worker greets twice: once as soon as it is connected, so that the coordinator knows it, and again with the fingerprint
 of its kernels when they are ready. The coordinator places islands here only after the second greeting. If the
-coordinator is silent, the worker sends an enquiry, which changes nothing: would the coordinator accept this worker? If
-the coordinator is away too long, the worker ends. Each opening of the store by a coordinator has a later incarnation
-number. A worker never returns to an earlier incarnation, such as a process that hung and answers late.
+coordinator is silent, the worker sends an enquiry: whether the coordinator would accept this worker. An enquiry changes
+nothing. If the coordinator is away too long, the worker ends. Each time a coordinator opens the store, the coordinator
+gets a later incarnation number. A worker never returns to an earlier incarnation, such as a process that hung and
+answers late.
 
 A worker that is asked to end (by SIGTERM or its lifetime) drains: its heartbeats say ``leaving``, the coordinator
 places its islands elsewhere and answers ``shutdown``. Without this answer the worker ends after its grace period, or

@@ -171,7 +171,7 @@ class Worker:
                 if isinstance(item, io.Broken):
                     key = item.key
                     where = {"variable": key.variable, "island": key.island, "epoch": key.epoch, "term": key.term}
-                    _LOG.error("an island broke", extra=fields(job=key.job, **where, reason=item.sentence))
+                    _LOG.error("an island failed", extra=fields(job=key.job, **where, reason=item.sentence))
                 self._handle(item)
 
     def _on_timer(self, name: str) -> None:

@@ -71,5 +71,5 @@ def test_a_job_that_runs_or_has_gone_cannot_be_asked_about() -> None:
 def test_what_fails_for_good_is_said() -> None:
     world = ended()
     world.fate.coming = ["time"]
-    with pytest.raises(AtollError, match=r"the analysis broke \(planted"):
+    with pytest.raises(AtollError, match=r"the analysis failed \(planted"):
         world.client.analyse("job", "report", QUESTION)

@@ -218,7 +218,7 @@ def test_a_damaged_term_stops_no_other_job() -> None:
     assert world.finish("second", 60.0).state == "done"
     view = world.finish("first", 60.0)
     assert view.state == "failed"
-    assert "placing islands broke" in (view.reason or "")
+    assert "placing islands failed" in (view.reason or "")
     assert "seed 1 and the data as a file" in (view.reason or ""), view.reason
 
 

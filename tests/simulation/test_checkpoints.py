@@ -242,7 +242,7 @@ def test_any_other_error_while_a_checkpoint_is_written_ends_the_job_and_no_other
     monkeypatch.setattr(lasting.store, "commit_checkpoint", fail)
     view = lasting.finish()
     assert view.state == "failed"
-    assert f"committing a checkpoint broke ({type(error).__name__}: {error})" in (view.reason or "")
+    assert f"committing a checkpoint failed ({type(error).__name__}: {error})" in (view.reason or "")
     monkeypatch.undo()
     lasting.submit(config(), job="other")
     assert lasting.finish("other").state == "done"

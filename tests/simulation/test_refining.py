@@ -66,4 +66,4 @@ def test_a_job_whose_refining_breaks_is_done_with_the_equations_as_found() -> No
     result = result_with(broken)
     assert result["state"] == "done"
     assert result["equations"][0]["expression"] is not None
-    assert any("Refining broke (ZeroDivisionError: planted, twice)" in warning for warning in result["warnings"])
+    assert any("Refining failed (ZeroDivisionError: planted, twice)" in warning for warning in result["warnings"])

@@ -48,7 +48,7 @@ _SETTINGS: Final = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_
 def packages_compiled_into(package: str) -> tuple[str, ...]:
     """Return the packages whose kernels may be compiled into the kernels of `package`.
 
-    For a package that is not in `ALL`, such as the tests, these are all packages in `ALL`.
+    For a package that is not in `ALL`, such as the tests, the result is all packages in `ALL`.
     """
     return tuple(dict.fromkeys(("atoll_core", package))) if package in ALL else ALL
 

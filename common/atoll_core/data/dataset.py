@@ -98,7 +98,7 @@ class Dataset:
 
     `names` are the V symbols used in expressions, in the order of the rows of `inputs`; `symbols` maps each column name
     of the user's file to its symbol; `warnings` are sentences for the user about the treatment of the data; `notes`
-    lists the sentences among them that are only information; `groups` are as in `Problem`.
+    lists the warnings that are only information; `groups` are as in `Problem`.
     """
 
     names: tuple[str, ...]

@@ -1,7 +1,7 @@
 """A program as an operation list of a given shape and given operators, to put a user's guess into a population.
 
 An operation list begins with its terminals and ends with its output. Guesses contain squares, minus signs and quotients
-that may not be among the operators of a job; they are replaced by other operators where possible. Pure.
+that may not be among the operators of a job; these operators are replaced by other operators where possible. Pure.
 """
 
 from collections.abc import Collection, Sequence
@@ -99,7 +99,7 @@ class _Rewriting(ProgramBuilder):
         return node
 
     def _substitute(self, code: int, left: int, right: int) -> int | None:
-        """Return a node with the value of an operator that is not allowed; None where the others cannot replace it."""
+        """Return a node with the value of an operator that is not allowed; None: it cannot be replaced."""
         match op.OPERATORS[code].name:
             case "square":
                 return self._product(left, left)
@@ -133,7 +133,7 @@ class _Rewriting(ProgramBuilder):
 
     def _negated(self, node: int) -> int | None:
         value = self._value(node)
-        if value is not None:  # a new constant, which is fitted separately from equal ones
+        if value is not None:  # a new constant, which is fitted separately from equal constants
             return self.append(op.CONSTANT, value=-value)
         if op.NEGATE in self._operators:
             return self.add(op.NEGATE, node)

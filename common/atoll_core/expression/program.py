@@ -188,7 +188,7 @@ class ProgramBuilder:
         return new
 
     def build(self, expression: Expression, places: Sequence[int] | None = None) -> int:
-        """Add an expression and return its index; with `places`, its node indices refer to another list."""
+        """Add an expression and return its index; with `places`, node indices in it refer to another list."""
         if isinstance(expression, int):
             return expression if places is None else places[expression]
         if isinstance(expression, float):

@@ -122,7 +122,7 @@ def _number(text: str, whole: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Governed:
-    """A bound and the numbers to which it applies in an equation; `is_active` if a number lies on an end of it."""
+    """A bound and the numbers to which it applies in an equation; `is_active` if one lies on a limit."""
 
     bound: ConstantBound
     values: tuple[float, ...]

@@ -2,9 +2,9 @@
 
 With noise, the true equation is often not the best equation of its complexity, but one of the next best. Therefore
 *runners-up* are kept in addition to a front: the next best entries of each complexity, distinct in function. Two
-entries count as one function when both of their errors on all rows agree to four digits. That seldom happens by chance,
-and then only one of two equally good equations is lost. Only numbers are compared, so that results are equal on every
-machine.
+entries count as one function when both of their errors on all rows agree to four digits. Such agreement is seldom
+chance; if it is, only one of two equally good equations is lost. Only numbers are compared, so that results are equal
+on every machine.
 """
 
 import math

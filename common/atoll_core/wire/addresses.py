@@ -52,7 +52,7 @@ class Address:
 
     @property
     def is_socket(self) -> bool:
-        """Whether it is a Unix socket of this machine, not a network address."""
+        """Whether the address is a Unix socket of this machine, not a network address."""
         return self.protocol == _SOCKET
 
     def __str__(self) -> str:
@@ -63,7 +63,7 @@ class Address:
 
     @property
     def is_dialable(self) -> bool:
-        """Whether the bus can dial it: it checks certificates by name or IPv4 address, never by IPv6 address."""
+        """Whether the bus can dial the address: the bus checks certificates by name or IPv4 address, not by IPv6."""
         return self.protocol not in _ENCRYPTED or ":" not in self.host
 
     @property
@@ -163,7 +163,7 @@ def own_address() -> Iterator[Address]:
 
 
 def bindable(address: Address) -> Address:
-    """Return `address` with port 0 replaced by a free one, after checking that a router could listen there.
+    """Return `address` with port 0 replaced by a free port, after checking that a router could listen there.
 
     Raises:
         UsageError: the port may not be used; NotNowError where it is in use, or the host is not (yet) this machine.

@@ -1,9 +1,9 @@
 """Bytes on the wire and in the store: msgpack for messages, a small header and raw columns for arrays.
 
-The only module that imports msgpack. Bytes from a peer are not trusted. Their structure is walked once before anything
-is allocated (size, lengths that fit the available bytes), items are counted while they are built, and then the model
-checks them; it stops at the first wrong item of a sequence. All failures raise a RemoteProtocolError with one sentence.
-No executable code (pickle) is ever sent, and nothing is compressed.
+The only module that imports msgpack. Bytes from a peer are not trusted. First their structure is walked once, before
+anything is allocated: size, and lengths that fit the available bytes. Items are counted while they are built. Then the
+model checks them, and stops at the first wrong item of a sequence. All failures raise a RemoteProtocolError with one
+sentence. No executable code (pickle) is ever sent, and nothing is compressed.
 """
 
 import math

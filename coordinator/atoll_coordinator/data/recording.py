@@ -86,9 +86,9 @@ class Trajectory:
 class Smoothing:
     """How one state was smoothed.
 
-    `noise` is the estimated standard deviation of its measurement errors, in its unit and in rows of weight 1 (for an
-    interpolated state an upper estimate, often of rounding errors only), and `relative_noise` is the noise over the
-    state's pooled standard deviation; `span` (rows) and `degree` are the parameters of loess, None for an interpolated
+    `noise` is the estimated standard deviation of its measurement errors, in its unit and in rows of weight 1. For an
+    interpolated state it is an upper estimate, often of rounding errors only. `relative_noise` is the noise over the
+    state's pooled standard deviation. `span` (rows) and `degree` are the parameters of loess, None for an interpolated
     state. `uncertain_rows` counts the rows whose derivative is too uncertain to be used, `outliers` the rows of
     robustness weight 0. `excluded_rows` are the rows, in order, that are not used because of this state; held-out
     trajectories have none. `narrower_noise` is the noise by loess of the same degree with the `narrower_span` (rows):

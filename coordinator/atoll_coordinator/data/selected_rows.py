@@ -277,9 +277,9 @@ def average_oversampled_rows(measurements: Measurements, estimates: Sequence[Sta
     because a row is then as good as a mean.
 
     The mean of a state is the mean of its residuals plus the smoothed value at the centre, so that curvature causes no
-    bias. If an input changes so fast that its means would move the states by more than their noise, for instance at a
-    switch, blocks are divided, down to single rows, and states count as not measured there. Rows of inputs that are
-    held between rows stay unchanged, because no row holds the mean over a switch.
+    bias. An input may change so fast, for instance at a switch, that its means would move the states by more than their
+    noise. Blocks are then divided there, down to single rows, and states count as not measured in the divided blocks.
+    Rows of inputs that are held between rows stay unchanged, because no row holds the mean over a switch.
     """
     count = 1 if measurements.roles.held else rows_of_mean(measurements, estimates)
     most = SETTINGS.inference.part * measurements.row_count

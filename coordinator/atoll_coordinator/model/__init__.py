@@ -16,5 +16,5 @@
 - `inference`: errors of constants, simulations, residuals, the verdict
 - `result`: ``result.json``, and its text
 
-A contract in pyproject.toml says which package may import which.
+An import contract in pyproject.toml lists the imports that are allowed between these packages.
 """

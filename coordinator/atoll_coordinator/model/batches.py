@@ -33,12 +33,12 @@ CANCELLED: Final = b""
 """The result of a batch that was not computed before the deadline; no other result is empty."""
 
 _BATCHES_OF_A_WORKER: Final = 2
-"""Batches for each worker in one call. With two, a slow batch delays the call by less."""
+"""Batches for each worker in one call. With two, a slow batch delays the call by less than with one."""
 _CONTEXTS: Final = 8
 """Number of built contexts that are kept: enough for one comparison for each state and one for the whole system."""
 _CALLERS: Final = 16
-"""Most calls that run at the same time. Python computes only one of them at a time; with several, one of them always
-has batches for the workers."""
+"""Most calls that run at the same time. The Python interpreter executes only one call at a time, but with several calls
+there are always batches for the workers."""
 
 
 class Batches(Protocol):
@@ -149,7 +149,7 @@ class Spread:
     ) -> None:
         """Without `batches`, threads of `executor` do the work; without both, items are computed one after another.
 
-        After the `deadline`, missing results are not waited for.
+        Results that are missing at the `deadline` are None.
         """
         self._batches = batches
         self._executor = executor

@@ -3,12 +3,12 @@
 Each is the length of the data given the model plus the length of the model (Rissanen 1978). They differ in the data and
 in the prices of operators and constants. So lengths of different criteria are never compared.
 
-- `selection.front_member.front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It says
+- `selection.front_member.front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It decides
   which member of a front is shown while the search runs, and whether the search stagnates.
-- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of one 1.4, each constant
-  1/2 ln n. It says which equation is shown where there are no trajectories.
+- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of a node 1.4, each constant
+  1/2 ln n. It decides which equation is shown if there are no trajectories.
 - `system_length`: errors of simulated states; operators cost by their kind (`structure_length`), each constant
-  1/2 ln N. It says which equations together are the model.
+  1/2 ln N. It decides which equations together are the model.
 
 Letters: n rows, N rows over their correlation length, k constants, O measured states.
 """
@@ -34,8 +34,8 @@ _SQRT_HALF: Final = 0.7071067811865476
 
 
 def log(value: float) -> float:
-    """Return ln(value), value > 0, by the series of artanh. Its bits are equal on every machine, unlike the bits of the
-    C library's function."""
+    """Return ln(value), value > 0, by the series of artanh. The result has equal bits on every machine, unlike the
+    result of the C library."""
     mantissa, exponent = math.frexp(value)
     if mantissa < _SQRT_HALF:
         mantissa, exponent = 2.0 * mantissa, exponent - 1
@@ -95,7 +95,7 @@ class RegressionCriterion:
         return max(math.exp(min(2.0 * misfit / self.rows, 700.0)), 2.0 * self.least_variance)
 
     def length_of_program(self, program: Program) -> float:
-        """Return the nats of a program, its constants fitted: 1/2 ln n for each (Schwarz 1978)."""
+        """Return the nats of a program with fitted constants: each constant costs 1/2 ln n (Schwarz 1978)."""
         return program_length(program) + constant_nats_of(self.rows) * len(constant_places(program))
 
     def length(self, mse: float, program: Program) -> float:
@@ -152,7 +152,8 @@ class TrajectoryMisfit:
         low: a (O,).
         high: b (O,).
         least: mean squares (O,) below which errors are integration errors.
-        counts: n, the number of rows that count for each state (O,): all measured rows, or m without noise.
+        counts: n, the number of rows that count for each state (O,): all measured rows with noise, m rows without
+            noise.
         pieces: m, the independent numbers of each state (O,).
         below: m below a.
         measured: number of measured values of each state (O,); the number of fitted numbers is subtracted from it.
@@ -167,8 +168,8 @@ class TrajectoryMisfit:
     measured: FloatArray
 
     def with_fitted(self, numbers: float) -> "TrajectoryMisfit":
-        """Return the misfit of systems with `numbers` fitted numbers for each state; itself if there are many more
-        rows."""
+        """Return the misfit for systems with `numbers` fitted numbers for each state; it is unchanged if there are many
+        more rows."""
         free = np.maximum(self.measured - numbers, _SMALLEST_COUNT)
         if (free >= np.maximum(self.pieces, self.below)).all():
             return self
@@ -178,9 +179,9 @@ class TrajectoryMisfit:
         """Return the nats of errors with these mean squares (O,)."""
         inside = np.clip(np.maximum(squares, self.least), self.low, self.high)
         total = 0.5 * float(self.counts @ np.log(inside))
-        for ratio, count, pieces, is_above in self._beyond(squares):
-            beyond = 0.5 * pieces * math.log1p(count / pieces * (ratio - 1.0))
-            total += beyond if is_above else -beyond
+        for ratio, count, pieces, is_above in self._excess_ratios(squares):
+            excess_nats = 0.5 * pieces * math.log1p(count / pieces * (ratio - 1.0))
+            total += excess_nats if is_above else -excess_nats
         return total
 
     def effective_rows(self, squares: FloatArray) -> FloatArray:
@@ -191,11 +192,11 @@ class TrajectoryMisfit:
         return np.array(
             [
                 count * ratio / (1.0 + count / pieces * (ratio - 1.0))
-                for ratio, count, pieces, _ in self._beyond(squares)
+                for ratio, count, pieces, _ in self._excess_ratios(squares)
             ]
         )
 
-    def _beyond(self, squares: FloatArray) -> Iterator[tuple[float, float, float, bool]]:
+    def _excess_ratios(self, squares: FloatArray) -> Iterator[tuple[float, float, float, bool]]:
         """Yield for each state the ratio of its mean square to the exceeded bound (a or b), n, m, and whether it is
         above b."""
         clipped = np.maximum(squares, self.least)
@@ -222,7 +223,7 @@ def structure_length(program: Program) -> float:
 
 @lru_cache(maxsize=20_000)
 def _structure_length(key: bytes, size: int) -> float:
-    """Return the nats of a structure of `size` nodes; cached, since a local search meets the same structure many
+    """Return the nats of a structure of `size` nodes; cached, since a local search tries the same structure many
     times."""
     codes = np.frombuffer(key, np.int8, size).tolist()
     lefts, rights = np.frombuffer(key, np.int16, 2 * size, size).reshape(2, size).tolist()

@@ -1,9 +1,10 @@
 """Least squares and likelihoods by damped steps: one driver of every fit, and the linear equations of its steps.
 
-How it works. At a point with the gradient g of the cost, the step s solves the normal equations N s = -g. For half a
-sum of squares N = J'J with the derivatives J of the residuals; for a likelihood N is Fisher's information. The diagonal
-of N is raised by a share, the damping (Levenberg 1944, Marquardt 1963). If a step does not lower the cost, the damping
-is multiplied by ten and the step is solved again, with the same N; a successful step divides the damping by ten.
+How it works. At a point with the gradient g of the cost, the step s solves the normal equations N s = -g. If the cost
+is half a sum of squares, N is J'J with the derivatives J of the residuals; for a likelihood, N is Fisher's information
+matrix. The diagonal of N is raised by a share, the damping (Levenberg 1944, Marquardt 1963). If a step does not lower
+the cost, the damping is multiplied by ten and the step is solved again, with the same N; a successful step divides the
+damping by ten.
 
 A `Fitter` defines the data, the cost and the end of a fit. There are three: for the rows of a target
 (`regression.fit`), for trajectories (`shooting.multiple_shooting`), and for the steps of a stochastic process
@@ -39,8 +40,8 @@ Point = TypeVar("Point")
 Step = TypeVar("Step")
 Result = TypeVar("Result", covariant=True)
 Solver = Callable[[float], tuple[Step, float] | None]
-"""Solves for the step of a damping. The step comes with its predicted decrease of the cost. None if there is no
-solution, or if bounds allow no step that lowers the cost."""
+"""Computes the step for a damping, and the predicted decrease of the cost. None if there is no solution, or if bounds
+allow no step that lowers the cost."""
 
 
 class Fitter(Protocol[Point, Step, Result]):

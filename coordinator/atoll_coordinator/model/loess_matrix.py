@@ -11,15 +11,16 @@ import numpy as np
 from atoll_core.data.dataset import FloatArray
 
 _MOST_ROWS: Final = 240
-"""Most rows of the computed matrix: the rows between the ends have equal shares."""
+"""Most rows of the computed matrix: rows far from both ends have equal shares."""
 
 
 @lru_cache(maxsize=64)
 def residual_shares(rows: int, span: int, degree: int) -> FloatArray:
     """Return for each row (n,) the variance of its residual over the variance of its error, at most 1.
 
-    This is the diagonal of (I - S)(I - S)'. Loess follows the errors of the rows at the ends, and of all rows if there
-    are few. In the middle, many rows have the same share as fewer rows.
+    This is the diagonal of (I - S)(I - S)'. At the ends, loess follows the errors of the rows, and the shares are
+    small; with few rows this holds for all rows. In the middle, the share does not depend on the number of rows if
+    there are many.
     """
     degree = min(degree, rows - 2)
     if degree < 0:

@@ -1,17 +1,18 @@
 """Refining: from the fronts of a search to the displayed model and its verdict, on one page.
 
 1. The programs of the search are decoded and joined with guesses and known equations (selection/candidates.py).
-2. A stochastic process is then fitted by likelihood (stochastic/), and the steps below do not apply.
+2. A stochastic process is fitted by maximum likelihood (stochastic/). The steps below do not apply.
 3. Without trajectories, each variable's equation is fitted to its target and judged by its rows
    (regression/equation.py). The steps below do not apply.
-4. With trajectories, equations of noise-free targets that converged are fitted to these first: they are candidates.
+4. With trajectories, equations for noise-free targets whose search converged are first fitted to these targets. They
+   are candidates.
 5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model. The table
-   in selection/model_selection.py lists the order of proposals and the conditions under which no more are refinement.
-6. The model is compared with its alternatives, gets errors of its constants, is simulated and judged
-   (inference/conclusion.py).
+   in selection/model_selection.py lists the order of the proposals, and the condition of each.
+6. The model is compared with its alternatives, the errors of its constants are estimated, and it is simulated and
+   judged (inference/conclusion.py).
 
-Doubts. Candidates that reach no trajectory stage are judged by derivatives only; a warning says so. The result depends
-on the clock only if the user sets ``--max-time``.
+Doubts. If no system of candidates can be simulated, equations are judged by derivatives only; a warning says so. The
+result depends on the clock only if the user sets ``--max-time``.
 """
 
 import os
@@ -153,10 +154,10 @@ def _refine(
 
 
 def _has_converged(preparation: Preparation, config: JobConfig, name: str, candidates: CandidateSet) -> bool:
-    """Tell whether the search of a target without noise has met the error at which an equation counts as found."""
+    """Tell whether the search of a target without noise has reached the error at which an equation counts as found."""
     problem = preparation.dataset.problem(name)
     if problem.groups is not None:
-        return False  # it converged on the rows of one group
+        return False  # the search converged on the rows of one group
     target = problem.target
     limit = target.convergence_error(config.budget.target_error)
     return not target.is_noisy and any(member.error <= limit for member in candidates.front)
@@ -165,7 +166,8 @@ def _has_converged(preparation: Preparation, config: JobConfig, name: str, candi
 def _fit_laws(task: ModellingTask, names: Sequence[str]) -> dict[str, Refined]:
     """Return, for the variables `names` that have a law at the noise level, the equation of this law.
 
-    Without a comparison along trajectories, the shown front member is the best fit to the derivatives, with any terms.
+    These laws replace the front members if there was no comparison along trajectories. The front member with the best
+    fit to the derivatives may contain unnecessary terms.
     """
     equations = {}
     for name in names:
@@ -186,8 +188,8 @@ def _fit_by_regression(
 ) -> dict[str, Refined]:
     """Return the equations of the searched variables, each fitted to its target.
 
-    Errors of left-hand sides given by the user are independent, errors of smoothed derivatives are not. Only the first
-    give confidence intervals.
+    Errors of left-hand sides given by the user are independent, errors of smoothed derivatives are not. Only
+    independent errors give confidence intervals.
     """
     is_given = preparation.recording is None
     weights = preparation.weights if is_given else None

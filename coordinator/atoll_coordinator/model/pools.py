@@ -35,9 +35,10 @@ class Law:
     """A law found by sparse regression: its `program`, its `nats` (to compare laws of one state), and its fit.
 
     `excess` is the ratio of the residuals to the noise, or to the limit of convergence. `is_tested` tells whether there
-    are enough rows for the largest library that it was chosen from. `lead` is the difference in nats between the best
-    compared program that is no sum of products and the law. `probability` is the probability of residuals at least as
-    large as these if all are noise. `is_of_rates` tells whether the law was found by derivatives among many variables.
+    were enough rows to try the library of the highest degree. `lead` is the length of the best compared program that is
+    no sum of products, minus the length of the law, in nats. `probability` is the probability of residuals at least as
+    large as these if all are noise. `is_of_rates` tells whether the law was found among many variables, from
+    derivatives.
     """
 
     program: Program

@@ -18,8 +18,8 @@ from atoll_core.expression.writing.expansion import Shape
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
 JobKind = Literal["trajectories", "target", "process"]
-"""The kind of job decides the data that test an equation: simulated trajectories, the rows of a target, or the steps of
-a stochastic process."""
+"""The kind of job decides which data test an equation: simulated trajectories, the rows of a target, or the steps of a
+stochastic process."""
 CheckOutcome = Literal["passed", "failed", "not made", "not applicable"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
 """How refining ended: finished, stopped by ``--max-time`` with the best result so far, or not run."""
@@ -35,12 +35,12 @@ class UnitCoefficient:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An equation that was compared with the shown one; all other equations are those of the model.
+    """An equation that was compared with the shown equation; the other equations are the equations of the model.
 
     `nats` is its description length minus the length of the shown equation (0 for the shown equation, negative if the
     alternative is shorter but predicts worse; below about 3 the data hardly decide). `r2` is the R2 of its state's
-    simulation. `held_out_r2` is the R2 on trajectories that it was not fitted to: held-out trajectories, or, if it
-    `is_cross_validated`, each other trajectory left out in turn; None if there are none.
+    simulation. `held_out_r2` is the R2 on trajectories to which it was not fitted: held-out trajectories or, if it
+    `is_cross_validated`, trajectories left out one at a time; None if there are none.
     """
 
     program: Program
@@ -56,13 +56,13 @@ class Alternative:
 class Refined:
     """The displayed equation of one variable; before refinement, an unchanged member of the front.
 
-    `member` is the index of the front member that it came from, None for other origins. `error` is the job's loss and
-    `mse` the mean squared error, both on all rows of the dataset. `constants` has an entry for each constant of
-    `program`, in node order (empty before refinement); `unit_coefficients` are the factors 1 that are not written. If
-    groups of trajectories have their own constants, `by_group` has the program and constants of each group by name, and
-    the constants of `program` that are not `shared` are means over the groups. `units` are the units of the constants,
-    None if no unit is known. `simple_together` are simple numbers for two or more constants together, None if none are
-    likely.
+    `member` is the index of the front member from which it was derived, None for other origins. `error` is the job's
+    loss and `mse` the mean squared error, both on all rows of the dataset. `constants` has an entry for each constant
+    of `program`, in node order (empty before refinement); `unit_coefficients` are the factors 1 that are not written.
+    If groups of trajectories have their own constants, `by_group` has the program and constants of each group by name,
+    and the constants of `program` that are not `shared` are means over the groups. `units` are the units of the
+    constants, None if no unit is known. `simple_together` are simple numbers for two or more constants together, None
+    if none are likely.
     """
 
     member: int | None
@@ -87,9 +87,9 @@ class Refinement:
     """The result of refining a job; `equations` lacks the variables whose front has no better equation.
 
     `fluxes` are terms that share a fitted constant in several equations, such as a flux that leaves one state and
-    enters another: the term without numbers, and its multiple by variable; None if the factor was fitted separately.
-    `covariance` is the covariance of all constants, `by_group` the covariance of each group of trajectories if groups
-    have their own constants.
+    enters another. Each has the shape of the term (without numbers) and its multiple in each equation, by variable; the
+    multiple is None if its factor was fitted separately. `covariance` is the covariance of all constants, `by_group`
+    the covariance of each group of trajectories if groups have their own constants.
     """
 
     equations: Mapping[str, Refined] = field(default_factory=dict)

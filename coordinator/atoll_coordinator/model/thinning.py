@@ -20,7 +20,7 @@ _GOLDEN: Final = 0.618
 
 
 def lattice_step(count: int) -> int:
-    """Return a step near the golden section of `count` that has no common divisor with it.
+    """Return a step near the golden section of `count` that has no common divisor with `count`.
 
     Its multiples modulo `count` are all numbers below `count`, in an order in which neighbours are far apart."""
     steps = (step for step in range(1, count + 1) if math.gcd(step, count) == 1)
@@ -28,8 +28,8 @@ def lattice_step(count: int) -> int:
 
 
 def thinned_places(places: int, most: int) -> npt.NDArray[np.int64]:
-    """Return about `most` of `places` row numbers, ascending, one in each of equal ranges; all if fewer than 2
-    `most`."""
+    """Return about `most` row numbers below `places`, ascending, one in each of equal ranges. All row numbers are
+    returned if `places` is less than 2 `most`."""
     width = places // most
     if width < 2:
         return np.arange(places, dtype=np.int64)
@@ -38,7 +38,7 @@ def thinned_places(places: int, most: int) -> npt.NDArray[np.int64]:
 
 
 def spread_places(places: int, most: int) -> list[int]:
-    """Return at most `most` (2 or more) of `places` row numbers, evenly spread, with the first and the last."""
+    """Return at most `most` (2 or more) row numbers below `places`, evenly spread, with the first and the last."""
     if places <= most:
         return [*range(places)]
     return [(index * (places - 1)) // (most - 1) for index in range(most)]

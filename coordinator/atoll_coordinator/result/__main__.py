@@ -1,6 +1,6 @@
 """``python -m atoll_coordinator.result`` writes ``result.schema.json`` and the reference docs/result-keys.md.
 
-Both are generated from the parts: run it in a checkout after a change of the parts.
+Both are generated from the classes of the parts. Run this command in a checkout after each change of a part.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,8 @@ _KINDS: Final = {"string": "text", "number": "number", "integer": "whole number"
 
 
 def reference() -> str:
-    """Return a page with a table for each part of a result: the whole result, then parts in the order of keys."""
+    """Return a page with a table for each part of a result: first the whole result, then its parts in the order of
+    their keys."""
     whole: dict[str, Any] = json_schema()
     parts = whole.pop("$defs")
     text, waiting, done = _HEAD, [("Result", whole)], {"Result", "JsonValue"}

@@ -15,13 +15,13 @@ Count = Annotated[int, Strict()]
 Real = Annotated[float, Strict()]
 
 
-def _positive(value: object) -> object:
+def _check_positive(value: object) -> object:
     if isinstance(value, int | float) and not isinstance(value, bool) and 0.0 < value < math.inf:
         return value
     raise PydanticCustomError("positive", "a number above 0 is expected")
 
 
-Positive = Annotated[Real, BeforeValidator(_positive), Field(gt=0.0)]
+Positive = Annotated[Real, BeforeValidator(_check_positive), Field(gt=0.0)]
 
 
 def finite(value: Any) -> Any:

@@ -113,14 +113,18 @@ class Prediction(Part):
         default=None, description="number of other initial states from which the simulation reached its end"
     )
     unfinished: Count | None = Field(
-        default=None, description="number of other initial states from which it needed too many integration steps"
+        default=None, description="number of other initial states whose simulation needed too many integration steps"
     )
     probability: Number = Field(
-        default=None, description="probability of the candidates and constants whose predictions agree"
+        default=None, description="total probability of the candidates and constants with about the same predictions"
     )
-    novelty: Number = Field(default=None, description="median distance from measured rows, as a share of the range")
-    reached: Number = Field(default=None, description="value farthest outside of the measured range, null if within")
-    is_disputed: Flag | None = Field(default=None, description="whether candidates predict something different")
+    novelty: Number = Field(
+        default=None, description="median distance of predictions from measured rows, in units of the range"
+    )
+    reached: Number = Field(
+        default=None, description="predicted value farthest outside of the measured range, else null"
+    )
+    is_disputed: Flag | None = Field(default=None, description="whether other candidates predict different values")
     measure_from: Numbers | None = Field(
         default=None, description="initial state from which a measurement is most informative"
     )

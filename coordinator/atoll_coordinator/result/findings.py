@@ -21,7 +21,7 @@ from atoll_coordinator.result.listed_trajectories import Recorded
 from atoll_coordinator.stochastic import Discretisation
 
 InputKind = Literal["smooth", "shape-preserving", "held"]
-"""Curve of an input between rows, see `docs/data.md`."""
+"""Interpolation of an input between rows, see `docs/data.md`."""
 Kind = Literal["dynamics", "process", "regression"]
 
 
@@ -30,7 +30,7 @@ class Place(Part):
 
     variable: Text = Field(description="variable of the equation")
     constant: Count | None = Field(
-        default=None, description="position in its `constants`, null for a factor of 1 (in the order of `implied`)"
+        default=None, description="position in the list `constants`; null for factors of 1, in the order of `implied`"
     )
 
 
@@ -50,7 +50,7 @@ class Covariance(Part):
     freedom: Number = Field(default=None, description="degrees of freedom of Student's t for intervals")
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check_size(self) -> Self:
         if any(len(row) != len(self.constants) for row in (self.matrix, *self.matrix)):
             raise inconsistent(
                 "the covariance in this result does not match its constants; give the unchanged result.json"
@@ -59,7 +59,7 @@ class Covariance(Part):
 
 
 class Group(Part):
-    """A group of trajectories, whose constants may differ from other groups."""
+    """A group of trajectories; its constants may differ from the constants of other groups."""
 
     group: Text = Field(description="name of the group")
     trajectories: tuple[Text, ...] = Field(default=(), description="its trajectories")
@@ -74,7 +74,7 @@ class SharedTerm(Part):
     factors: Numbers = Field(default_factory=dict, description="its factor by variable")
     multiples: Numbers | None = Field(
         default=None,
-        description="factor of the common rate in each equation, null if the equations were not fitted together",
+        description="factor of the common term in each equation, null if the equations were not fitted together",
     )
 
 
@@ -150,9 +150,9 @@ class Chaos(Part):
         default=None, description="whether a long simulation has the measured means and variances"
     )
     is_unfinished: Flag | None = Field(
-        default=None, description="whether this simulation needed too many integration steps"
+        default=None, description="whether the long simulation needed too many integration steps"
     )
-    probability: Number = Field(default=None, description="probability that chance gives differences as large")
+    probability: Number = Field(default=None, description="probability of differences at least as large by chance")
 
 
 class MeasurementNoise(Part):
@@ -167,7 +167,7 @@ class PathEnsemble(Part):
     """Simulated paths of a process: mean, median and the 5 % and 95 % quantiles of each state."""
 
     trajectory: Text | None = Field(
-        default=None, description="trajectory whose initial state and inputs the paths have"
+        default=None, description="trajectory with the same initial state and the same inputs"
     )
     paths: Count | None = Field(default=None, description="number of paths")
     finite_paths: Count | None = Field(default=None, description="paths that stay finite")
@@ -230,7 +230,9 @@ class System(Part):
     states: tuple[Text, ...] = Field(default=(), description="state columns")
     velocities: tuple[Text, ...] = Field(default=(), description="names of the velocities with order 2")
     inputs: tuple[Text, ...] = Field(default=(), description="input columns")
-    input_kinds: dict[Text, InputKind] = Field(default_factory=dict, description="curve of each input between rows")
+    input_kinds: dict[Text, InputKind] = Field(
+        default_factory=dict, description="interpolation of each input between rows"
+    )
     target: Text | None = Field(default=None, description="target column")
     units: dict[Text, Text] = Field(default_factory=dict, description="by column")
     ranges: dict[Text, Pair] = Field(

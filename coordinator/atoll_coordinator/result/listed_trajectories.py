@@ -11,7 +11,7 @@ class _Listed(Part):
     """A part whose curves have one number for each of its times."""
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check_lengths(self) -> Self:
         fields = vars(self).values()
         by_name = [values for field in fields if isinstance(field, dict) for values in field.values()]
         if len({len(curve) for curve in (*fields, *by_name) if isinstance(curve, tuple)}) > 1:

@@ -59,13 +59,13 @@ def as_parts(whole: type[_Whole], content: object) -> _Whole:
 
     Characters that pages or terminals cannot show are escaped in texts, as ``\\x01``.
     """
-    written = _writable(content)
+    written = _escape_characters(content)
     if not isinstance(written, Mapping) or not _is_result(written):
         raise UsageError("this is no result of this version; give the content of a saved result.json")
     try:
         return whole.model_validate(upgraded(written))
     except ValidationError as error:
-        raise UsageError(_sentence(error.errors(include_url=False)[0])) from None
+        raise UsageError(_describe_error(error.errors(include_url=False)[0])) from None
 
 
 def _is_result(content: Mapping[str, object]) -> bool:
@@ -80,18 +80,19 @@ def _is_result(content: Mapping[str, object]) -> bool:
     )
 
 
-def _writable(value: object) -> object:
-    """Return a value with such characters escaped in all texts and names; values without texts are unchanged."""
+def _escape_characters(value: object) -> object:
+    """Return a value with the characters `_UNWRITABLE` escaped in all texts and names; values without texts are
+    unchanged."""
     if isinstance(value, str):
         return _UNWRITABLE.sub(lambda match: match[0].encode("unicode_escape").decode(), value)
     if isinstance(value, Mapping):
-        return {_writable(name): _writable(part) for name, part in value.items()}
+        return {_escape_characters(name): _escape_characters(part) for name, part in value.items()}
     if isinstance(value, list | tuple) and any(isinstance(part, str | Mapping | list | tuple) for part in value):
-        return [_writable(part) for part in value]
+        return [_escape_characters(part) for part in value]
     return value
 
 
-def _sentence(fault: ErrorDetails) -> str:
+def _describe_error(fault: ErrorDetails) -> str:
     """Return the first error of the content as a sentence."""
     kind, key = fault["type"], next((name for name in reversed(fault["loc"]) if isinstance(name, str)), "the result")
     if kind == "inconsistent":

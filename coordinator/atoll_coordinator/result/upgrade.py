@@ -1,8 +1,7 @@
 """Converts results of earlier versions to the current version, step by step.
 
-All versions have schema 1: keys were only added, and no key has changed its meaning. So a step is needed if a file
-lacks the keys that the step adds. Other missing keys need no step, because the default of their field (null or an empty
-list) means "unknown".
+All versions have schema 1: keys were only added, and no key has changed its meaning. A step adds keys to files that
+lack them. Other missing keys need no step, because the default of their field (null or an empty list) means "unknown".
 """
 
 import math

@@ -5,7 +5,7 @@
 ``scheduling`` decides which job is next, ``jobs`` has the states of a job, ``search`` the state of an archipelago, and
 ``store`` is the durable memory. A package imports only packages that come later in this list. Terms: a *placement*
 assigns the islands of a search to workers, and a *term* is its number; a *cut* is the stored end of the search for one
-equation; a *lease* gives a task to a worker for a limited time.
+equation; a *lease* (of a worker, a task, an upload or a follower) ends unless messages renew it.
 
 A job: `requests.clients` -> `job_controller.submit` -> `scheduling.job_queue` -> `tasks.task_controller` (prepare) ->
 `job_controller` (search) -> `workers.placement` -> `search.collector` (cut) -> `tasks.task_controller` (refine) ->

@@ -18,10 +18,10 @@ this module carries out.
     archipelago (`workers.crash_loops`)      healthy -> suspicious -> quarantined -> failed, a commit -> healthy
 
 A job is *queued* until `JobQueue.decide` gives it a place. In *preparing* it has a task "prepare", in *refining* a task
-"refine". In *running* it has archipelagos and no task; the worker controller chooses the placements. `Job.hold` takes
-the place of a running job: its archipelagos stop at a barrier, and its state stays *running*. When a worker is lost,
-its tasks wait again, and its archipelagos get another placement. The job keeps its state, except after too many losses:
-then the task or the archipelago fails the job.
+"refine". In *running* it has archipelagos and no task; the worker controller chooses the placements. `Job.hold` is
+called when a running job loses its place: its archipelagos stop at a barrier, and its state stays *running*. When a
+worker is lost, its tasks wait again, and its archipelagos get another placement. The job keeps its state, except after
+too many losses: then the task or the archipelago fails the job.
 
 Workers have tables of their own: `worker_session` for jobs and islands, `task_runner` for tasks. At each heartbeat the
 coordinator compares these with its own tables, and corrects differences by messages. So a lost message does no harm.
@@ -196,7 +196,7 @@ class JobController:
         """Accept a job. A repeated submission (same id, same contents) changes nothing, not even the submitter.
 
         Raises:
-            RefusedError: The id belongs to another job or to a deleted one.
+            RefusedError: The id belongs to another job or to a deleted job.
             TableMissingError: The table has not been uploaded, or was deleted.
         """
         spec = body.config.model_dump_json()
@@ -696,7 +696,8 @@ class JobController:
         """Let an error within the block end only this job, which the block may have changed in part.
 
         `by_peer`: the block handles a message of a peer. A RemoteProtocolError then means that the message was wrong
-        and has changed nothing; it is raised. A StoreError does not concern a single job, and is raised as well.
+        and has changed nothing; this error is raised. A StoreError does not concern a single job, and is raised as
+        well.
         """
         try:
             with about(job=job_id or None):

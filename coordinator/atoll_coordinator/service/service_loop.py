@@ -99,7 +99,7 @@ class Service:
         Args:
             bus: An open bus, with a router that workers and clients can reach.
             store: An open store; its file determines cluster and incarnation.
-            expected_workers: Number of workers that the first placement waits for, for a limited time.
+            expected_workers: Number of workers for which the first placement waits, for a limited time.
             dismisses_workers: Whether workers are shut down at the end; otherwise they wait for another coordinator.
             dependencies: Clock, retention, background thread; None: the real ones.
             role_bindings: Names and roles, if certificates are used; None: every client has all permissions.

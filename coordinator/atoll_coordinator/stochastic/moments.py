@@ -2,23 +2,24 @@
 
 For dx = f dt + g dW with B = g g', the generator of the process is L = f . grad + 1/2 B : grad grad. In a step h from x
 
-    mean        h f + h^2/2 L f + ... , the motion by f alone of order h^4 covariance  integral over s from 0 to h of
-    E(h - s) (B + s L B) E(h - s)'
+    mean        h f + h^2/2 L f + ... , the motion by f alone to order h^4
+    covariance  integral over s from 0 to h of E(h - s) (B + s L B) E(h - s)'
 
-with J the Jacobian of f and E(s) = I + s J + s^2/2 J J + s^3/6 J J J. These are the expansion of moments in powers of h
-(Kessler 1997, section 2; Florens-Zmirou 1989), written as a local linearisation (Shoji & Ozaki 1998), so that the
-covariance is positive wherever B + s L B is; the integral is computed by Gauss's quadrature rule.
+with J the Jacobian of f and E(s) = I + s J + s^2/2 J J + s^3/6 J J J. This is the expansion of the moments in powers of
+h (Kessler 1997, section 2; Florens-Zmirou 1989). It is written as a local linearisation (Shoji & Ozaki 1998), so that
+the covariance is positive wherever B + s L B is positive. The integral is computed by Gaussian quadrature.
 
-A state without noise of its own is moved by the noise of the states that it follows (hypoelliptic process). Its
-variance over a step is of third order, J B J' h^3 / 3, or of fifth order if it follows such a state. Ditlevsen & Samson
-2019 expand to these orders; Melnykova 2020 uses the linearisation used here. The variance is small but not zero, and a
-small variance needs an accurate mean: the motion by the drift alone is a fourth-order Runge-Kutta step.
+A state may have no noise of its own, but depend on other states with noise (hypoelliptic process). If it depends on a
+state with noise, its variance over a step is of third order, J B J' h^3 / 3. If it depends only on a state of this
+kind, its variance is of fifth order. Ditlevsen & Samson 2019 expand to these orders; Melnykova 2020 uses the
+linearisation used here. The variance is small but not zero. A small variance needs an accurate mean, so the motion by
+the drift alone is computed by a fourth-order Runge-Kutta step.
 
 A table may also be the output of the Euler-Maruyama method, with one row for each of its steps. Then mean and
 covariance of a step are exactly h f and h B: the noise of one state does not reach another state within the step.
 
-The expansion is doubtful for long steps: if the drift changes much within a step, the truncated moments are wrong, and
-constants are biased. Letters: S states, V variables, R rows.
+Doubtful: the expansion is only valid for short steps. If the drift changes much within a step, the truncated moments
+are wrong, and constants are biased. Letters: S states, V variables, R rows.
 """
 
 import math
@@ -40,8 +41,8 @@ Pair = tuple[int, int]
 
 _NODES: Final = ((0.5 - 0.5 / math.sqrt(3.0), 0.5), (0.5 + 0.5 / math.sqrt(3.0), 0.5))
 _MORE_NODES: Final = ((0.5 - math.sqrt(0.15), 5.0 / 18.0), (0.5, 4.0 / 9.0), (0.5 + math.sqrt(0.15), 5.0 / 18.0))
-"""Nodes of Gauss's rule on [0, 1] and their weights. Two nodes are too few: the covariance of a third state that
-follows two noisy states would be singular."""
+"""Nodes of Gaussian quadrature on [0, 1], with weights, for hypoelliptic processes. For these processes two nodes are
+too few: the covariance of a state that depends on two noisy states would be singular."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +77,12 @@ def step_moments(
     """
     states = len(drift)
     with np.errstate(all="ignore"):
-        value, jacobian, hessian = _expanded(drift, points, states)
-        tensor, change = _diffusion(diffusion, points, value, states)
+        value, jacobian, hessian = _expand_programs(drift, points, states)
+        tensor, change = _evaluate_diffusion(diffusion, points, value, states)
         if discretisation == "Euler-Maruyama":
             return StepMoments(steps * value, steps * tensor, np.eye(states)[:, :, None] + steps * jacobian)
         curved = 0.25 * np.einsum("jkr,ijkr->ir", tensor, hessian)
-        mean = _flow(drift, value, points, steps) + steps * steps * curved
+        mean = _move_by_drift(drift, value, points, steps) + steps * steps * curved
         square = np.einsum("ijr,jkr->ikr", jacobian, jacobian)
         powers = jacobian, square, np.einsum("ijr,jkr->ikr", square, jacobian)
         covariance = np.zeros_like(tensor)
@@ -105,7 +106,7 @@ def factors_of(covariance: FloatArray) -> FloatArray:
     return factor
 
 
-def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps: FloatArray) -> FloatArray:
+def _move_by_drift(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps: FloatArray) -> FloatArray:
     """Return the motion of the states by the drift alone in a step (Runge-Kutta); `value` is the drift at `points`."""
     slopes = [value]
     for share in (0.5, 0.5, 1.0):
@@ -117,14 +118,14 @@ def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps
 def _propagator(powers: tuple[FloatArray, FloatArray, FloatArray], steps: FloatArray) -> FloatArray:
     """Return E(s) up to the third power of the Jacobian.
 
-    The third power is needed for a state two equations away from the noise: the part of its variance that other states
-    do not explain is only 1/36 of the leading term, so that the next term matters.
+    The third power is needed for a state two equations away from the noise. Only 1/36 of the leading term of its
+    variance is not explained by other states, so the next term of the expansion matters.
     """
     one, two, three = powers
     return np.asarray(np.eye(len(one))[:, :, None] + steps * (one + 0.5 * steps * (two + steps / 3.0 * three)))
 
 
-def _expanded(
+def _expand_programs(
     programs: Sequence[Program], points: FloatArray, states: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return values (N, R), gradients (N, S, R) and Hessians (N, S, S, R) of N programs with respect to the states."""
@@ -155,7 +156,8 @@ class _Structure:
 def _expansion(of: _Structure, variables: int, states: int) -> Callable[..., Sequence[FloatArray]]:
     """Return a function of variables and constants.
 
-    Its results are the value, then for each state i the slope by i and the slopes of this slope by states 0 to i.
+    Its results are the value, then for each state i the derivative by i, followed by the second derivatives by i and
+    each of the states 0 to i.
     """
     program = with_variables(of.program, variables)
     parts = [program]
@@ -165,13 +167,13 @@ def _expansion(of: _Structure, variables: int, states: int) -> Callable[..., Seq
     return function_of(parts, variables + len(constant_places(of.program)), NUMPY)
 
 
-def _diffusion(
+def _evaluate_diffusion(
     diffusion: Mapping[Pair, Program], points: FloatArray, value: FloatArray, states: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return B and L B, (S, S, R) each."""
     rows, pairs = points.shape[1], list(diffusion)
     tensor, change = np.zeros((states, states, rows)), np.zeros((states, states, rows))
-    values, gradients, hessians = _expanded([*diffusion.values()], points, states)
+    values, gradients, hessians = _expand_programs([*diffusion.values()], points, states)
     for (i, j), entry in zip(pairs, values, strict=True):
         tensor[i, j] = tensor[j, i] = entry
     changes = np.einsum("jr,njr->nr", value, gradients) + 0.5 * np.einsum("jkr,njkr->nr", tensor, hessians)

@@ -29,13 +29,14 @@ SHARES: Final = (0.05, 0.5, 0.95)
 _SLACK: Final = 1e-9
 """Share of a step by which a gap between two times may be longer because of rounding errors."""
 STEPS: Final = 500
-"""Number of steps for paths to settle, and of further steps for their density. If paths have not settled, twice as many
-steps are used."""
+"""Number of steps after which paths are assumed to be stationary, and number of further steps for their density. If the
+paths are not stationary then, the further steps are simulated once more."""
 _LONGER: Final = 1
+"""Number of times that the further steps are repeated for paths that are not stationary yet."""
 BINS: Final = 40
 """Number of bins of a displayed density."""
 _LEVEL: Final = 0.01
-"""Largest probability with which the test rejects settled paths. After a rejection they are tested once more."""
+"""Significance level of the test of stationarity: the largest probability that stationary paths are rejected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,8 +245,8 @@ class StationaryDensity:
 def settled_paths(simulator: Simulator, starts: FloatArray, inputs: FloatArray, length: float) -> FloatArray | None:
     """Return settled paths (N, S, P), from `starts` (S, P) in steps of one length; None if they do not settle.
 
-    They have settled if the means of the states and of their squares do not differ significantly between both halves of
-    the steps. The test needs at least two paths. `inputs` (U,) are constant.
+    Paths are settled (stationary) if the means of the states and of their squares do not differ significantly between
+    both halves of the steps. The test needs at least two paths. `inputs` (U,) are constant.
     """
     lengths, held = np.full(STEPS, length), np.repeat(inputs[:, None], STEPS, axis=1)
     states = simulator.paths(starts, held, lengths)[-1]
@@ -279,8 +280,9 @@ def histograms(values: FloatArray, edges: FloatArray) -> FloatArray:
 def _is_settled(paths: FloatArray) -> bool:
     """Tell whether both halves of paths (N, S, P) agree in the means of states and of their squares.
 
-    Each of the 2 S changes over its standard error, estimated from the P paths, has Student's distribution. The
-    significance level is divided by the number of changes (Bonferroni) and by 2, for both signs.
+    There are 2 S changes of means between the halves. Each change over its standard error, estimated from the P paths,
+    has Student's t distribution. The significance level is divided by the number of changes (Bonferroni) and by 2
+    (two-sided test).
     """
     from scipy import special  # not needed by processes that only read results
 

@@ -121,7 +121,7 @@ class RunQueue:
             outcome = io.Rejected(key, str(error))
         except Exception as error:  # the job fails, not the worker
             outcome = io.Broken(
-                key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}"
+                key, f"island {key.island} of {key.variable} failed in epoch {key.epoch}: {brief(error)}"
             )
         self._charge(key.job, self._clock() - began)
         if outcome is None and not task.is_at_barrier:

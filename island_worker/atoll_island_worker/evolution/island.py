@@ -46,7 +46,7 @@ from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import Coevolution, Floats, Ints, Lists, Rows, empty_lists
 
 GUESS_STEPS: Final = 25
-"""Levenberg-Marquardt steps at most by which the constants of a guess are fitted before the first generation."""
+"""Largest number of Levenberg-Marquardt steps that fit the constants of a guess before the first generation."""
 
 OCTAVES: Final = 3
 """A varied constant is at least 2^-OCTAVES and less than 2^OCTAVES times the original constant."""
@@ -277,7 +277,7 @@ class Island:
         )
 
     def emigrants(self) -> dict[int, bytes]:
-        """Return, by destination island (this one included), a block of solutions with their destination slots."""
+        """Return a block of solutions, with destination slots, for each destination island including this one."""
         setup = self._setup
         places = migration.destinations(setup.config, setup.variable, self.epoch)[setup.island]
         return migration.pack(self._lists, places)

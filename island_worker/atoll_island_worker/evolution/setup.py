@@ -31,7 +31,8 @@ from atoll_island_worker.evolution.structures import (
 )
 
 LEAST_INNER = 2
-"""Number of constants inside terms that may always be fitted; with more rows, a quarter of the rows (ADR 0005)."""
+"""Number of constants inside terms that may be fitted with any number of rows. With many rows, a quarter of their
+number may be fitted (ADR 0005)."""
 
 LEAST_SHARE = 2
 """An island keeps at least this number of runners-up of each complexity, unless fewer are wanted."""
@@ -99,8 +100,7 @@ class IslandSetup:
         return entry(*arguments)
 
     def outward(self, entry: FrontEntry) -> FrontEntry:
-        """Return a front member for use outside of the island: over all variables, not only the variables allowed
-        here."""
+        """Return a front member whose program refers to all variables, for use outside of the island."""
         if not self.is_narrowed:
             return entry
         program = Program.from_bytes(entry.program, len(self.columns))

@@ -2,14 +2,15 @@
 
 An island waits for exactly the senders that the reshuffle of the last epoch names, and gets all immigrants together. So
 the times and the order of arrivals do not change the computed bits. Migrants are pulled: when the first island here
-begins an epoch, this worker requests the emigrants of that epoch from every other worker, which answers when its
+begins an epoch, this worker requests the emigrants of that epoch from every other worker. Each worker answers when its
 islands have finished the epoch. A pull that ends without migrants is repeated at a tick. If a term begins at a
 checkpoint, the states of its islands are pulled from the coordinator in the same way.
 
-A hit (an island meets the target) ends the archipelago at one position in the commit order. Heartbeats report it to the
-coordinator, its commits report it to the other workers, and every shard stops computing after that position. Slices
-before the position are still computed and reported, because they may contain an earlier hit. They do not need emigrants
-of the epoch of the hit, so the result does not depend on the time when a worker learns of the hit.
+A hit (an island meets the target) ends the archipelago at one position in the commit order. Heartbeats report the hit
+to the coordinator, and the coordinator's commits report it to the other workers. Every shard stops computing after that
+position. Slices before the position are still computed and reported, because they may contain an earlier hit. These
+slices do not need emigrants of the epoch of the hit, so the result does not depend on the time when a worker learns of
+the hit.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

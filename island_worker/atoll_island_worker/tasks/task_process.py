@@ -1,4 +1,4 @@
-"""The task process of a worker: started when there is a task, kept for later ones, ended by a signal.
+"""The task process of a worker: started when there is a task, kept for later tasks, ended by a signal.
 
 One thread reads the messages of the process from a pipe and posts them to the worker's loop. Another thread writes to
 the pipe, so that the loop never waits for a process that does not read.

@@ -11,7 +11,7 @@ and `put` may be called from any thread. There are no callbacks.
 
 *Delivery.* `put` reaches every matching subscriber at most once, or is lost silently (a broken link, a peer that dies,
 a subscriber that does not exist yet). Puts of one participant on one key arrive in order; otherwise any order is
-possible. Payloads up to `MAX_PAYLOAD` are delivered whole; larger ones raise a LocalProtocolError. The bus neither
+possible. Payloads up to `MAX_PAYLOAD` are delivered whole; larger payloads raise a LocalProtocolError. The bus neither
 acknowledges nor repeats: protocols above it ask again for missing messages (docs/protocol.md).
 
 *Queries.* `get` asks the participant that serves a key. It ends with exactly one Reply event with the token that `get`

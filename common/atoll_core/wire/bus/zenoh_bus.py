@@ -140,7 +140,7 @@ _SIZE_LIMITS: Final = {
         f"{ROOT}/*/client/*/changes",
     ),
 }
-"""By largest size in bytes: the keys of the puts and queries with this limit. A router drops larger ones unread."""
+"""By largest size in bytes: the keys of the puts and queries with this limit. A router drops larger messages unread."""
 
 
 def open_router(

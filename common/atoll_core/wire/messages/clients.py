@@ -308,9 +308,9 @@ class EventList(Frozen):
 class JobChange(Frozen):
     """The view of a job now, and its events since the change with the sequence number `previous`.
 
-    A client without that change has missed some, and repeats its request. Sequence numbers rise over all restarts of a
-    coordinator. `job` None: all events are followed, and there is no view. `last` is the number of the last event sent;
-    with `has_more` there are further events already.
+    A client without that change has missed changes, and repeats its request. Sequence numbers rise over all restarts of
+    a coordinator. `job` None: all events are followed, and there is no view. `last` is the number of the last event
+    sent; with `has_more` there are further events already.
     """
 
     job: Id | None = None

@@ -149,7 +149,7 @@ class Reports(Frozen):
 
 
 class Piece(Frozen):
-    """Bytes from `offset` on of the state of one island; the whole has `size` bytes and the SHA-256 `digest`."""
+    """Bytes from `offset` on of the state of one island; the whole state has `size` bytes and the SHA-256 `digest`."""
 
     island: IslandIndex
     size: Annotated[int, Field(ge=1, le=MAX_STATE)]

@@ -80,7 +80,7 @@ class TaskStatus(Frozen):
 
 
 class TaskChunk(Frozen):
-    """Bytes of the result of a task, from `offset` on; the whole has `size` bytes and the SHA-256 `digest`."""
+    """Bytes of the result of a task, from `offset` on; the whole result has `size` bytes and the SHA-256 `digest`."""
 
     kind: Literal["chunk"] = "chunk"
     task: Digest

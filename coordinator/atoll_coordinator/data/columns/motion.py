@@ -5,8 +5,8 @@ So rows are compared with their nearest neighbours in other passes through the s
 Kennel et al. 1992; Gamma test, Evans & Jones 2002). Slopes and curvatures are least-squares fits over short windows of
 rows.
 
-The checks find nothing if few passes come near each other, or if noise hides the curvatures: no finding does not mean
-that equations of first order suffice.
+The checks find nothing if few passes come near each other, or if noise hides the curvatures: even without a finding,
+equations of first order may not suffice.
 """
 
 import math

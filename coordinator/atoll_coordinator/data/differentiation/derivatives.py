@@ -232,7 +232,7 @@ def _standard_deviation(signals: Sequence[Signal]) -> float:
 def _by_loess(
     signals: Sequence[Signal], smoother: Smoother, order: int, searched: Sequence[Signal], least: float
 ) -> StateEstimate:
-    """Return the loess estimate of `signals`, with the noise of the signals `searched`, which is at least `least`."""
+    """Return the loess estimate of `signals`, with the noise of `searched` signals; the noise is at least `least`."""
     noise = max(estimate_noise(searched, smoother), least)
     smoothed = [smooth(signal, smoother) for signal in signals]
     fits = np.concatenate([part.fits for part in smoothed], axis=1)

@@ -2,8 +2,9 @@
 
 Derivatives are slopes of polynomials through the 3 to 15 nearest rows (weights by Fornberg 1988, which allow uneven
 steps). Each row uses the stencil whose result differs least from the next narrower stencil. This difference between two
-orders is the row's uncertainty; it is an estimate of the truncation error, not a bound. If a state is missing at a row,
-it is interpolated between its own rows; before its first and after its last measured row it is not known.
+orders is the row's uncertainty; it is an estimate of the truncation error, not a bound. A missing value of a state is
+interpolated from the other values of this state. Before its first and after its last measured row, the state is not
+known.
 """
 
 import math
@@ -133,8 +134,8 @@ def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: boo
 
     Each stencil width gives an estimate: the median absolute value of (prediction error / gain) times
     `NORMAL_DEVIATION`, with the relative standard error `_MEDIAN_ERROR` / sqrt(R). If the polynomials of a width follow
-    the signal, its estimate is unbiased; otherwise it is too large. The least of several estimates is biased low. So
-    the result is the largest estimate that agrees with the least one within the sampling error.
+    the signal, the estimate is unbiased; otherwise the estimate is too large. The least of several estimates is biased
+    low. So the result is the largest estimate that agrees with the least one within the sampling error.
 
     Args:
         errors: Errors of rows predicted from their neighbours, (R, H); NaN where a stencil does not fit.

@@ -89,10 +89,10 @@ def _binary_rounding(values: FloatArray) -> Quantisation | None:
 def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
     """Return the step of which all differences of the ascending `values` are multiples, if there is such a step.
 
-    It is the least difference, divided by a small whole number and refined by larger and larger differences. All values
-    must be multiples to within the digits in which they were written. For n random values, the probability that all lie
-    within a share m of a step from a multiple is (2 m)^n. `finest` is the step in which numbers were written down;
-    smaller differences are rounding errors.
+    The step is the least difference divided by a small whole number. Larger and larger differences then refine it. All
+    values must be multiples to within the digits in which they were written. For n random values, the probability that
+    all lie within a share m of a step from a multiple is (2 m)^n. `finest` is the step in which numbers were written
+    down; smaller differences are rounding errors.
     """
     written = finest + 4.0 * float(np.spacing(np.abs(values).max()))
     offsets = values - values[0]

@@ -73,9 +73,9 @@ _Kind = Literal["clock", "date", "both"]
 class Dates:
     """Dates or clock times of the rows of a column, in nanoseconds, None where missing.
 
-    `form` is how they are written; `has_date` is true for dates, counted from 1970-01-01, and false for clock times,
-    counted from midnight. `has_clock` tells whether any date has a clock time. `is_utc` tells whether the dates had
-    time zones; their offsets have been subtracted.
+    `form` is how the dates are written; `has_date` is true for dates, counted from 1970-01-01, and false for clock
+    times, counted from midnight. `has_clock` tells whether any date has a clock time. `is_utc` tells whether the dates
+    had time zones; their offsets have been subtracted.
     """
 
     nanoseconds: tuple[int | None, ...]

@@ -348,7 +348,7 @@ def _with_even_times(table: Table, config: DataConfig) -> Table:
         return table
     known = find_time_column(table.names, config)
     if known in table.names:
-        message = "%s %s gives the time between rows, but %s has a time column, '%s'; leave it out"
+        message = "%s %s gives the time between rows, but %s has a time column, '%s'; leave the option out"
         raise UsageError(message, Field("step"), f"{config.step:g}", table.files[0], known)
     name = known or next(name for name in TIME_NAMES if name not in table.names)
     trajectory = find_trajectory_column(table.names, config)

@@ -462,7 +462,7 @@ def _times_ascend(times: Sequence[float | None], starts: Sequence[int], trajecto
 def _rows_by_key(
     long: _LongTable, runs: Sequence[tuple[str, ...]], times: Sequence[float | None]
 ) -> dict[tuple[int, float], dict[str, int]]:
-    """Return, by trajectory number and time, the row of each observable."""
+    """Return the row of each observable, by trajectory number and time."""
     numbers = {run: number for number, run in enumerate(dict.fromkeys(runs))}
     rows_by_key: dict[tuple[int, float], dict[str, int]] = {}
     for row, (run, time, name) in enumerate(zip(runs, times, long.cells[long.observable], strict=True)):

@@ -6,7 +6,8 @@
    it with as many cells, as `numpy.savetxt` writes it.
 3. Titles, settings and names of the recorder may stand above the table (a preamble). The first rows of numbers show
    where the table begins: the header is the row of text above them. If there are several rows of text, the header is
-   the row that names a time. If no row or several rows name a time, the header is not clear and the table is refused.
+   the only widest row, or the only widest row that names a time. In other cases the header may not be clear; then the
+   table is refused.
 
 Lines keep their numbers, because messages name them.
 """
@@ -398,7 +399,10 @@ def _header_of_comments(
 
 
 def _names_in_comment(comment: str, separator: str, count: int, is_strict: bool) -> list[str] | None:
-    """Return the cells of a comment if it has `count`; if `is_strict`, separated as the data, else in any way."""
+    """Return the cells of a comment if there are `count` of them; else None.
+
+    If `is_strict`, cells are separated as in the data; otherwise any separator is tried.
+    """
     text = comment.strip().lstrip("#% \t")
     for candidate in (separator,) if is_strict else (separator, ",", ";", "\t", SPACES):
         cells = [on_one_line(cell) for cell in cells_of(text, candidate)]

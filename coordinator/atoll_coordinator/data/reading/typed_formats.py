@@ -35,7 +35,9 @@ def check_sheet(files: Sequence[Path], sheet: str | None) -> None:
     if sheet is not None and not any(file.suffix.lower() in WORKBOOKS for file in files):
         what = files[0].name if files else "the input"
         raise UsageError(
-            "%s names a sheet of an Excel workbook, but %s is not a workbook; leave it out", Field("sheet"), what
+            "%s names a sheet of an Excel workbook, but %s is not a workbook; leave the option out",
+            Field("sheet"),
+            what,
         )
 
 

@@ -4,8 +4,9 @@
 `FittedEquations.simplify` and `FittedEquations.round_constants` write them into the equations.
 
 *Simple numbers.* A simple number is p/q times a power of ten, or pi times such a number; p and q are whole numbers, and
-q is small. Whole numbers and short decimals have q = 1. A number and ten times this number have the same length, so
-that no unit is preferred.
+q is small. Whole numbers and short decimals have q = 1. Each simple number has a length in nats, the price of its
+digits and its denominator (`number_length`). A number and ten times this number have the same length, so that no unit
+is preferred.
 
 *One constant.* The constant is either a simple number or any number nearby; the prior probability of both is equal. A
 simple number of length L has the prior probability e^-L. Near its minimum the misfit is a quadratic form of the
@@ -15,9 +16,10 @@ decoding, as in integer least squares). A simple number replaces an estimate whe
 other decisions together reaches `InferenceSettings.distinct_nats`.
 
 *All constants together.* The share of simple constants is not known, and every share has the same prior probability: m
-particular constants of K are simple with the probability m! (K - m)!/(K + 1)! (Laplace's rule of succession). So simple
-numbers support each other, and estimates speak against a single simple number. A product of a constant with a constant
-already decided may also be simple: 0.9 (c + f) with c = 0.1111 is 0.1 + 0.9 f with the bracket expanded.
+particular constants of K are simple with the probability m! (K - m)!/(K + 1)! (Laplace's rule of succession). So each
+simple constant makes further simple constants more probable, and each other constant makes them less probable. The
+product of a constant and a constant that is already decided may also be simple: 0.9 (c + f) with c = 0.1111 is 0.1 +
+0.9 f after expansion.
 
 *Doubtful.* The lengths are a convention: another law may really have an unusual constant that lies near a simple
 number. The quadratic form is only valid near the minimum, so `FittedEquations.simplify` measures the misfit again and
@@ -56,7 +58,7 @@ _MOST_ENUMERATED_DIGITS: Final = 3
 _MOST_STANDARD_ERRORS: Final = 4.0
 """Simple numbers are considered within this many standard errors of a constant: others have no weight."""
 _NUMERATORS_EACH_SIDE: Final = 2
-"""Numerators considered on either side of the nearest one: others are far less probable."""
+"""Number of numerators tried on either side of the nearest numerator: others are far less probable."""
 _DIGITS_OF_PI: Final = 2
 """Most digits of multiples of pi: with more digits, a decimal of the same size would be as simple."""
 _LARGEST_NUMBER: Final = 1e200
@@ -117,7 +119,8 @@ class Estimates:
 
     @cached_property
     def _weighted_decisions(self) -> list[tuple[dict[int, float], float]]:
-        """The simple numbers of the most probable decisions, with weights; empty if there are too many constants."""
+        """The simple numbers of the most probable decisions, with their relative probabilities; empty if there are too
+        many constants."""
         compared = search_decisions(self._start) if self.count <= SETTINGS.effort.beam else []
         most = max((decision.nats for decision in compared), default=0.0)
         return [(dict(decision.numbers), math.exp(decision.nats - most)) for decision in compared]
@@ -154,8 +157,8 @@ class Estimates:
     def joint_simple_numbers(self, constants: Sequence[int]) -> SimpleTogether | None:
         """Return simple numbers of two or more of these constants that are jointly likely; None if there are none.
 
-        This is the largest combination whose odds are high enough to replace estimates, or else the largest combination
-        that is likelier than all others together. Its places are indices of `constants`.
+        This is the largest combination whose odds are high enough to replace estimates. If there is none, it is the
+        largest combination with odds of at least one. Its places are indices of `constants`.
         """
         combinations = dict.fromkeys(
             tuple(number for number in decided.items() if number[0] in constants)
@@ -174,7 +177,8 @@ class Estimates:
         return None
 
     def misfit_increase(self, numbers: Mapping[int, float]) -> float:
-        """Return by how many nats the misfit grows, near its minimum, when constants, by index, become `numbers`."""
+        """Return by how many nats the misfit grows, near its minimum, when constants (by index) are set to
+        `numbers`."""
         chosen = sorted(numbers)
         away = self._start.means[chosen] - [numbers[index] for index in chosen]
         return quadratic_misfit_increase(away, self._start.covariance[np.ix_(chosen, chosen)])
@@ -214,8 +218,9 @@ class RoundedEquations:
 class FittedEquations:
     """Equations with fitted constants, from any fit, and the `estimates` of the fitted numbers (Q,).
 
-    The constants of the equations `given`, by index, were not fitted. Other equations obey their `restrictions`.
-    Constant p of these is fitted number `columns[p]` times `multiples[p]`; by default it is fitted number p.
+    The constants of the equations `given`, by index, were not fitted. The other equations obey their `restrictions`.
+    Constant p of the other equations is fitted number `columns[p]` times `multiples[p]`; by default it is fitted number
+    p.
     """
 
     programs: Sequence[Program]
@@ -328,8 +333,8 @@ def search_decisions(start: Decision) -> list[Decision]:
 def _simple_number_gains(value: float, error: float, others: Sequence[float]) -> dict[float, float]:
     """Return the simple numbers near an estimate with their log odds (nats) against an arbitrary number.
 
-    Numbers whose product with one of `others` is simple are included. Their prior probability is half the prior
-    probability of numbers that are simple themselves, and they are tried only if no such number is likelier than an
+    Numbers whose product with one of `others` is simple are included. They have half the prior probability of numbers
+    that are simple themselves. They are tried only if no number that is simple itself is more probable than an
     arbitrary number.
     """
     if value == 0.0 or not math.isfinite(value) or not math.isfinite(error):  # no number is near
@@ -369,7 +374,8 @@ def _round_to_error(value: float, error: float, digits: int) -> float:
 
 
 def number_length(numerator: int, denominator: int = 1) -> float:
-    """Return the length of p/q times any power of ten in nats: for p, its digits beyond the first, and q if q > 1."""
+    """Return the length in nats of p/q times any power of ten: the sum of the prices of p, of its digits beyond the
+    first, and of q if q > 1."""
     digits = len(str(abs(numerator))) - 1
     return math.log1p(abs(numerator)) + _NATS_PER_DIGIT * digits + (math.log1p(denominator) if denominator > 1 else 0.0)
 
@@ -397,8 +403,9 @@ def simple_numbers(value: float, error: float) -> dict[float, float]:
 def continuum_density(value: float) -> float:
     """Return the prior probability density at `value` of an arbitrary number, per unit.
 
-    Simple numbers of length L have the probability e^-L, up to a common factor. Their sum over one decade is the same
-    for all decades; an arbitrary number gets the same probability, spread evenly over the logarithm within the decade.
+    Simple numbers of length L have the probability e^-L, up to a common factor. The sum of these probabilities over one
+    decade is the same for all decades. An arbitrary number in the decade has the same total probability, with a uniform
+    density of its logarithm.
     """
     return _decade_probability() / math.log(10.0) / abs(value)
 

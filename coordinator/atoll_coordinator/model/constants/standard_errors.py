@@ -1,13 +1,14 @@
 """Standard errors, intervals and correlations of the constants of fitted equations, from normal equations. Pure.
 
-All fits use this module: to the rows of a target, to trajectories, and to the steps of a process. `estimate_covariance`
-inverts the matrix of the normal equations, scaled to a unit diagonal. Directions with a negligible eigenvalue are not
-determined by the data, and neither are constants that load on them. `ConstantErrors` holds the result, and
-`ConstantErrors.describe` turns it into 95 % intervals (Student's t) for the report.
+All fits use this module: fits to the rows of a target, to trajectories, and to the steps of a process.
+`estimate_covariance` inverts the matrix of the normal equations, scaled to a unit diagonal. Directions with a
+negligible eigenvalue are not determined by the data, and neither are constants that load on them. `ConstantErrors`
+holds the result, and `ConstantErrors.describe` turns it into 95 % intervals (Student's t) for the report.
 
-Doubtful: the covariance is the local, linear one, so intervals of strongly nonlinear constants are too symmetric.
-Constants on a bound are treated as known: the errors of other constants do not include their uncertainty. The limit
-between "determined" and "not determined" (`_LEAST_EIGENVALUE`) is a rounding limit, not a statistical one.
+Doubtful: the covariance is a local linear approximation, so intervals of strongly nonlinear constants are too
+symmetric. Constants on a bound are treated as known: the errors of other constants do not include their uncertainty.
+The limit between "determined" and "not determined" (`_LEAST_EIGENVALUE`) follows from rounding errors and not from
+statistics.
 
 Letters: P fitted constants.
 """
@@ -44,12 +45,13 @@ _LEAST_EIGENVALUE: Final = 1e-11
 _UNDETERMINED_LOADING: Final = 1e-6
 """A constant is not determined if its squared component along an undetermined direction is larger than this."""
 _CANCELLED_SHARE: Final = 1e-13
-"""Diagonal elements of the reduced over the full normal matrix below this ratio are rounding errors: initial states can
-then replace the constant."""
+"""If a diagonal element of the reduced normal matrix is below this share of the element of the full matrix, it is a
+rounding error: changes of the initial states can then replace a change of the constant."""
 _SMALLEST_CURVATURE: Final = 1e-200
-"""Guard: diagonal elements between this and its inverse have variances, and products of two of them, in range."""
+"""Guard: diagonal elements are limited to the range from this value to its inverse, so that variances and products of
+two variances do not overflow."""
 _ERROR_ON_BOUND: Final = 1e-9
-"""Standard error that is assumed for a constant on its bound, over its size."""
+"""Assumed standard error of a constant on its bound, as a share of its absolute value."""
 
 Flags = npt.NDArray[np.bool_]
 
@@ -59,10 +61,10 @@ Flags = npt.NDArray[np.bool_]
 def estimate_covariance(
     normal: FloatArray, values: FloatArray, on_bound: Flags, diagonal: FloatArray | None = None
 ) -> tuple[FloatArray, Flags]:
-    """Return the covariance (P, P) of fitted constants, positive definite, and which of them (P,) are not determined.
+    """Return the covariance (P, P) of fitted constants, positive definite, and which constants (P,) are not determined.
 
     A constant is not determined if it loads on a direction that the data do not determine; its variance is then large.
-    Constants `on_bound` are treated as known: the other constants get their errors with these fixed.
+    Constants `on_bound` are treated as known: they are fixed when the errors of the other constants are computed.
 
     Args:
         normal: the matrix (P, P) of the normal equations, after elimination of the other fitted numbers.
@@ -103,8 +105,8 @@ def one_sided_interval_lengths(normal: FloatArray, gradient: FloatArray | None, 
     """Return for each constant on a bound, by index, the length of its one-sided 95 % interval, which starts at the
     bound.
 
-    Near the bound the likelihood is a normal distribution. Its centre lies beyond the bound, at the Newton step of the
-    gradient. The distribution of the constant is the part within the bounds.
+    Near the bound the likelihood is approximately normal. Its centre lies beyond the bound, at the Newton step of the
+    gradient. The distribution of the constant is the truncated normal distribution within the bounds.
 
     Args:
         normal: the curvature (P, P) of minus the log-likelihood.
@@ -133,8 +135,9 @@ class ConstantErrors:
     `values` (P,) have the joint covariance `finite_covariance` (P, P), positive definite: the inverse of the normal
     equations times `scale`. `undetermined` (P,) tells which constants the data do not determine. `degrees_of_freedom`
     is for Student's t. `lower` and `upper` (P,) are bounds, None without bounds. For a constant on a bound,
-    `one_sided_lengths` has the length of its interval, by index. Where several constants are multiples of one fitted
-    number, `columns` (P,) has the index of this number. `has_intervals` is False if the errors of rows are correlated.
+    `one_sided_lengths` has the length of its interval, by index. If several constants are multiples of one fitted
+    number, `columns` (P,) has the index of this number for each constant. `has_intervals` is False if the errors of
+    rows are correlated.
     """
 
     values: FloatArray
@@ -250,7 +253,7 @@ def student_quantile_95(degrees_of_freedom: float) -> float:
 
 @dataclass(frozen=True)
 class EquationConstants:
-    """The constants of one equation with their errors: `written` ones, and factors of one that are not written."""
+    """The constants of one equation with their errors: `written` constants, and factors of one that are not written."""
 
     written: tuple[Constant, ...]
     unit_coefficients: tuple[UnitCoefficient, ...] = ()

@@ -7,12 +7,12 @@
 - `long_run`: whether whole trajectories are described, and whether a chaotic model keeps the measured averages
 - `prediction`: whether the model and its alternatives predict the same from other initial states
 - `verdict`: the table of checks, and the grade that follows from it
-- `checks`: quantity, limit and clause of each check; further checks, and where quantities come from, in
-  `trajectory_checks` for a simulated equation, in `target_checks` for the rows of a target
+- `checks`: quantity, limit and clause of each check. `trajectory_checks` (for a simulated equation) and `target_checks`
+  (for the rows of a target) compute the quantities and have further checks
 - `residuals`: tests of the size and of the pattern of residuals
 - `quadratic_forms`: probabilities of ratios of variances, for the tests
-- `residual_covariance`: the covariance of residuals if there are few rows, and how much it increases standard errors
-  that a correlation of the errors cannot be excluded
+- `residual_covariance`: the covariance of residuals if there are few rows, and the increase of standard errors because
+  few rows cannot exclude a correlation of the errors
 - `null_models`: evidence for an equation against a constant and a random walk
 - `remarks`: warnings about a pattern of residuals: process noise, differences between trajectories, forcing, hidden
   states

@@ -30,7 +30,8 @@ from atoll_core.data.dataset import FloatArray, Target
 from atoll_core.expression.program import constant_places
 
 _UNKNOWN: Final = 10.0
-"""From this standard error over estimate on, no percentage is shown: it is infinite for an estimate of 0."""
+"""Relative standard errors of this size or more are not shown as a percentage; for an estimate of 0 they are
+infinite."""
 
 
 class Finding(NamedTuple):
@@ -59,13 +60,13 @@ class EquationChecks:
     `default_finding`.
 
     The quantities of the residuals are in the unit of the state or target. `residuals` has (R,) numbers for each piece
-    of a trajectory: measured minus simulated values of this state, or target minus equation. For a target, `orders`
-    orders of the rows were tried, and the rows have the order in which neighbouring residuals are most similar.
-    `innovations` are the whitened residuals if the errors of a sensor are correlated. `covariance` (R, R) is the
-    covariance of the residuals for independent errors of variance one, None if it is not known. `parameters` is the
-    count of numbers fitted to the residuals: constants and initial values, each divided by the number of states that it
-    was fitted to. `noise` is the standard deviation of the measurement errors, 0 without noise; `reference` the
-    smoother by which it was estimated, None if it is known. `has_outliers` makes the tests robust.
+    of a trajectory: measured minus simulated values of this state, or target minus equation. For a target, the rows
+    were sorted in `orders` ways; they are in the order in which neighbouring residuals are most similar. `innovations`
+    are the whitened residuals if the errors of a sensor are correlated. `covariance` (R, R) is the covariance of the
+    residuals for independent errors of variance one, None if it is not known. `parameters` is the count of numbers
+    fitted to the residuals: constants and initial values, each divided by the number of states that it was fitted to.
+    `noise` is the standard deviation of the measurement errors, 0 without noise. `reference` is the smoother that
+    estimated the noise, None if the noise is known. With `has_outliers`, the tests are robust.
     """
 
     kind: ClassVar[JobKind]
@@ -193,7 +194,7 @@ class EquationChecks:
         if not self.stopped:
             return Finding("passed", "no time limit was reached")
         if self.is_cancelled:
-            return Finding("not made", f"the job was cancelled before {self.stopped}", advice="let it run on")
+            return Finding("not made", f"the job was cancelled before {self.stopped}", advice="let the job run longer")
         reason = f"the time limit stopped {self.stopped}"
         return Finding("not made", reason, advice="give more time with --max-time")
 
@@ -216,7 +217,7 @@ class EquationChecks:
             return None
         if count >= least:
             return Finding("passed", f"{count} rows differ", count, least)
-        reason = f"only {count} rows differ, and many equations fit so few"
+        reason = f"only {count} rows differ, and many equations fit so few rows"
         return Finding("failed", reason, count, least, advice="measure at other times or points")
 
     def check_no_equation(self) -> Finding | None:
@@ -241,8 +242,8 @@ class EquationChecks:
             size = format_percent(self.relative_residuals)
             reason = f"a term of {size} of the standard deviation would look like integration errors"
             return Finding("passed", reason, statistics.correlation, limit, self.largest_departure)
-        seen = statistics.detectable_correlation
-        power = self.departure(seen / (1.0 - seen) if seen < 1.0 else math.inf)
+        detectable = statistics.detectable_correlation
+        power = self.departure(detectable / (1.0 - detectable) if detectable < 1.0 else math.inf)
         if statistics.correlation > limit and statistics.pattern_probability < SETTINGS.inference.improbable:
             share = format_percent(min(statistics.correlation, 1.0))
             reason = f"{share} of the residual variance follows a pattern (p = {statistics.pattern_probability:.1g})"
@@ -260,7 +261,7 @@ class EquationChecks:
         if nats is None and not self.residuals:
             return None
         if nats is None:
-            reason = "no other equation with as few constants, which predicts something else, was compared"
+            reason = "no other equation with as few constants and with different predictions was compared"
             return Finding("not applicable", reason)
         if nats >= least:
             reason = f"the best other equation with as few constants fits worse (Δ description length {nats:.3g})"

@@ -69,14 +69,17 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     errors = estimate_errors(final.comparison, final.free)
     of_groups = [errors.for_multiples(columns, system.multiples) for columns in system.columns]
     constants, by_group = _describe_constants(final, of_groups)
-    out = None if final.held_out_comparison is None else _simulate_held_out(final, final.held_out_comparison, errors)
+    held_out_simulation = None
+    if final.held_out_comparison is not None:
+        held_out_simulation = _simulate_held_out(final, final.held_out_comparison, errors)
     long_run = assess_long_run(final)
     chaos = long_run.chaos
     predictions = _predict_states(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
     held_out_r2: Sequence[float | None] = final.ranking.validated or (None,) * len(task.variables)
-    if out is not None and final.held_out_comparison is not None:
-        unseen = final.held_out_comparison.estimator.measurements
-        held_out_r2 = [-math.inf for _ in held_out_r2] if out[0] is None else compute_r2(unseen, out[0], slice(None))
+    if held_out_simulation is not None and final.held_out_comparison is not None:
+        held_out_rows, held_out_fit = final.held_out_comparison.estimator.measurements, held_out_simulation[0]
+        failed = [-math.inf for _ in held_out_r2]
+        held_out_r2 = failed if held_out_fit is None else compute_r2(held_out_rows, held_out_fit, slice(None))
     compared: list[TrajectoryChecks] = []
     for index, prediction in enumerate(predictions):
         equation = _describe_equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
@@ -90,9 +93,13 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     recording, quantile = preparation.recording, student_quantile_95(errors.degrees_of_freedom)
     assert recording is not None
     trajectories = list_trajectories(measurements, final.shown_fit, spread, task.variables, preparation, quantile)
-    if out is not None and final.held_out_comparison is not None:
+    if held_out_simulation is not None and final.held_out_comparison is not None:
         trajectories += list_trajectories(
-            final.held_out_comparison.estimator.measurements, *out, task.variables, preparation, quantile
+            final.held_out_comparison.estimator.measurements,
+            *held_out_simulation,
+            task.variables,
+            preparation,
+            quantile,
         )
     values, _ = simulated_states(measurements, final.shown_fit, task.variables)
     simulated = [values[:, rows] for _, rows in rows_by_trajectory(measurements)]
@@ -207,14 +214,14 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
 
 
 def _simulate_held_out(
-    final: FinalModel, unseen: ModelComparison, errors: ConstantErrors
+    final: FinalModel, held_out: ModelComparison, errors: ConstantErrors
 ) -> tuple[TrajectoryFit | None, FloatArray | None]:
     """Return the simulation of the held-out trajectories, with fitted initial states, and its standard errors.
 
     The simulation is None if it failed; there are no standard errors if there are groups.
     """
-    fit = final.simulate_along(unseen)
-    return fit, None if fit is None or final.by_group else _errors_along_trajectories(final, unseen, fit, errors)
+    fit = final.simulate_along(held_out)
+    return fit, None if fit is None or final.by_group else _errors_along_trajectories(final, held_out, fit, errors)
 
 
 def _errors_along_trajectories(
@@ -240,8 +247,8 @@ def _errors_along_trajectories(
 def _predict_states(final: FinalModel, errors: ConstantErrors, *, is_near: bool) -> list[Prediction]:
     """Return how far each state can be predicted from other initial states, see `compare_predictions`.
 
-    The odds of an alternative by the data alone are divided by the number of alternatives of its equation, since these
-    were chosen from many equations because they describe the data well (Bonferroni).
+    The odds of an alternative by the data alone are divided by the number of alternatives of its equation (Bonferroni),
+    since the alternatives were chosen from many equations because they describe the data well.
     """
     ranking = final.ranking
     own = ranking.selection.model
@@ -256,9 +263,9 @@ def _predict_states(final: FinalModel, errors: ConstantErrors, *, is_near: bool)
         for alternative in alternatives
     ]
     drawn = draw_systems(final.free.fit.system, errors.finite_covariance)
-    seen = final.shown_comparison.estimator
+    simulator = final.shown_comparison.estimator
     return compare_predictions(
-        seen.measurements, final.shown_fit.system, others, seen.tolerance, drawn, is_near=is_near
+        simulator.measurements, final.shown_fit.system, others, simulator.tolerance, drawn, is_near=is_near
     )
 
 
@@ -271,8 +278,9 @@ def _odds_without_prices(other: FittedModel, own: FittedModel, equation: int, po
     """Return the odds of another model by misfit and number of constants (Schwarz 1978), without the price of
     structures.
 
-    An elaboration is an equation that equals the model's equation for some values of its constants. Its odds include
-    the price of the structure: there are many elaborations, and each describes the data about as well.
+    Another equation may contain the model's equation: for some values of its constants, both are equal (nested models).
+    The odds of such an equation include the price of its structure: there are many such equations, and each describes
+    the data about as well.
     """
     program, contained = other.programs[equation], own.programs[equation]
     expansion = expand_program(program)

@@ -12,8 +12,8 @@
 Steps 2 to 5 are undone if they make the fit worse than allowed. If groups of trajectories have their own constants,
 `_show_by_group` replaces steps 2 to 5: `groups.choose_shared_constants` decides which constants groups share.
 
-Doubtful: each step decides alone, and no step is reconsidered after a later one. Standard errors belong to the
-shown structure with all constants free, also the constants that became simple numbers.
+Doubtful: each step decides alone, and no step is reconsidered after a later one. Standard errors belong to the shown
+structure with all constants free, including constants that were replaced by simple numbers.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -192,7 +192,7 @@ def _show_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
         if with_factors is not None and with_factors.fit.misfit <= shown.fit.misfit:
             shown = with_factors
         shorter = _shortest_writings(whole, shown.programs)
-        if sum(map(len, shorter)) < sum(map(len, shown.programs)):  # rounded constants that are one or equal
+        if sum(map(len, shorter)) < sum(map(len, shown.programs)):  # rounding made constants one, or equal
             shortened = _show_equations(comparison, best, shorter)
             shown = shown if shortened is None or shortened.fit.nats > shown.fit.nats else shortened
         return _share_terms(task, comparison, shown)
@@ -228,7 +228,7 @@ def _shortest_writings(whole: SelectedModel, programs: Sequence[Program]) -> tup
 def _shortest_writing(whole: SelectedModel, equation: int, program: Program) -> Program:
     """Return the shortest form of a program; the program itself if it is given or the form would be too large.
 
-    If constants have bounds, each of these is still a separate constant in the shortest form.
+    Constants with bounds are still separate constants in the shortest form.
     """
     if equation in whole.comparison.fixed:
         return program
@@ -289,8 +289,8 @@ def _show_equations(
         if is_exact:
             return frozenset()  # intervals would only reflect integration errors
         known = describe_constants(comparison.fixed, explicit, rounded.programs, errors)
-        sought = (constants for equation, constants in enumerate(known) if equation not in comparison.fixed)
-        written = (constant for constants in sought for constant in constants.written)
+        searched = (constants for equation, constants in enumerate(known) if equation not in comparison.fixed)
+        written = (constant for constants in searched for constant in constants.written)
         return frozenset(number for number, constant in zip(numbers, written, strict=True) if not constant.is_within)
 
     rounded_fit = _round_to_fewest_digits(comparison, fitted, numbers_outside_intervals)
@@ -321,7 +321,7 @@ def _round_to_fewest_digits(
     """Return a system with rounded constants, with the fewest digits that do not change simulations.
 
     The reference is a simulation with the same simple numbers and all digits of the other constants. None if the system
-    cannot be simulated. A constant does not become simple if its value would lie outside its 95 % interval.
+    cannot be simulated. A constant is not replaced by a simple number outside its 95 % interval.
     """
     *few, most = ERROR_DIGITS
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None

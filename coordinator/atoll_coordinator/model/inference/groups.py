@@ -6,8 +6,8 @@ costs 1/2 ln(rows of the group), a shared value 1/2 ln(rows). The form of an equ
 q of x*(r - q*x) are twice as large in one group, only r differs in r*(x - k*x*x). So each coefficient in turn is tried
 as a common factor of the sum.
 
-Doubtful: the choice is greedy, and only the two most similar constants are tried in each step. Groups either all share
-a constant or all have their own: subsets of groups are not considered.
+Doubtful: the choice is greedy, and only the two most similar constants are tried in each step. A constant is either the
+same in all groups or different in each group: subsets of groups are not considered.
 
 Letters: G groups, P constants of all equations, Q fitted numbers: the different values of these constants.
 """
@@ -29,7 +29,8 @@ Writer = Callable[[int, Program], Program]
 
 
 def choose_shared_constants(whole: SelectedModel, write: Writer) -> FittedModel:
-    """Return the model with the shared constants, and the forms of its equations, that shorten its description most."""
+    """Return the model with those shared constants, and those forms of its equations, that give the shortest
+    description."""
     comparison = whole.comparison
     best = _share_similar_constants(comparison, whole.model)
     for equation in range(len(best.programs)):

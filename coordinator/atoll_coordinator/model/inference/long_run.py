@@ -4,10 +4,11 @@ Constants may have been fitted to short pieces of trajectories. `assess_long_run
 that cannot be chaotic must describe whole trajectories (`_fits_in_whole`). For a chaotic model, `compare_averages`
 compares a long simulation with the measurements.
 
-A trajectory of a chaotic system cannot be predicted beyond some Lyapunov times, but averages can: a long simulation has
-the means and variances of the measurements, up to sampling errors. Both are compared by Welch's t test on averages over
-blocks, which are long compared with the time in which errors grow. Blocks are the later halves of trajectories, since
-the first halves may still approach the attractor; if there are few trajectories, blocks are parts of trajectories.
+A trajectory of a chaotic system cannot be predicted beyond some Lyapunov times, but its averages can be predicted: a
+long simulation has the means and variances of the measurements, up to sampling errors. Both are compared by Welch's t
+test on averages over blocks, which are long compared with the time in which errors grow. Blocks are the later halves of
+trajectories, since the first halves may still approach the attractor; if there are few trajectories, blocks are parts
+of trajectories.
 
 Doubtful: means and variances do not identify an attractor, so a wrong model can pass. Block averages are treated as
 independent. The growth rate of errors is estimated along the measured trajectories only.
@@ -43,9 +44,9 @@ class LongRun:
 
     `fits`: whether the model describes whole trajectories up to their noise; None if not known, for instance with
     `chaos`. `r2` has the R2 of each state in simulations of the shown equations along whole trajectories, with fitted
-    initial states; None if they were not simulated, minus infinity if the simulation failed. `predictable_rows` is set
-    for a driven model whose errors grow exponentially: the number of rows that can be predicted, if it is less than a
-    piece.
+    initial states; None if they were not simulated, minus infinity if the simulation failed. `predictable_rows` is the
+    number of rows that can be predicted. It is set for a model with inputs whose errors grow exponentially, if fewer
+    rows than a piece can be predicted.
     """
 
     fits: bool | None
@@ -57,10 +58,10 @@ class LongRun:
 def assess_long_run(final: FinalModel) -> LongRun:
     """Return how a model describes whole trajectories.
 
-    The model is treated as chaotic if errors grow so fast that initial states do not determine whole trajectories. This
-    growth rate is taken relative to the growth of the trajectories, since a growing trajectory has no attractor. A
-    model that may be chaotic cannot be refuted by a bad fit to whole trajectories. A model that cannot be chaotic is
-    always tested along whole trajectories.
+    The model is treated as chaotic if errors grow so fast that initial states do not determine whole trajectories. The
+    growth of the trajectories is subtracted from this growth rate, since a growing trajectory has no attractor. A model
+    that may be chaotic cannot be refuted by a bad fit to whole trajectories. A model that cannot be chaotic is always
+    tested along whole trajectories.
     """
     if final.task.piece >= final.task.longest:
         return LongRun(True, None)
@@ -114,9 +115,9 @@ def _grows_exponentially(final: FinalModel, rate: float) -> bool:
 def _fits_in_whole(final: FinalModel) -> bool | None:
     """Tell whether the shown equations describe whole trajectories up to their noise; None if this was not tested.
 
-    Phase errors grow in proportion to time: fast at first, unlike errors of slow chaos. So constants are fitted once
-    more, in pieces that grow to whole trajectories; very many rows are thinned. There is no test after the time limit,
-    or for a model that does not describe the pieces.
+    Phase errors grow in proportion to time: their relative growth is fast at first, unlike the growth of errors in slow
+    chaos. So constants are fitted once more, in pieces that grow to whole trajectories; very many rows are thinned.
+    There is no test after the time limit, or for a model that does not describe the pieces.
     """
     task, programs = final.task, final.programs
     limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline

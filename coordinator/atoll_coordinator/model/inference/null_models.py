@@ -1,10 +1,11 @@
 """Evidence for an equation against null models without an equation: a constant and a random walk. Pure.
 
-A search that tries thousands of structures on few rows finds one that fits all of them. So `log_bayes_factor` compares
-marginal likelihoods, with the constants and the variance of the errors integrated out: a model with as many fitted
-numbers as rows gains nothing. `structure_price` is subtracted for the choice of the structure. By Markov's inequality,
-a description becomes shorter than the null model by t nats by chance with a probability of at most exp(-t). This holds
-for any number of tried structures, since the price of the structure is part of the length.
+A search that tries thousands of structures on few rows always finds a structure that fits all rows. So
+`log_bayes_factor` compares marginal likelihoods, with the constants and the variance of the errors integrated out: a
+model with as many fitted numbers as rows gains nothing. `structure_price` is subtracted for the choice of the
+structure. By Markov's inequality, the probability is at most exp(-t) that chance makes a description t nats shorter
+than the null model. This holds for any number of tried structures, since the price of the structure is part of the
+length.
 
 Doubtful: the rows must be independent, so callers pass effective numbers of rows. The g prior (a = 3) and the prices of
 structures are conventions. The evidence is for a linear regression; nonlinear constants count like linear ones.
@@ -25,7 +26,8 @@ from atoll_core.expression.program import Program
 
 _POINTS: Final = 4_001
 _TAIL: Final = 60.0
-"""The integral ends this far beyond the knee of the integrand, which decreases there at least as exp(-t/2)."""
+"""The integral ends this far beyond the knee of the integrand; beyond the knee, the integrand decreases at least like
+exp(-t/2)."""
 _LEAVES: Final = 4.0
 """Number of possible leaves that the price of a structure assumes."""
 _LEAST_UNEXPLAINED: Final = 1e-30
@@ -33,7 +35,7 @@ _LEAST_UNEXPLAINED: Final = 1e-30
 
 
 def log_bayes_factor(rows: float, constants: float, unexplained: float) -> float:
-    """Return the log Bayes factor in nats of a regression with k constants against the mean, n rows; 0 if k >= n - 1.
+    """Return the log Bayes factor in nats of a regression with k constants on n rows against the mean; 0 if k >= n - 1.
 
     A model without constants fits only the variance of its errors.
 
@@ -65,7 +67,7 @@ def log_bayes_factor(rows: float, constants: float, unexplained: float) -> float
 def squared_steps(series: Sequence[FloatArray], times: Sequence[FloatArray] | None = None) -> float:
     """Return the sum of squared differences of neighbouring rows of all series (R,): the residuals of a random walk.
 
-    If `times` (R,) of each series are passed, the walk has a drift, which all series share.
+    If the `times` (R,) of each series are passed, the walk has a drift that is the same for all series.
     """
     steps = np.concatenate([np.diff(values) for values in series])
     if times is not None:

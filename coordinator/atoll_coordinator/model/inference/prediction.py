@@ -13,7 +13,7 @@ of one measured trajectory.
 Doubtful: only the compared alternatives count, so a law that was never a candidate is missing from the odds. About a
 dozen initial states represent the measured range. Draws of the constants are normal, by the linear covariance.
 
-Letters: D states, O measured ones, N rows, P fitted constants, G initial states.
+Letters: D states, O measured states, N rows, P fitted constants, G initial states.
 """
 
 import math
@@ -65,8 +65,8 @@ def compare_predictions(
         alternatives: other systems that describe the measurements.
         tolerance: error of an integration step over a state's standard deviation.
         drawn: the model with constants drawn from their distribution; draws stop when the result is decided.
-        is_near: whether initial states are near measured ones: parts of the box around an attractor lie outside of its
-            basin.
+        is_near: whether initial states are near measured states, since parts of the box around an attractor lie outside
+            of its basin.
     """
     other_states = _OtherInitialStates(measurements, tolerance, is_near=is_near)
     own = other_states.simulate_model(model)
@@ -83,8 +83,8 @@ def compare_predictions(
     misses, misses_of_data = _Disagreement(len(states)), _Disagreement(len(states))
 
     def add(alternative: AlternativeSystem) -> None:
-        rival_courses = other_states.simulate(alternative.system, followed)
-        compared = [course if isinstance(course, str) else course[:, :horizon] for course in rival_courses]
+        other_courses = other_states.simulate(alternative.system, followed)
+        compared = [course if isinstance(course, str) else course[:, :horizon] for course in other_courses]
         differences = _differences(compared, courses, len(states))
         if differences is not None:
             misses.add(alternative.group, alternative.odds, *differences)
@@ -136,8 +136,8 @@ class _OtherInitialStates:
     """Simulates systems from initial states between measured states, for the duration of the longest trajectory.
 
     If measured trajectories end at a limit of the measured range, as in growth, other trajectories may leave the range
-    as well. A simulation that leaves the range on the same side is shortened: to the rows that the nearest measured
-    trajectory still has from a similar state.
+    as well. A simulation that leaves the range on the same side is shortened. It then has as many rows as were measured
+    after the measured state nearest to its initial state.
     """
 
     def __init__(self, measurements: Measurements, tolerance: float, *, is_near: bool) -> None:
@@ -153,8 +153,9 @@ class _OtherInitialStates:
     def starts(self) -> FloatArray:
         """Initial states (G, D): each between two measured states of one group, or near a measured state.
 
-        If states without an equation are used as inputs with their measured values, each initial state is a tenth of
-        the way from the start of a trajectory to such a point: farther away, the measured inputs would not fit.
+        States without an equation may be inputs with their measured values. Then each initial state is a tenth of the
+        way from the start of a trajectory to such a point: farther away, the measured inputs would not match the
+        states.
         """
         measurements = self._measurements
         if self._is_near and not measurements.has_smoothed_inputs:
@@ -190,7 +191,8 @@ class _OtherInitialStates:
         return np.asarray(remove_conserved_directions(shift[None], measurements.smoothed, noise)[0])
 
     def simulate_model(self, model: System) -> list[Course]:
-        """Return the model's simulations from all initial states; other systems are then simulated for as many rows."""
+        """Return the model's simulations from all initial states, and store the numbers of rows for simulations of
+        other systems."""
         courses = []
         for place, start in enumerate(self.starts):
             simulated, why = self._estimator(place).simulate_until_blow_up(model, start)
@@ -204,7 +206,8 @@ class _OtherInitialStates:
         return [self._simulate(system, place, self.starts[place], self._rows.get(place)) for place in places]
 
     def horizon(self, model: System, own: Sequence[Course]) -> int:
-        """Return for how many rows slightly shifted initial states give about the same values; chaos limits it."""
+        """Return the number of rows over which slightly shifted initial states give about the same values; chaos limits
+        this number."""
         moved = self.starts + self._shift
         whole = [place for place, course in enumerate(own) if not isinstance(course, str) and place not in self._rows]
         others = ((own[place], self._simulate(model, place, moved[place])) for place in whole)
@@ -222,7 +225,8 @@ class _OtherInitialStates:
         return rows
 
     def distances_from_measured(self, courses: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return the distance (n,) of thinned rows of each course from the nearest measured row, over the ranges."""
+        """Return the distance (n,) of thinned rows of each course from the nearest measured row, in units of the
+        measured ranges."""
         observed = self._measurements.observed
         width = self._width[observed]
         known = self._measurements.smoothed[observed].T[thinned_places(self._measurements.rows, MOST_POINTS)] / width
@@ -237,7 +241,8 @@ class _OtherInitialStates:
         ]
 
     def farthest_value(self, courses: Sequence[FloatArray], state: int) -> float | None:
-        """Return the value of a state farthest beyond its measured range; None if it stays about within."""
+        """Return the value of a state farthest beyond its measured range; None if the state stays about within this
+        range."""
         index = self._measurements.observed[state]
         low, width = self._low[index], self._width[index]
         values = np.concatenate([course[state] for course in courses])

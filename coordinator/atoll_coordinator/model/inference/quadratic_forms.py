@@ -29,7 +29,7 @@ _MOST_BINS: Final = 6 * SETTINGS.smoothing.bins
 
 
 def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float, span: int, degree: int) -> float:
-    """Return the probability of at least this ratio of two variances of the same errors if the model is right.
+    """Return the probability, if the model is right, of at least this ratio of two variances of the same errors.
 
     The numerator is the residual variance of a model with p parameters, e'(I - H)e/(n - p), with the projection H on
     the derivatives by the parameters. The denominator is the residual variance of loess, e'Be/tr B. The derivatives are
@@ -52,8 +52,8 @@ def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float,
 
 
 def probability_of_positive_sum(weights: FloatArray, counts: FloatArray) -> float:
-    """Return the probability that the sum of w z^2 is positive, with standard normal z; `counts` has how often w
-    occurs.
+    """Return the probability that the sum of w z^2 is positive, with standard normal z; `counts` are the multiplicities
+    of the weights w.
 
     This is the saddlepoint approximation of Lugannani & Rice (1980), as used by Kuonen (1999). Its relative error is a
     few hundredths at most, also far out in the tail.
@@ -78,7 +78,7 @@ def probability_of_positive_sum(weights: FloatArray, counts: FloatArray) -> floa
 
 
 def _saddlepoint(weights: FloatArray, counts: FloatArray) -> float:
-    """Return where the derivative of the cumulant generating function is zero, by bisection."""
+    """Return the point at which the derivative of the cumulant generating function is zero, by bisection."""
     low, high = 0.5 / float(weights.min()), 0.5 / float(weights.max())
     for _ in range(100):
         middle = 0.5 * (low + high)

@@ -2,8 +2,9 @@
 
 `warn_of_random_walk` decides whether the residuals of a state grow like a random walk; then noise is part of the law.
 The mean square of second differences of rows l apart is constant for measurement errors. It grows with l for a random
-walk, and with l^4 for a smooth curve (compare variograms, Matheron 1963). An exponent between 1/2 and 5/2 is nearest to
-a random walk. A mixture of errors and a smooth curve has such an exponent too, but not over three doublings of the lag.
+walk, and with l^4 for a smooth curve (compare variograms, Matheron 1963). Exponents between 1/2 and 5/2 count as a
+random walk. A mixture of errors and a smooth curve can also have an exponent in this range, but not over three
+doublings of the lag.
 
 `warn_of_residual_pattern` explains the residuals of rates: derivatives estimated from the data minus the derivatives by
 the equation at the smoothed states. It tries, in this order: a constant for each trajectory, a wave in time, a hidden
@@ -52,7 +53,7 @@ def warn_of_random_walk(
     what = "The residuals" if simulated else "The measurements"
     return [
         f"{what} of {named} grow like a random walk. Noise may act on the system itself: with --stochastic, drift "
-        "and diffusion are sought."
+        "and diffusion are searched for."
     ]
 
 
@@ -71,7 +72,7 @@ def _residuals(
 
 
 def _rounding(recording: Recording, index: int) -> float:
-    """Return the variance of the rounding errors of a state; these may stay the same for several rows."""
+    """Return the variance of the rounding errors of a state; rounding errors may stay the same for several rows."""
     quantisation = recording.smoothing[index].quantisation if index < len(recording.smoothing) else None
     return 0.0 if quantisation is None else quantisation.error**2
 
@@ -105,7 +106,8 @@ def _mean_square(residuals: Sequence[FloatArray], lag: int) -> float:
 
 
 _FEWEST_RUNS: Final = 3
-"""Fewest trajectories that can show a difference between trajectories: with two, one may just be faulty."""
+"""Fewest trajectories that can show a difference between trajectories: with two trajectories, one trajectory may simply
+be faulty."""
 _HALF: Final = 0.5
 """Share of the variance of the residuals that a pattern must explain."""
 
@@ -127,7 +129,7 @@ class RateResiduals:
 
     @property
     def rows(self) -> float:
-        """About how many independent rows there are: smoothing correlates the rows within half a span."""
+        """Approximate number of independent rows: smoothing correlates the rows within half a span."""
         return max(1.0, 2.0 * len(self.residuals) / max(2, self.span))
 
 

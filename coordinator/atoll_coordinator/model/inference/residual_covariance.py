@@ -1,7 +1,7 @@
 """For few rows: the covariance of residuals, and the effect of possible correlations on standard errors. Pure.
 
 *Covariance.* Fitting correlates residuals. Their covariance is I - H, with the projection H on the derivatives by all
-fitted numbers. `residual_covariances` returns it, so that the test for a pattern is exact in few rows.
+fitted numbers. `residual_covariances` returns it, so that the test for a pattern is exact for few rows.
 
 *Inflation.* Few rows cannot show whether neighbouring errors are correlated, and a correlation increases the variance
 of constants. `expected_variance_inflation` averages the variances over correlations from 0 to 0.9, weighted by the
@@ -29,7 +29,8 @@ _MOST_NUMBERS: Final = 750
 """Most measured numbers for which the matrix is computed: the work for its eigenvalues grows with their cube. With more
 rows the distribution of correlations is about normal."""
 _INDEPENDENT: Final = 1e-9
-"""Singular values of unit columns, over the largest, below which they are linearly dependent."""
+"""Columns of unit length are linearly dependent if a singular value is below this share of the largest singular
+value."""
 
 
 def residual_covariances(measurements: Measurements, fit: TrajectoryFit) -> list[FloatArray] | None:
@@ -76,16 +77,17 @@ _CORRELATIONS: Final = tuple(step / 10 for step in range(10))
 """Correlations r of neighbouring rows over which variances are averaged. The prior density is proportional to 1 - r.
 With it, 95 % intervals from 8 to 20 rows contain the truth in 99 % of the tables with independent errors, and in 91 to
 94 % of the tables with a correlation of 0.6 (`benchmarks.noise.intervals`). No prior reaches 95 % for both. Without the
-correction, intervals contained the truth in 74 %."""
+correction, intervals contained the truth in 74 % of the tables."""
 
 
 def estimate_variance_inflation(
     measurements: Measurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]
 ) -> float:
-    """Return the variances of constants, averaged over correlations, over the variances for independent errors.
+    """Return the variances of constants averaged over possible correlations, divided by the variances for independent
+    errors.
 
-    1 if there are so many rows that a correlation would have been found. Only states with `is_noisy` (O,) are used: the
-    residuals of other states do not consist of measurement errors.
+    The result is 1 if there are so many rows that a correlation would have been found. Only states with `is_noisy` (O,)
+    are used: the residuals of other states do not consist of measurement errors.
     """
     columns = scaled_derivatives(measurements, fit)
     if columns is None or not fit.system.count:
@@ -104,7 +106,8 @@ def estimate_variance_inflation(
 def expected_variance_inflation(
     columns: FloatArray, residuals: FloatArray, owners: Ints, times: FloatArray, constants: int
 ) -> float:
-    """Return the factor, averaged over correlations, by which variances of the first `constants` fitted numbers grow.
+    """Return the factor by which the variances of the first `constants` fitted numbers grow, averaged over
+    correlations.
 
     Errors have the correlation r**(gap) within one owner, with the gap in median time steps. The weight of r is the
     marginal likelihood of the residuals, with fitted numbers and variance integrated out (Harville 1974), times the

@@ -12,7 +12,7 @@ Each test has a p-value and a power: the smallest departure of the model that th
 Without this power, a test that passes would show nothing.
 
 Doubtful: errors must be normal and independent, or whitened. The correction for fitted parameters assumes smooth
-derivatives. A pattern whose sign changes from row to row is not looked for.
+derivatives. A pattern whose sign changes from row to row is not tested.
 
 Letters: R rows of one trajectory, n rows of all trajectories, p fitted parameters.
 """
@@ -48,12 +48,12 @@ class ResidualStatistics:
 
     `standard_deviation` is corrected for the fitted parameters. `ratio` is the standard deviation over the noise and
     `size_probability` the probability of at least that ratio if the residuals were noise. `correlation` is the
-    correlation of neighbours, as far as it exceeds what fitting causes: about the share of the residual variance that
-    follows a pattern; `pattern_probability` is the probability of at least that much, over a few lags, if the residuals
-    were noise.
+    correlation of neighbouring residuals minus the correlation that fitting causes. It is about the share of the
+    residual variance that follows a pattern. `pattern_probability` is the probability of a correlation at least as
+    large, over a few lags, if the residuals were noise.
 
-    `detectable_ratio` and `detectable_correlation` are the power of both tests: the smallest true ratio, and the
-    smallest share of a pattern, that they find in five of six tables (infinite: none).
+    `detectable_ratio` and `detectable_correlation` describe the power of both tests. They are the smallest true ratio,
+    and the smallest share of a pattern, that the tests detect in five of six tables (infinite: no size is detected).
     """
 
     standard_deviation: float
@@ -74,14 +74,15 @@ def residual_statistics(
     Args:
         residuals: (R,) for each trajectory, measured minus simulated, finite.
         noise: standard deviation of the measurement errors, in the same unit. 0 gives an infinite ratio.
-        parameters: p, the number of constants and initial values fitted to these residuals; numbers that several
-            states determine count in part.
+        parameters: p, the number of constants and initial values fitted to these residuals; a number that several
+            states determine counts in part for each.
         innovations: the whitened residuals if measurement errors are correlated, for both probabilities; None: errors
             are independent.
         reference: the smoother that estimates the noise from the same errors, for `size_probability`; None: `noise` is
             known.
-        covariance: (n, n) of the residuals of noise of variance one, all rows one after another, which makes the
-            distribution of correlations exact; None: they are about normal, since the fitted curves are smooth.
+        covariance: covariance (n, n) of the residuals for noise of variance one, all rows one after another. With it,
+            the distribution of the correlations is exact. None: correlations are assumed about normal, since the fitted
+            curves are smooth.
     """
     rows = sum(len(series) for series in residuals)
     free = max(rows - parameters, 1.0)
@@ -113,7 +114,7 @@ def residual_statistics(
 
 
 def _normal_pattern(errors: Sequence[FloatArray], correlations: Sequence[float], variances: Sequence[float]) -> float:
-    """Return the probability of at least this sum of correlations in noise, which is about normal."""
+    """Return the probability of at least this sum of correlations in noise; its distribution is about normal."""
     from scipy import special
 
     return float(special.ndtr(-sum(correlations) / math.sqrt(sum(variances)))) if sum(variances) else 0.5

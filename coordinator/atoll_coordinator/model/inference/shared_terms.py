@@ -2,9 +2,9 @@
 
 With brackets expanded, each term has a factor and numbers inside, such as 2 and c in 2*u/(c + u). Two terms of the same
 shape are one flux if their numbers inside are equal. If one factor is a simple multiple of the other, the factors are
-the stoichiometry. `fit_shared_terms` decides: near its minimum the misfit is a quadratic form, so the cost of making
-two numbers equal is known. Decisions are made one after another, as for simple numbers. The model is then fitted with
-all decisions, and used if its description is shorter.
+the stoichiometry. `fit_shared_terms` decides which numbers become equal: near its minimum the misfit is a quadratic
+form, so the cost of making two numbers equal is known. Decisions are made one after another, as for simple numbers. The
+model is then fitted with all decisions, and used if its description is shorter.
 
 Doubtful: decisions are greedy and depend on the order of the terms. Terms are only compared after expansion, so an
 equation that must stay factored (known, or with bounds) shares nothing.
@@ -95,7 +95,7 @@ class _Occurrence:
     """A term of an equation: the place of its `factor` (None for a factor of one) and of its numbers inside (`inner`).
 
     Each place has the sign of its constant. Numbers inside are in the order of their paths in the term. `layout` has
-    these paths, and the paths of numbers that are one or minus one by the form of the term.
+    these paths, and also the paths of numbers that the form of the term fixes at one or minus one.
     """
 
     equation: int

@@ -2,7 +2,7 @@
 
 `TargetChecks` linearises the equation about its constants and sets the quantities of `EquationChecks`: residuals, their
 covariance, leave-one-out R2, number of distinct rows, evidence against a constant. Rows of a target have no natural
-order, so the rows are sorted by each input and by the fitted values, and the order with the strongest correlation of
+order. So the rows are sorted by each input and by the fitted values. The order with the strongest correlation of
 neighbouring residuals is tested.
 
 Doubtful: there is no independent estimate of the noise, so the size of the residuals cannot be tested. Leave-one-out R2
@@ -132,14 +132,14 @@ class TargetChecks(EquationChecks):
         others = (other for other in shown.alternatives if not other.is_shown)
         return min((other.nats for other in others if differ(values_of(other.program, among), own, part)), default=None)
 
-    def check_rows_left_out(self) -> Finding:
+    def check_rows_left_out(self) -> Finding | None:
         """Check that the leave-one-out R2 is above 0.9.
 
         If the target is uncertain, the limit is lower by the share of the variance that the uncertainty explains.
         """
         r2 = self.predicted_r2
         if r2 is None:
-            return Finding("not made", "the equation has no finite value on some rows, so that no row can be left out")
+            return None
         least = 1.0 - SETTINGS.inference.part - min(2.0 * self.target.uncertainty, 1.0) ** 2
         text = format_r2(r2)
         return judge_r2(
@@ -168,8 +168,8 @@ class TargetChecks(EquationChecks):
         most = max(map(_count_digits, rounded.tolist()))
         count = max((_count_digits(constant.value or 0.0) for constant in self.shown.constants), default=0)
         if count <= most:
-            return Finding("passed", f"constants have {count} digits at most, and the values {most}", count, most)
-        reason = f"a constant has {count} digits and the values {most}: its term may describe rounding errors"
+            return Finding("passed", f"constants have {count} digits at most, and the values have {most}", count, most)
+        reason = f"a constant has {count} digits, but the values have {most}: its term may describe rounding errors"
         return Finding("failed", reason, count, most)
 
 

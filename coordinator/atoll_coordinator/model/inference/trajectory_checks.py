@@ -1,13 +1,13 @@
 """The checks of an equation along trajectories: quantities, limits, clauses. Pure.
 
-The equation is part of a `FinalModel` that was simulated along the measured trajectories (`TrajectoryChecks`), or could
-not be simulated (`UnsimulatedChecks`). `TrajectoryChecks._set_quantities` chooses the noise, its reference smoother and
-the number of fitted parameters; these choices decide the tests of the residuals. The other checks use the results of
-`long_run`, `prediction`, held-out trajectories, and alternatives.
+`TrajectoryChecks` belongs to an equation of a `FinalModel` that was simulated along the measured trajectories, and
+`UnsimulatedChecks` to an equation that was not simulated. `TrajectoryChecks._set_quantities` chooses the noise, its
+reference smoother and the number of fitted parameters; these choices decide the tests of the residuals. The other
+checks use the results of `long_run`, `prediction`, held-out trajectories, and alternatives.
 
 Doubtful: the noise of interpolated states is hard to estimate. With few rows, the rough part of the residuals is then
-treated as noise, which can hide a missing term. The check of inputs assumes errors of the size that the data suggest
-between rows.
+treated as noise, which can hide a missing term. The check of inputs assumes that the errors of inputs between rows have
+the size that the data suggest.
 """
 
 import math
@@ -50,11 +50,10 @@ class TrajectoryChecks(EquationChecks):
 
     `index` is the place of the equation in the model, and `equations` has the checks of all its equations.
     `held_out_r2` is the R2 of simulations along held-out trajectories, or trajectories left out one at a time; None:
-    there are none. `fits_whole`: the equation describes whole trajectories; None: that was not tested.
-    `noise_estimate` is the estimated noise; for an interpolated state it comes from second differences, although the
-    noise of this state counts as 0. `is_noise_residual`: there are too few rows for an estimate, and the rough part of
-    the residuals is treated as noise. `solver` names the solver that computed the table, whose errors were subtracted
-    from it.
+    there are none. `fits_whole`: the equation describes whole trajectories; None: that was not tested. `noise_estimate`
+    is the estimated noise; for an interpolated state it comes from second differences, although the noise of this state
+    counts as 0. `is_noise_residual`: there are too few rows for an estimate, and the rough part of the residuals is
+    treated as noise. `solver` names the solver that computed the table, if its errors were subtracted from the table.
     """
 
     kind: ClassVar[JobKind] = "trajectories"
@@ -99,8 +98,8 @@ class TrajectoryChecks(EquationChecks):
                 final.shown_comparison.estimator.whiten(residuals, sensor), measurements, index
             )
         if smoothing.method == "interpolation" and np.bincount(measurements.owners_of_rows).max() <= 2 * HALF_WIDTHS:
-            # With so few rows, no row has all the neighbours for its estimate, and interpolation hides noise: it takes
-            # the smallest of several estimates. So the rough part of the residuals is treated as noise.
+            # With so few rows, no row has all the neighbours that its estimate needs. Interpolation hides noise then,
+            # because it uses the smallest of several estimates. So the rough part of the residuals counts as noise.
             rough = float(roughness(measurements, residuals)[index])
             self.is_noise_residual = rough > self.noise_estimate
             self.noise_estimate = max(self.noise_estimate, rough)
@@ -127,7 +126,7 @@ class TrajectoryChecks(EquationChecks):
         # An equation with more constants always fits about as well. This is no reason to doubt the equation with fewer
         # constants (counted before some became simple numbers), unless the longer equation fits far better.
         most = len(constant_places(final.ranking.selection.model.programs[index]))
-        self.alternative = min((one.nats for one in drop_elaborations(most, self.shown.alternatives)), default=None)
+        self.alternative = min((one.nats for one in drop_larger_equations(most, self.shown.alternatives)), default=None)
 
     def _count_distinct_rows(self) -> int:
         """Return how many rows differ by more than rounding in the state and in the variables of its equation.
@@ -147,12 +146,12 @@ class TrajectoryChecks(EquationChecks):
     def _nats_over_no_equation(self, sensor: ErrorModel | None) -> float:
         """Return by how many nats the equation describes the measured state better than no equation does.
 
-        There are two null models: the state is constant along each trajectory, or a random walk. The better one counts.
-        An equation with a constant rate is compared with a walk with drift, since few rows of any smooth curve are
-        almost on a line. Against a constant, only independent rows count. Against a walk, the innovations are used if
-        errors are correlated. Rows count by their weights. The number of constants is the largest of: the constants of
-        the equation, the mean number per equation, and the numbers fitted to this state; initial values beyond one per
-        trajectory are added.
+        There are two null models: the state is constant along each trajectory, or a random walk. The better null model
+        counts. An equation with a constant rate is compared with a walk with drift, since few rows of any smooth curve
+        are almost on a line. Against a constant, only independent rows count. Against a walk, the innovations are used
+        if errors are correlated. Rows count by their weights. The number of constants is the largest of three numbers:
+        the constants of the equation, the mean number of constants per equation, and the numbers fitted to this state.
+        Initial values beyond one per trajectory are added.
         """
         final, measurements, index, fit = self.final, self.measurements, self.index, self.final.shown_fit
         program, is_given = self.shown.program, index in final.comparison.fixed
@@ -231,7 +230,7 @@ class TrajectoryChecks(EquationChecks):
         limit = max(SETTINGS.inference.exact, 2.0 * self.relative_noise)
         reason = f"there is no noise, and the residuals are {format_percent(left)} of the standard deviation"
         if self.solver is not None:
-            reason += f": these are the rows that {self.solver}, computes from the equations"
+            reason += f": {self.solver}, reproduces the rows from the equations"
         elif self.final.are_errors_summed and 1.0 - left * left >= 1.0 - SETTINGS.inference.part:
             reason += ", since errors accumulate along trajectories, like the errors of a solver"
         elif left > negligible and self._exceeds_noise():
@@ -268,8 +267,8 @@ class TrajectoryChecks(EquationChecks):
         reason = f"without noise, the residuals are {left:.1g} of the standard deviation"
         if self.solver is not None:
             reason = (
-                f"without noise, the rows are those that {self.solver}, computes from the equations, up to "
-                f"{left:.1g} of the standard deviation"
+                f"without noise, {self.solver}, reproduces the rows from the equations up to {left:.1g} of the "
+                "standard deviation"
             )
         return Finding("passed" if not self.is_noisy and left <= limit else "failed", reason, left, limit)
 
@@ -338,7 +337,7 @@ class TrajectoryChecks(EquationChecks):
             return Finding("not made", reason, value, limit)
         if value is None:
             return Finding("failed", "a long simulation diverges from the measured range", value, limit)
-        reason = f"the means or variances of a long simulation differ from the measured ones (p = {value:.1g})"
+        reason = f"means or variances of a long simulation differ from the measured values (p = {value:.1g})"
         return Finding("failed", reason, value, limit)
 
     @cached_property
@@ -423,7 +422,7 @@ class TrajectoryChecks(EquationChecks):
                 f"within the measured range ({format_percent(probability)} of the odds agree)"
             )
             return Finding("failed", reason, probability, 1.0 - wrong, advice=self._advice_where_to_measure)
-        where = " near the measured ones" if self.measurements.has_smoothed_inputs else ""
+        where = " near measured states" if self.measurements.has_smoothed_inputs else ""
         reason = f"{format_percent(probability)} of the odds agree from {starts} other initial states{where}"
         return Finding("passed", reason, probability, 1.0 - wrong)
 
@@ -494,7 +493,7 @@ class TrajectoryChecks(EquationChecks):
             return Finding("not applicable", "the equations have no input")
         unestimated = [one for one, share in shares.items() if math.isnan(share)]
         if unestimated:
-            reason = f"there are too few rows to estimate {_quoted(unestimated)} between them"
+            reason = f"there are too few rows to estimate {_quoted(unestimated)} between rows"
             return Finding("not made", reason, advice="sample more rows")
         unknown, worst = [one for one, share in shares.items() if share > most], max(shares.values())
         if not unknown:
@@ -532,7 +531,7 @@ class UnsimulatedChecks(TrajectoryChecks):
         return super().check_constants() if self.shown.constants else None
 
 
-def drop_elaborations(most: int, alternatives: Sequence[Alternative]) -> list[Alternative]:
+def drop_larger_equations(most: int, alternatives: Sequence[Alternative]) -> list[Alternative]:
     """Return the alternatives with at most `most` constants, or with a far shorter description."""
     return [
         one

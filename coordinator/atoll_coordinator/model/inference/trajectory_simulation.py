@@ -130,7 +130,8 @@ def compute_r2(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | 
 
 
 def squares_about_mean(measurements: Measurements, state: int, rows: IntArray | slice) -> tuple[float, int]:
-    """Return the sum of squares of a measured state about its mean, scaled to weight 1, and how many rows count."""
+    """Return the sum of squares of a measured state about its mean, scaled to weight 1, and the number of rows that
+    count."""
     counts = measurements.weights[state, rows] > 0.0
     values = measurements.measured[state, rows][counts]
     weights = np.ones(len(values))
@@ -145,9 +146,9 @@ def simulated_standard_errors(
 ) -> FloatArray:
     """Return the standard errors (O, N) of the simulated states, from constants and initial states together.
 
-    To first order, the variance of a state is K S K' + Y C^-1 Y' with K = J - Y C^-1 B'. J are the sensitivities by the
-    constants, and Y by the initial state of the piece. B (coupling) and C (own) are blocks of the normal equations. The
-    constants may have been fitted to these or to other trajectories.
+    To first order, the variance of a state is K S K' + Y C^-1 Y' with K = J - Y C^-1 B'. J are the sensitivities to the
+    constants, and Y the sensitivities to the initial state of the piece. B (coupling) and C (own) are blocks of the
+    normal equations. The constants may have been fitted to these or to other trajectories.
 
     Args:
         measurements: the trajectories.

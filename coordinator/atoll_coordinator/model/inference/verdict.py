@@ -6,8 +6,8 @@ applies. The check is the method `check_` with this name, of `checks`, `trajecto
 passed, has failed, is not applicable to this table, or was not made; the clause then says why and what to do.
 
 `judge` decides: an equation is `good` or `exact` only if every check that applies was made, could detect a relevant
-departure, and passed. A departure is relevant if it has more than 0.1 of the variance of a state, since predictions of
-a good equation have an R2 above 0.9. A test that was not made never counts as passed.
+departure, and passed. A departure is relevant if it causes more than 0.1 of the variance of a state, since predictions
+of a good equation have an R2 above 0.9. A test that was not made never counts as passed.
 
 Doubtful: a grade says that no check found a fault. Limits are conventions, and a wrong equation can pass all checks if
 it fits and no tried alternative fits as well.
@@ -185,8 +185,8 @@ def _describe_merits(equation: EquationChecks, findings: Mapping[str, Finding]) 
     size = next((reasons[name] for name in ("residual size", "rows left out") if name in reasons), "")
     pattern = reasons.get("residual pattern", "")
     if pattern and equation.are_integration_errors:
-        has_told = equation.solver is not None or equation.relative_residuals <= SETTINGS.inference.exact
-        size, pattern = size if has_told else f"{size}; {pattern}", ""
+        is_explained = equation.solver is not None or equation.relative_residuals <= SETTINGS.inference.exact
+        size, pattern = size if is_explained else f"{size}; {pattern}", ""
     if size.startswith("the residuals") and pattern:
         size, pattern = f"{size} and {pattern.removeprefix('the residuals ')}", ""
     merits = [merit for merit in (size, pattern) if merit]

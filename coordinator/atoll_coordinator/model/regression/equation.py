@@ -6,7 +6,8 @@ shortest program become simple numbers where the data support them (`constants.r
 constants get standard errors, and the program its errors on all rows. The front itself is not changed.
 
 Doubtful: the search for shorter programs is local and limited by a number of evaluations. It compares programs on a
-subsample of large tables. The standard errors assume independent errors of one variance, or of weighted variances.
+subsample of large tables. The standard errors assume independent errors with equal variances, or with variances
+inversely proportional to the weights.
 """
 
 import math
@@ -92,12 +93,12 @@ def fit_equation(
 ) -> Refined | None:  # fmt: skip
     """Return the equation with the shortest description near `front`; None if no equation replaces the front's member.
 
-    None is returned when the front is empty, and when a member has reached the target error but no candidate that may
-    be shown has. After the `deadline` no new program is tried; without one, equal arguments give equal results. Takes
-    about a second for a few hundred noisy rows, less for exact rows.
+    None is returned if the front is empty. It is also returned if a member has reached the target error, but no
+    candidate that may be shown reaches it. After the `deadline` no new program is tried; without one, equal arguments
+    give equal results. Takes about a second for a few hundred noisy rows, less for exact rows.
 
     Args:
-        problem: the rows of the search; the errors of the equation are measured on these, with equal weights.
+        problem: the rows of the search; the errors of the equation are measured on these rows, with equal weights.
         config: the configuration of the job.
         front: members of the front.
         counted: the rows to which constants are fitted; None: the rows of `problem`, with equal weights.
@@ -148,7 +149,7 @@ def _describe_alternatives(
     """Return the equation that is shown and its alternatives, the shortest descriptions first, each form once.
 
     Equations with more constants always fit about as well. They count as alternatives only if their description is far
-    shorter. Constants are counted before some become simple.
+    shorter. Constants are counted before some are replaced by simple numbers.
     """
     most = len(constant_places(chosen.program))
     distinct = {form_of(shown.program): chosen}
@@ -213,7 +214,7 @@ def estimate_errors(
     """Return the errors of fitted constants.
 
     The variance of the residuals is the sum of their squares over n - K (at least 1), or the square of the target's
-    uncertainty if that is larger. If there are not more rows n than constants K, no constant is determined.
+    uncertainty if this square is larger. If there are not more rows n than constants K, no constant is determined.
     """
     values = fitted.program.constants[constant_places(fitted.program)]
     freedom = criterion.rows - len(values)
@@ -232,7 +233,7 @@ def estimate_constants(
 ) -> EquationConstants:
     """Return the fitted constants of `program` with standard errors, which are infinite if n <= K.
 
-    Factors of one that are not written are fitted as well.
+    Factors of one that are not written are also fitted.
 
     Args:
         program: the equation as it is shown.

@@ -2,10 +2,10 @@
 
 `LeastSquares.fit` evaluates the program and its derivatives by the constants, builds the normal equations, and lets
 `least_squares.minimize` take the steps. This is the maximum-likelihood fit if the errors are normal and independent,
-with one variance on all rows, or with that variance divided by the weight of each row.
+with the same variance on all rows, or with a variance that is inversely proportional to the weight of each row.
 
-Doubtful: the fit finds a local minimum near the constants that the program has at the start. A program with a value
-that is not finite on one row gets an infinite error, so that one pole excludes it.
+Doubtful: the fit finds a local minimum near the initial constants of the program. If a value of the program is not
+finite on a single row, its error is infinite. So one pole excludes the program.
 
 Letters: R rows, K fitted constants.
 """
@@ -51,7 +51,7 @@ class LeastSquares:
     def __init__(self, problem: Problem, weights: FloatArray | None = None, restrictions: Restrictions = NONE) -> None:
         """Take the rows, their `weights` (R,), 1 on average (None: equal weights), and the `restrictions` of programs.
 
-        `half_count` is half the sum of squares over its mean.
+        `half_count` is half the number of rows: half the sum of squares is `half_count` times the mean squared error.
         """
         self.restrictions: Final = restrictions
         self._inputs = problem.inputs
@@ -67,7 +67,7 @@ class LeastSquares:
             return _mse(self._weight(values_of(program, self._inputs) - self._target))
 
     def r2(self, program: Program) -> float | None:
-        """Return the share of the target's variance that `program` explains; None if that is not finite."""
+        """Return the share of the target's variance that `program` explains; None if this share is not finite."""
         mean = np.average(self._target, weights=None if self._roots is None else self._roots**2)
         variance, mse = _mse(self._weight(self._target - mean)), self.mse(program)
         return 1.0 - mse / variance if variance and math.isfinite(mse) else None
@@ -82,7 +82,8 @@ class LeastSquares:
         enough: float = 0.0,
         steps: int = SETTINGS.effort.steps,
     ) -> FittedProgram:
-        """Return `program` with fitted constants, rewritten for their bounds if there are any.
+        """Return `program` with fitted constants; if constants have bounds, the program is rewritten so that bounds
+        apply.
 
         A program that the restrictions do not admit has an infinite error.
 
@@ -143,7 +144,8 @@ class _TargetFit(Fitter[FittedProgram, FloatArray, FittedProgram]):
         return SETTLED * self._rows.half_count * point.mse
 
     def done(self, point: FittedProgram, promise: float, taken: int) -> bool:
-        """Tell whether the remaining steps, each with the relative gain of the next one, would not reach `enough`."""
+        """Tell whether the fit would miss the error `enough` if each remaining step had the relative gain predicted for
+        the next step."""
         if taken <= SETTINGS.effort.brief_steps or not self._enough > 0.0:
             return False
         left = max(1.0 - promise / (self._rows.half_count * point.mse), 0.0)

@@ -5,12 +5,13 @@ price of the program, in nats. `Shortening.find_candidates` decides, in this ord
 
 1. Members of the front are measured. Members that are far longer than the shortest are not changed further.
 2. The others are reduced: parts are removed as long as the description gets shorter.
-3. Neighbours (programs one step away) of the smallest among the nearly shortest programs are tried, since a larger
-   program may already describe noise.
+3. Among the programs with nearly the shortest description, the smallest program is selected, and its neighbours
+   (programs one step away) are tried: a larger program may already describe noise.
 4. Neighbours of the shortest program are tried, as long as the description gets shorter.
 
 Steps 3 and 4 are skipped if the misfit is already at its lower limit: then only the size could improve. The caller
-supplies the function that fits and measures a program: to the rows of a target, or to the steps of a process.
+supplies the function that fits a program, to the rows of a target or to the steps of a process, and measures its
+description.
 
 Doubtful: this is a local search, and each step keeps only `SETTINGS.effort.beam` programs.
 """
@@ -126,7 +127,8 @@ class Shortening:
         return known[0]
 
     def _reduce(self, measured: MeasuredProgram) -> MeasuredProgram:
-        """Take the reduction with the shortest description, again and again, until no reduction is shorter."""
+        """Replace the program by its reduction with the shortest description, repeatedly, until no reduction is
+        shorter."""
         while True:
             best = measured
             for program in reductions(measured.program):

@@ -71,15 +71,15 @@ KNOWN: Final = "known"
 _ADVICE_AFTER_STOP: Final = {
     "max-time": "the time limit stopped the search before it converged or stagnated: give more time with --max-time",
     "max-epochs": "the search ended with its last epoch before it converged or stagnated: allow more with --max-epochs",
-    "cancelled": "the search was cancelled before it converged or stagnated: let it run on",
+    "cancelled": "the search was cancelled before it converged or stagnated: let it run longer",
 }
 """The sentence about a search that was stopped early, by the reason why it ended."""
 MOST_STEPS: Final = 40
 """Most listed improvements of one island."""
 MOST_CANDIDATES: Final = 20
 NOT_BY_GROUP: Final = (
-    "Constants by group were not fitted; those shown are of all groups of trajectories together, and --group cannot "
-    "choose one."
+    "Constants by group were not fitted. The constants shown were fitted to all groups of trajectories together, and "
+    "--group cannot choose a group."
 )
 
 _POINTS: Final[WeakKeyDictionary[Dataset, FloatArray]] = WeakKeyDictionary()
@@ -91,14 +91,14 @@ _PACKAGES: Final = ("eclipse-zenoh", "numpy", "numba", "scipy", "sympy", "msgpac
 class VariableOutcome:
     """The state of the search for one equation, or how it ended.
 
-    The search counts up to its last completely reported epoch, or up to the slice in which it stopped. `front` is the
-    merged front, by rising complexity. `epoch` is the number of completely reported epochs (0: none yet). `generation`
-    is the generation that reached the target, counted from the start of the search, or None. `evaluations` are the
-    cumulative point evaluations by part, for all islands together. `seconds` is the time from the start of the first
-    epoch to the end of the last counted one. `why` is how the search ended (None: it has not), as in
-    `atoll_core.wire.messages.views.VariableView`; `runners_up` are the next best programs; `convergence` has, for each
-    island, the generations in which it found a lower error, with that error. A known equation is the only member of its
-    front, and `why` is `KNOWN`.
+    The numbers include the last completely reported epoch, or the slice of generations in which the search stopped.
+    `front` is the merged front, by rising complexity. `epoch` is the number of completely reported epochs (0: none
+    yet). `generation` is the generation that reached the target, counted from the start of the search, or None.
+    `evaluations` are the cumulative point evaluations by part, for all islands together. `seconds` is the time from the
+    start of the first epoch to the end of the last counted one. `why` is the reason for the end of the search (None: it
+    still runs), as in `atoll_core.wire.messages.views.VariableView`; `runners_up` are the next best programs;
+    `convergence` has, for each island, the generations in which it found a lower error, and this error. A known
+    equation is the only member of its front, and `why` is `KNOWN`.
     """
 
     variable: str
@@ -299,9 +299,9 @@ def _judge_equation(
     """Return the verdict on an equation of a job that has ended.
 
     If refining did not judge the equation, its error on the target decides. With trajectories, its grade is then at
-    best `doubtful`: it could not be simulated along them, or there was no time.
+    best `doubtful`: the equation could not be simulated along the trajectories, or there was no time.
     """
-    # imported here since they load kernels: the server needs them only for results of jobs that were not refined
+    # These modules load kernels, and the server needs them only for jobs that were not refined.
     from atoll_coordinator.model.inference.target_checks import TargetChecks
     from atoll_coordinator.model.inference.trajectory_checks import UnsimulatedChecks
     from atoll_coordinator.model.inference.verdict import Verdict, add_objection, judge
@@ -402,7 +402,8 @@ def _list_front(
 ) -> tuple[Member, ...]:
     """Return the printable members in their shortest form, by rising complexity and falling error.
 
-    Of several members with one structure, only the most accurate is kept. It is the selected one if any of them is.
+    Of several members with the same structure, only the most accurate member is listed. It is marked as selected if one
+    of them was selected.
     """
     dataset = preparation.dataset
     best: dict[bytes, tuple[FrontEntry, Program, bool]] = {}
@@ -417,7 +418,7 @@ def _list_front(
         if member[2] or all(member[0].error < predecessor[0].error for predecessor in members):
             members.append(member)
     target = dataset.problem(outcome.variable).target
-    unseen = preparation.held_out.problem(outcome.variable) if preparation.held_out is not None else None
+    held_out_problem = preparation.held_out.problem(outcome.variable) if preparation.held_out is not None else None
     return tuple(
         Member(
             expression=to_infix(program, dataset.names),
@@ -426,7 +427,9 @@ def _list_front(
             normalized_error=target.normalized(entry.error),
             r2=target.r2(entry.mse),
             constants=_describe_constants(program),
-            holdout_error=None if unseen is None else measure_errors(unseen, program, config.evolution.loss)[0],
+            holdout_error=None
+            if held_out_problem is None
+            else measure_errors(held_out_problem, program, config.evolution.loss)[0],
             selected=is_selected,
         )
         for entry, program, is_selected in members
@@ -449,7 +452,7 @@ def _sampled_points(dataset: Dataset) -> FloatArray:
 
 @lru_cache(maxsize=4096)
 def is_printable(program: bytes, inputs: int) -> bool:
-    """Tell whether an equation, written out, is short enough to be read."""
+    """Tell whether an equation is short enough to be printed."""
     return tree_size(Program.from_bytes(program, inputs)) <= PRINTABLE_SIZE
 
 
@@ -472,7 +475,7 @@ def _total_evaluations(outcome: VariableOutcome) -> int:
 
 
 def result_digest(outcomes: Sequence[VariableOutcome]) -> str:
-    """Return the hex digest (sha256) of the outcomes, in this order: equal digests mean that searches found the same.
+    """Return the hex digest (sha256) of the outcomes, in this order: equal digests mean equal results of the searches.
 
     The digest covers fronts and runners-up with every bit of constants and errors, epochs, and counters. It does not
     cover times, the number of workers, or refining. For a job without a search it covers the known equations with their

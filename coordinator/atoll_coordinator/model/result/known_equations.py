@@ -29,7 +29,7 @@ def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:
 def warn_of_missing_values(preparation: Preparation, config: JobConfig) -> Preparation:
     """Return `preparation` with a warning for each known equation without a value on some rows; `config` is resolved.
 
-    The error of such an equation is infinite, so that without the warning a user would not know the reason.
+    The error of such an equation is infinite; the warning tells the user the reason.
     """
     dataset = preparation.dataset
     remarks = []

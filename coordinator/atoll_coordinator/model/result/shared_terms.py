@@ -32,8 +32,9 @@ def find_shared_terms(
 ) -> tuple[SharedTerm, ...]:
     """Return the terms that occur in at least two equations, with their `factors` in each.
 
-    Numbers are not shared terms, and neither are single variables that were not fitted together. Numbers inside are
-    taken from the first equation. For terms fitted together, `multiples` has the multiple of the flux in each equation.
+    Numbers are not listed as shared terms. Single variables are listed only if they were fitted together. Numbers
+    inside are taken from the first equation. For terms fitted together, `multiples` has the multiple of the flux in
+    each equation.
 
     Args:
         equations: the shown equations, by variable.

@@ -1,4 +1,5 @@
-"""Which equations together are the model: candidates become systems, systems are compared, the shortest wins.
+"""Which equations together are the model: candidates are combined into systems, and the system with the shortest
+description is chosen.
 
 - `model_selection`: `select_model`, the entry point, and the table of stages that propose candidates and compare
   systems
@@ -10,7 +11,7 @@
 - `comparison`: fits systems to the same measurements, here or on workers; `score` computes their length in nats
 - `joint_search`: the best combination, by exchanging the program of one variable at a time; `local_search`: shorter
   descriptions nearby
-- `shortcut`: if the residuals of the laws of sparse regression are noise, these laws are fitted together without a
+- `shortcut`: if sparse regression found laws whose residuals are noise, these laws are fitted together, without a
   search
 - `piece_lengths`: the number of rows of a trajectory that are simulated without a break
 - `solver_errors`: reproduces the errors of the solver that computed a table, and subtracts them

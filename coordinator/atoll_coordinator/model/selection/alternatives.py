@@ -2,12 +2,13 @@
 
 How it works. For each equation, the programs that were already fitted in its place and programs that agree with it
 along the measured curves are fitted again. Equivalent equations are dropped. If an alternative is shorter than the
-model, it becomes the model, and its alternatives are ranked. The shortest description stays the model, unless the
-allowed work ends first, or a shorter equation equals it on all rows of a table with inputs. Alternatives that are
-nearly as short make its verdict doubtful, even if they predict worse.
+model, it becomes the model, and its alternatives are ranked. So the model is the shortest description, with two
+exceptions: the allowed work may end first; and in a table with inputs, an equation may be replaced by a shorter
+equation that is equal on all rows. Alternatives that are nearly as short as the model make its verdict doubtful, even
+if they predict worse.
 
 Doubts. Only equations that a search has proposed can appear. Two equations are compared at the points of the dataset
-and at a few points off the curves; a difference elsewhere is not seen.
+and at a few points away from the measured curves; a difference at other points is not noticed.
 """
 
 import math
@@ -94,7 +95,7 @@ def _select_shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[Sele
 
 
 def _select_simplest_on_rows(selection: SelectedModel, inputs: FloatArray) -> SelectedModel:
-    """Return the selection, with shorter equations in place of equations that are a multiple of them at all rows.
+    """Return the selection with equations replaced by shorter equations, if both agree on all rows up to a factor.
 
     For an input that switches between 0 and 1, 2.3*u/(0.16 + u**2) equals 2*u on all rows. The two differ only while
     the input changes between two rows, where it was not measured, so that a better fit there is no evidence.
@@ -140,10 +141,10 @@ def _find_all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list
 def _find_alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
     """Return the closest alternatives for the equation of one variable, distinct as functions, the closest first.
 
-    The user's guesses are always among them, whatever their length.
+    The user's guesses are always included, for any length.
 
-    Programs with the same misfit count as one function unless they differ off the measured curves. The same form with
-    other constants counts as the same equation, unless the other constants fit better.
+    Programs with the same misfit count as one function unless they differ away from the measured curves. The same form
+    with other constants counts as the same equation, unless the other constants fit better.
     """
     comparison, best = selection.comparison, selection.model
     known_models = sorted(
@@ -160,7 +161,7 @@ def _find_alternatives(selection: SelectedModel, index: int, inputs: FloatArray)
         list(programs.values())[: SETTINGS.effort.kept],
         ((SETTINGS.effort.steps, SETTINGS.effort.kept),),
     )
-    near = sorted([*near, *_without_needless_constants(comparison, best, near, index)], key=lambda model: model.nats)
+    near = sorted([*near, *_without_unnecessary_constants(comparison, best, near, index)], key=lambda model: model.nats)
     guesses = fit_guesses(selection, index)
     distinct_models, functions = [best], [values_of(best.programs[index], inputs)]
     forms = {form_of(best.programs[index])}
@@ -182,12 +183,12 @@ def _find_alternatives(selection: SelectedModel, index: int, inputs: FloatArray)
     return [*others[: SETTINGS.effort.beam], *beyond]
 
 
-def _without_needless_constants(
+def _without_unnecessary_constants(
     comparison: ModelComparison, best: FittedModel, models: Sequence[FittedModel], index: int
 ) -> list[FittedModel]:
     """Return alternatives about as short as the best system, without their unnecessary constants.
 
-    Without such a constant, an alternative may be the true law and shorter than the best system.
+    After an unnecessary constant is removed, an alternative may be the true law and shorter than the best system.
     """
     limit = best.nats + SETTINGS.inference.distinct_nats
     search = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
@@ -219,9 +220,9 @@ def fit_guesses(selection: SelectedModel, index: int) -> list[FittedModel]:
 def _find_agreeing_programs(selection: SelectedModel, index: int) -> list[Program]:
     """Return other possible equations of one noise-free variable, which agree along the measured curves.
 
-    They come from the candidates; if terms are linearly dependent along the curves, also from the neighbours of the
-    equation and from sums that a pursuit of its values finds. Only equations about as short are returned: the odds of
-    longer equations are too small to count.
+    They come from the candidates. If terms are linearly dependent along the curves, they also come from the neighbours
+    of the equation, and from sums that a pursuit of its values finds. Only equations that are about as short are
+    returned: the odds of longer equations are negligible.
     """
     task, comparison, own = selection.task, selection.comparison, selection.model.programs[index]
     if not task.is_nearly_clean or task.recording.groups or task.is_over:
@@ -233,7 +234,7 @@ def _find_agreeing_programs(selection: SelectedModel, index: int) -> list[Progra
     columns, operators, candidates = task.columns(name), task.operators(name), task.candidates[name].programs
     most = comparison.score.length(own) + SETTINGS.inference.exact_nats
     if any(_are_dependent(terms, problem.inputs) for terms in polynomial_and_fourier_libraries(columns, operators)):
-        unfactored = most + SETTINGS.inference.exact_nats  # it prices sums term by term
+        unfactored = most + SETTINGS.inference.exact_nats  # a pursuit prices sums term by term
         candidates += [*neighbours(own, columns, operators), *pursue(problem, columns, operators, (), unfactored)]
     squares = LeastSquares(problem, restrictions=comparison.restrictions(index))
     short = {structure(program): program for program in candidates if structure_length(program) <= most}

@@ -1,11 +1,11 @@
 """Candidates for one variable's equation: where they come from, and which are the best.
 
 How it works. Programs come from the front and the runners-up of the search, from the user's guesses, and from libraries
-of terms. Each is written shorter, its constants are fitted to the derivatives, and it is then fitted to the
+of terms. Each program is simplified, and its constants are fitted to the derivatives. The program is then fitted to the
 trajectories of its variable alone. In these fits the smoothed values of all other states are inputs.
 
-Doubts. With smoothed inputs a right equation can be ranked low. So programs that fit badly are kept at the end of the
-list, and not dropped.
+Doubts. With smoothed inputs a right equation can be ranked low. So programs that fit badly are not dropped, but kept at
+the end of the list.
 """
 
 import math
@@ -130,14 +130,14 @@ _STARTS: Final[BatchFunction[LeastSquares, _Start, tuple[Program, ...]]] = Batch
 
 
 def _rewrite(comparison: ModelComparison, programs: Sequence[Program], *, is_shortest: bool) -> Iterator[Program]:
-    """Yield programs in a short form, or in the shortest; unchanged if the time is over."""
+    """Yield programs in a short form, or in the shortest form; unchanged if the time is over."""
     rewritten = comparison.spread.map(_WRITINGS, lambda: is_shortest, programs, _WRITINGS_OF_A_BATCH[is_shortest])
     yield from (program if brief is None else brief for program, brief in zip(programs, rewritten, strict=True))
 
 
 _WRITINGS_OF_A_BATCH: Final = (32, 4)
-"""Most programs of a batch, for short and for shortest forms: a short form takes about a millisecond, the shortest ten,
-for some programs a hundred."""
+"""Most programs of a batch, for short and for shortest forms: a short form takes about a millisecond, the shortest form
+ten, and for some programs a hundred."""
 _WRITINGS: Final[BatchFunction[bool, Program, Program]] = BatchFunction(
     "writings", bool, Program, Program,
     lambda is_shortest, program: shortest(program) if is_shortest else shortened(program),
@@ -148,7 +148,8 @@ class RankedCandidates:
     """Candidates for the equation of one variable, ranked by its trajectories alone."""
 
     def __init__(self, comparison: ModelComparison, problem: Problem, whole: ModelComparison | None = None) -> None:
-        """`comparison` fits this variable alone; before, constants are fitted to the rows of `problem`.
+        """Constants are first fitted to the rows of `problem`; then `comparison` fits the equation of this variable
+        alone.
 
         The comparison of the `whole` system decides which programs are too long.
         """
@@ -168,7 +169,8 @@ class RankedCandidates:
                 new.setdefault(structure(program), program)
         self._known |= new.keys()
         rows = self._problem, comparison.restrictions(0)
-        is_fitted = comparison.groups is None and not comparison.estimator.deadline.is_over  # else group by group
+        # With groups, constants are fitted later, to the rows of each group.
+        is_fitted = comparison.groups is None and not comparison.estimator.deadline.is_over
         starts = [(program, effort.steps if is_fitted else 0) for program in new.values()]
         fitted = comparison.spread.map(_STARTS, lambda: _least_squares(rows), starts, _STARTS_OF_A_BATCH, lambda: rows)
         started = [program for programs in fitted for program in programs or ()]
@@ -181,8 +183,8 @@ class RankedCandidates:
         self._started += started
 
     def _shorten(self, programs: Iterable[Program], most: float) -> list[Program | None]:
-        """Return programs in a short form; None for programs of `most` nats or more. Often their constants alone exceed
-        it."""
+        """Return programs in a short form; None for programs of `most` nats or more. Often the price of the constants
+        alone exceeds this limit."""
         all_programs, price = list(programs), self._whole.score.constant_nats
         are_few = [price * len(constant_places(program)) < most for program in all_programs]
         written = iter(_rewrite(self._comparison, list(compress(all_programs, are_few)), is_shortest=False))

@@ -8,8 +8,8 @@ the complete fit when it is needed. `narrow_down` is a tournament: many programs
 with more steps. `calibrate` returns a new comparison whose errors come from the residuals of a model. Lengths of two
 comparisons must not be compared.
 
-Trajectories decide, and not derivatives: smoothing errors are large and correlated, so that a wrong equation often has
-the smaller derivative error. It hardly ever has the smaller misfit to the raw states.
+Trajectories decide, and not derivatives: smoothing errors are large and correlated, so a wrong equation often has a
+smaller error of the derivative than the true equation. It hardly ever has a smaller misfit to the measured states.
 
 Doubts. A tournament can drop the right program early if its fit needs many steps. Budgets count work and not seconds,
 so results are reproducible but depend on the constants in the settings.
@@ -45,14 +45,14 @@ Programs = tuple[Program, ...]
 STAGES: Final[tuple[int | None, ...]] = (*SETTINGS.shooting.lengths[:2], None)
 """Segment lengths, in rows, of the successive stages of a fit; None: whole trajectories."""
 _REPEATED: Final = 10.0 * SETTLED
-"""Relative difference of misfits below which two programs count as the same function: fits converge only to this
-accuracy."""
+"""If the relative difference of two misfits is smaller, both programs count as the same function: fits converge only to
+this accuracy."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitStart:
-    """The start of a fit: initial states, error model, stiffness; with groups also a system with constants of each
-    group."""
+    """The start of a fit: initial states, error model, and stiffness. With groups of trajectories, also a system with
+    the constants of each group."""
 
     starts: FloatArray
     errors: ErrorModel
@@ -77,8 +77,8 @@ class FitSummary:
     """The numbers that determine a fit: `constants` of all nodes (with groups, also by group), and initial states.
 
     `length` is the length of its segments (rows; None: whole trajectories); `squares` are mean squares of residuals.
-    One integration restores the complete fit from them. States, residuals and normal equations are hundreds of times as
-    large, and most candidates do not need them.
+    One integration restores the complete fit from these numbers. States, residuals and normal equations are hundreds of
+    times as large, and are not needed for most candidates.
     """
 
     constants: FloatArray
@@ -163,7 +163,7 @@ class ModelComparison:
         leading: with order 2 the equations of the positions, which come before the other equations.
         spread: fits systems in threads or on workers; by default one after another.
         constraints: restrictions of the equations.
-        calibration: the score by earlier residuals; None: the score by the smoother's noise.
+        calibration: the score with errors from earlier residuals; None: with the smoother's noise.
         fitted_models: the best model of each program that was fitted for an equation, by (equation, structure).
     """
 
@@ -188,8 +188,8 @@ class ModelComparison:
         return self.constraints.groups
 
     def calibrate(self, model: FittedModel) -> tuple["ModelComparison", FittedModel]:
-        """Return a comparison whose errors are estimated from the residuals of a model, and the model fitted with
-        them."""
+        """Return a comparison whose errors are estimated from the residuals of a model, and the model fitted with these
+        errors."""
         score, fit = self.score.calibrate(model.fit)
         comparison = replace(self, calibration=score)
         return comparison, comparison.score_fit(fit)
@@ -204,65 +204,63 @@ class ModelComparison:
         """
         return self._fit_systems(FitPlan(steps, tuple(lengths)), list(map(tuple, systems)))
 
-    def _fit_systems(self, order: FitPlan, systems: Sequence[Programs], until: float = math.inf) -> list[FittedModel]:
+    def _fit_systems(self, plan: FitPlan, systems: Sequence[Programs], until: float = math.inf) -> list[FittedModel]:
         """Return the models of systems, the shortest description first; failed fits are left out.
 
         Systems are fitted in order as long as the estimator's work is less than `until`, and none after the deadline.
         Workers may fit more systems than this limit allows; these results and their work are then dropped.
         """
         bounded = SETTINGS.effort.kept if until < math.inf else max(len(systems), 1)
-        ahead = self._fit_on_workers(order, systems) if self.spread.is_shared and len(systems) > 1 else None
+        ahead = self._fit_on_workers(plan, systems) if self.spread.is_shared and len(systems) > 1 else None
         models: list[FittedModel] = []
         for first in range(0, len(systems), bounded):
             if first and self.estimator.work >= until:
                 break
             part = systems[first : first + bounded]
             if ahead is None:
-                fits = self.spread.map_threads(partial(self.fit_by_plan, order), part)
+                fits = self.spread.map_threads(partial(self.fit_by_plan, plan), part)
                 models += [model for model in fits if model is not None]
             else:
                 outcomes = ahead[first : first + bounded]
                 self.estimator.add_work(_total_work(outcomes))
-                models += self._models_from_summaries(order, part, outcomes)
+                models += self._models_from_summaries(plan, part, outcomes)
         return sorted(models, key=lambda model: model.nats)
 
-    def fit_by_plan(self, order: FitPlan, programs: Programs) -> FittedModel | None:
+    def fit_by_plan(self, plan: FitPlan, programs: Programs) -> FittedModel | None:
         """Return the fitted system; None if it cannot be simulated, violates restrictions, or the time is over."""
         if self.estimator.deadline.is_over:
             return None
-        if order.near is None:
-            model = self.fit_model(programs, order.steps, order.lengths)
+        if plan.near is None:
+            model = self.fit_model(programs, plan.steps, plan.lengths)
         else:
-            model = self._fit_from_start(order.near, programs, order.steps)
+            model = self._fit_from_start(plan.near, programs, plan.steps)
         return model if model is not None and math.isfinite(model.nats) else None
 
-    def _fit_on_workers(self, order: FitPlan, systems: Sequence[Programs]) -> list[FitOutcome | None]:
+    def _fit_on_workers(self, plan: FitPlan, systems: Sequence[Programs]) -> list[FitOutcome | None]:
         """Return the outcomes of fits on workers; None for fits that the deadline stopped."""
-        fits = [(order, programs) for programs in systems]
+        fits = [(plan, programs) for programs in systems]
         outcomes = self.spread.map_workers(FITS, self.encoded_parts, fits, _FITS_OF_A_BATCH)
         self.spread.note(sum(outcome is not None and outcome[0] is not None for outcome in outcomes))
         return outcomes
 
     def _models_from_summaries(
-        self, order: FitPlan, systems: Sequence[Programs], outcomes: Sequence[FitOutcome | None]
+        self, plan: FitPlan, systems: Sequence[Programs], outcomes: Sequence[FitOutcome | None]
     ) -> list[FittedModel]:
         """Return the models of systems that workers have fitted."""
         pairs = zip(systems, outcomes, strict=True)
         return [
-            self.model_from_summary(order, programs, outcome[0])
-            for programs, outcome in pairs
-            if outcome and outcome[0]
+            self.model_from_summary(plan, programs, outcome[0]) for programs, outcome in pairs if outcome and outcome[0]
         ]
 
-    def model_from_summary(self, order: FitPlan, programs: Programs, summary: FitSummary) -> FittedModel:
+    def model_from_summary(self, plan: FitPlan, programs: Programs, summary: FitSummary) -> FittedModel:
         """Return the model of a system that a worker has fitted."""
         admitted = self.admissible_programs(programs)
-        assert admitted is not None, "what was fitted may stand"
+        assert admitted is not None, "a fitted system meets the restrictions"
         ends = np.cumsum([len(program) for program in (*self.leading, *admitted)])
         parts = np.split(summary.constants, ends[:-1])[len(self.leading) :]
 
         def complete() -> TrajectoryFit:
-            near = None if order.near is None else order.near.system
+            near = None if plan.near is None else plan.near.system
             system = replace(self.system(admitted, (), near), constants=summary.constants)
             if system.sharing is not None and summary.by_group is not None:
                 system = replace(system, sharing=replace(system.sharing, constants=summary.by_group))
@@ -272,19 +270,19 @@ class ModelComparison:
         fitted = tuple(replace(one, constants=part) for one, part in zip(admitted, parts, strict=True))
         return FittedModel(fitted, SummarizedFit(summary.squares, complete), summary.misfit, summary.nats)
 
-    def fit_and_summarize(self, ordered: PlannedFit) -> FitOutcome:
+    def fit_and_summarize(self, planned: PlannedFit) -> FitOutcome:
         """Fit a system and return its summary and work, as a worker sends them."""
-        order, before = ordered[0], self.estimator.work_of_thread
-        model = self.fit_by_plan(*ordered)
-        return None if model is None else self.summarize(order, model), self.estimator.work_of_thread - before
+        plan, before = planned[0], self.estimator.work_of_thread
+        model = self.fit_by_plan(*planned)
+        return None if model is None else self.summarize(plan, model), self.estimator.work_of_thread - before
 
-    def summarize(self, order: FitPlan, model: FittedModel) -> FitSummary:
+    def summarize(self, plan: FitPlan, model: FittedModel) -> FitSummary:
         """Return the summary of a model, as a worker sends it."""
         fit, sharing = model.fit, model.fit.system.sharing
-        in_whole = order.near is not None or self.score.errors is not None
+        in_whole = plan.near is not None or self.score.errors is not None
         return FitSummary(
             fit.system.constants, None if sharing is None else sharing.constants, fit.starts, fit.errors, fit.squares,
-            None if in_whole else order.lengths[-1], fit.is_stiff, model.misfit, model.nats,
+            None if in_whole else plan.lengths[-1], fit.is_stiff, model.misfit, model.nats,
         )  # fmt: skip
 
     @property
@@ -333,10 +331,10 @@ class ModelComparison:
         Args:
             programs: one for each equation.
             fixed_nodes: for each program, the nodes whose constants are not fitted.
-            near: used if groups of trajectories have their own constants. Equations that are equal in this system start
-                with its constants of each group; constants of other equations are first fitted to the rows of each
-                group.
-            shared: numbers that are nevertheless common to all groups, or to several constants.
+            near: used if groups of trajectories have their own constants. An equation that `near` also has starts with
+                the constants that each group has in `near`. The constants of other equations are first fitted to the
+                rows of each group.
+            shared: fitted numbers that are common to all groups, or to several constants.
         """
         fixed = [
             set(constant_places(program)) if index in self.fixed else set(fixed_nodes[index]) if fixed_nodes else set()
@@ -356,7 +354,7 @@ class ModelComparison:
         return replace(system, lower=lower, upper=upper)
 
     def places(self, system: System) -> list[Place]:
-        """Return equation and node of each fitted constant of one of this comparison's systems."""
+        """Return equation and node of each fitted constant of a system of this comparison."""
         firsts = [0, *(system.outputs + 1).tolist()]
         pairs = zip(system.places.tolist(), system.owners.tolist(), strict=True)
         return [(owner - len(self.leading), node - firsts[owner]) for node, owner in pairs]
@@ -421,7 +419,8 @@ class ModelComparison:
         self, near: FittedModel, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
         until: float = math.inf,
     ) -> list[FittedModel]:  # fmt: skip
-        """Return models of the best of `programs` for one equation, fewer of them after each of the `rounds`.
+        """Return the models with the best `programs` for one equation; in each of the `rounds`, fewer programs are
+        kept.
 
         Each round is a number of steps and the number of programs that are kept. Of equivalent programs only the
         program with the shortest description is kept, see `distinct_models`. When the estimator's work has reached
@@ -431,8 +430,8 @@ class ModelComparison:
         waiting = list(programs)
         beginning = self._start_of(near) if waiting else None
         for steps, kept in rounds:
-            order = FitPlan(steps, near=beginning)
-            models = self._fit_systems(order, _replace_program(near, equation, waiting), until)
+            plan = FitPlan(steps, near=beginning)
+            models = self._fit_systems(plan, _replace_program(near, equation, waiting), until)
             models = self.distinct_models(models, equation)[:kept]
             waiting = [model.programs[equation] for model in models]
         return self._remember(equation, models)
@@ -442,20 +441,20 @@ class ModelComparison:
     ) -> dict[int, PrefetchedModels]:
         """Return the results of `narrow_down` for several equations, valid as long as `near` is the best model.
 
-        Workers fit them at the same time. Empty without workers or with a single equation. The work is not counted
-        until `accept_prefetched`.
+        Workers fit the programs for all equations at the same time. The result is empty without workers or with a
+        single equation. The work is not counted until `accept_prefetched`.
         """
         if len(lists) < 2 or not self.spread.is_shared:
             return {}
         prefetched = {equation: PrefetchedModels([], 0) for equation in lists}
         waiting, beginning = dict(lists), self._start_of(near)
         for steps, kept in rounds:
-            order = FitPlan(steps, near=beginning)
+            plan = FitPlan(steps, near=beginning)
             systems = {equation: _replace_program(near, equation, programs) for equation, programs in waiting.items()}
-            outcomes_by_system = iter(self._fit_on_workers(order, [one for part in systems.values() for one in part]))
+            outcomes_by_system = iter(self._fit_on_workers(plan, [one for part in systems.values() for one in part]))
             for equation, part in systems.items():
                 outcomes = [next(outcomes_by_system) for _ in part]
-                models = sorted(self._models_from_summaries(order, part, outcomes), key=lambda model: model.nats)
+                models = sorted(self._models_from_summaries(plan, part, outcomes), key=lambda model: model.nats)
                 models = self.distinct_models(models, equation)[:kept]
                 prefetched[equation] = PrefetchedModels(models, prefetched[equation].work + _total_work(outcomes))
                 waiting[equation] = [model.programs[equation] for model in models]
@@ -480,10 +479,11 @@ class ModelComparison:
         return list(models)
 
     def distinct_models(self, models: Iterable[FittedModel], equation: int) -> list[FittedModel]:
-        """Return the models, which are sorted by nats, without models whose `equation` is equivalent to an earlier one.
+        """Return the models (sorted by nats) without models whose `equation` is equivalent to the equation of an
+        earlier model.
 
-        Equations are equivalent if their misfits are equal and they agree off the measured curves. Equal misfits alone
-        are not enough: all equations that agree along the curves have the same integration errors.
+        Equations are equivalent if their misfits are equal and if they agree away from the measured curves. Equal
+        misfits alone are not enough: all equations that agree along the curves have the same integration errors.
         """
         kept: list[FittedModel] = []
         misfits: list[tuple[float, int]] = []
@@ -501,7 +501,7 @@ class ModelComparison:
         return kept
 
     def differ_off_trajectories(self, model: FittedModel, other: FittedModel, equation: int) -> bool:
-        """Tell whether the equations of two models differ off the measured curves by more than their errors.
+        """Tell whether the equations of two models differ away from the measured curves by more than their errors.
 
         Without noise a relative difference of a thousandth counts; with noise, a difference that matters for
         predictions.
@@ -512,9 +512,10 @@ class ModelComparison:
         return bool(either.any()) and differ(first[either], second[either], share)
 
     def disputed_state(self, model: FittedModel, others: Sequence[FittedModel], equation: int) -> dict[str, float]:
-        """Return the state off the measured curves, by name, at which one equation differs most from the `others`.
+        """Return the state away from the measured curves, by name, at which one equation differs most from the
+        `others`.
 
-        The difference to each is weighted by its odds against `model`.
+        The difference from each other model is weighted by the odds of this model against `model`.
         """
         own = values_of(model.programs[equation], self._points_off_trajectories)
         differences = np.zeros_like(own)
@@ -532,7 +533,7 @@ class ModelComparison:
 
     @cached_property
     def _points_off_trajectories(self) -> FloatArray:
-        """Points (V, G) off the measured curves; G is 0 if groups have their own constants."""
+        """Points (V, G) away from the measured curves; G is 0 if groups have their own constants."""
         measurements = self.estimator.measurements
         points = np.concatenate([measurements.smoothed, measurements.inputs])
         moved = len(points if measurements.has_smoothed_inputs else measurements.smoothed)

@@ -1,8 +1,9 @@
 """Cross-validation: how well a system predicts trajectories that its constants were not fitted to.
 
 Each fold leaves out one trajectory (Stone 1974), or several if there are many trajectories. The constants are fitted to
-the other trajectories, starting from the fit to all. Along the trajectories left out only the initial state is fitted.
-Doubt: the equations were chosen on all trajectories, so that only the constants are validated, and not the structure.
+the other trajectories, starting from the fit to all trajectories. Along the trajectories that were left out, only the
+initial state is fitted. Doubt: the equations were chosen on all trajectories, so that only the constants are validated,
+and not the structure.
 """
 
 from dataclasses import dataclass
@@ -51,7 +52,7 @@ class Validation:
         """Whether there are enough trajectories, and all have the same constants."""
 
     def of(self, model: FittedModel) -> R2 | None:
-        """Return the R2 of the system of `model`; None if the time is over, since fits that end early do not count."""
+        """Return the R2 of the system of `model`. None if the time is over, since fits that end early do not count."""
         comparison, fit = self._comparison, model.fit
         measurements = comparison.estimator.measurements
         squares, total = np.zeros((2, len(measurements.observed)))
@@ -73,16 +74,16 @@ def squared_errors(comparison: ModelComparison, fold: Fold) -> FloatArray:
     unknown = np.full(len(measurements.observed), np.inf)
     if whole.deadline.is_over:
         return unknown
-    others = _shooter(whole, measurements.part(set(measurements.owners.tolist()) - left_out))
+    others = _make_estimator(whole, measurements.part(set(measurements.owners.tolist()) - left_out))
     fitted = others.fit(comparison.system(fold.programs), None, steps, fold.starts[~is_out], fold.errors)
     if fitted is None:
         return unknown
-    rest = _shooter(whole, measurements.part(left_out))
+    rest = _make_estimator(whole, measurements.part(left_out))
     predicted = rest.fit(fitted.system.with_fixed_constants(), None, steps, fold.starts[is_out], fold.errors)
     return unknown if predicted is None else (rest.measurements.weights * predicted.residuals**2).sum(axis=1)
 
 
-def _shooter(whole: MultipleShooting, measurements: Measurements) -> MultipleShooting:
+def _make_estimator(whole: MultipleShooting, measurements: Measurements) -> MultipleShooting:
     return MultipleShooting(measurements, whole.tolerance, whole.deadline)
 
 

@@ -1,6 +1,6 @@
 """Which member of a front is shown while the search runs: the member with the shortest description length.
 
-The same length says whether the search stagnates. Refining chooses again: `model_selection`, `regression.equation`.
+The same length decides whether the search stagnates. Refining chooses again: `model_selection`, `regression.equation`.
 """
 
 from collections.abc import Sequence
@@ -41,8 +41,8 @@ def front_length(
 def select_member(front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None) -> int:
     """Return the index of the member with the least description length; of equal lengths, the first.
 
-    If some members reach the error at which an equation counts as found, only these are considered. So a search that
-    ended because its target error was reached shows an equation that reaches it.
+    If some members reach the error at which an equation counts as found, only these members are considered. So if a
+    search ended because it reached its target error, the shown equation reaches this error.
 
     Raises:
         ValueError: the front is empty.

@@ -20,7 +20,7 @@ from atoll_core.expression.restrictions import NONE, Restrictions
 
 @dataclass(frozen=True, eq=False)
 class GroupedRows:
-    """The rows of each group, by equation: constants are fitted to these before any trajectory is simulated.
+    """The rows of each group, by equation: constants are fitted to these rows before any trajectory is simulated.
 
     Attributes:
         count: number of groups.
@@ -53,16 +53,16 @@ class GroupedRows:
     ) -> FloatArray:
         """Return the constants (G, N) of each group's nodes with which a fit of `system` begins.
 
-        Arguments are as of `ModelComparison.system`, `leading` equations first.
+        See `ModelComparison.system` for the arguments; the first `leading` equations are the equations of positions.
         """
         own = np.repeat(system.constants[None], self.count, axis=0)
         ends = (system.outputs + 1).tolist()
         for index, program in enumerate(system.equations[leading:]):
             part = slice(ends[index + leading] - len(program), ends[index + leading])
-            own[:, part] = self._constants(index, program, fixed[index], near, part, leading)
+            own[:, part] = self._start_constants(index, program, fixed[index], near, part, leading)
         return own
 
-    def _constants(
+    def _start_constants(
         self, index: int, program: Program, fixed: Collection[int], near: System | None, part: slice, leading: int
     ) -> FloatArray:
         """Return the constants (G, N) of one equation with which its fit begins."""

@@ -6,8 +6,8 @@ candidates of each equation in turn, with all other equations unchanged, until n
 `search_terms` adds or removes single terms along the trajectories. The errors are calibrated by the residuals of the
 best system between these steps. All work is bounded by counts, never by the clock.
 
-Doubts. An exchange of one equation at a time does not reach a system of which two equations must change together.
-A used-up budget ends the search early.
+Doubts. An exchange of one equation at a time does not reach a system if two equations must change together. A used-up
+budget ends the search early.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -38,8 +38,8 @@ def fit_jointly(
         task: the measurements and candidates.
         lists: candidates of each variable, the best first.
         start: programs of the first system; None: the best of a few combinations.
-        are_laws: whether no terms are searched beyond the terms of the candidates. Then no term can describe errors of
-            coarse integration steps.
+        are_laws: whether all candidates are laws, and no further terms are searched. Then no term can describe errors
+            of coarse integration steps.
     """
     comparison = task.comparison
     best = find_starting_system(comparison, lists) if start is None else comparison.fit_model(start)
@@ -76,10 +76,11 @@ def search_jointly(
 def _treat_as_noise_free(
     task: ModellingTask, comparison: ModelComparison, best: FittedModel
 ) -> tuple[ModelComparison, FittedModel]:
-    """Return comparison and system for noise-free data if the residuals show that there is no noise, else unchanged.
+    """Return comparison and system for noise-free data if the residuals show that there is no noise; else both
+    unchanged.
 
-    With few rows, or few rows in a period, a smoother treats motion that it cannot follow as noise. Integration steps
-    with errors relative to such noise would be so coarse that unnecessary terms describe the integration errors.
+    With few rows, or few rows in a period, a smoother treats fast motion as noise. The tolerance of the integration is
+    proportional to the noise: here it would be so large that unnecessary terms describe the integration errors.
     """
     limit = SETTINGS.selection.least_noise * comparison.estimator.measurements.scales
     observed = comparison.estimator.measurements.observed
@@ -151,9 +152,9 @@ def exchange_programs(
 def _exchange_two(comparison: ModelComparison, best: FittedModel) -> FittedModel:
     """Return the best system, or a shorter description with two equations exchanged at the same time.
 
-    Where noise hides the difference between alternatives, the best equation of one state depends on the equation of
-    another, so that no single exchange leads on: with 21 rows of hares and lynxes the system of both best alternatives
-    was 2 nats shorter. The pairs whose alternatives are closest are fitted.
+    If noise hides the difference between alternatives, the best equation of one state depends on the equation of
+    another state. Then no single exchange may shorten the description: with 21 rows of hares and lynxes, the system of
+    both best alternatives was 2 nats shorter. The pairs whose alternatives are closest are fitted.
     """
     alternatives: list[list[tuple[float, Program]]] = [[] for _ in best.programs]
     own_forms = [structure(program) for program in best.programs]
@@ -198,8 +199,8 @@ def search_locally(
 ) -> FittedModel:
     """Return the end of the descent from the best system.
 
-    If the residuals of the system are noise, programs are not tried if they are so long that no misfit could compensate
-    their length.
+    If the residuals of the system are noise, a program is not tried if it is so long that no decrease of the misfit
+    could compensate its length.
     """
     room = comparison.score.possible_gain(best)
     has_room = comparison.score.may_be_improved(best)
@@ -234,10 +235,10 @@ def search_terms(
     """Return the end of a descent from the best system; each step adds or removes one term of one equation.
 
     Each changed system is fitted along the trajectories from the current one, until the estimator's work is `until`.
-    All terms are tried, however small the residuals are: other constants partly compensate for a missing term, so that
-    noise hides the remaining pattern. The expanded sum is tried as well: then each of its terms, or its coefficient,
-    can be removed. Two further start points cannot be reached by adding one term: if an equation has functions, the
-    best candidate in `lists` without functions; and the best sum of two terms in `pairs`.
+    All terms are tried, even if the residuals are small: other constants partly compensate for a missing term, so that
+    noise hides the remaining pattern. The expanded sum is tried as well: in this form each term, or its coefficient,
+    can be removed. Descents also start from two programs that adding one term does not reach: the best candidate in
+    `lists` without functions, if the equation has functions; and the best sum of two terms in `pairs`.
     """
 
     def around(equation: int, program: Program) -> Iterator[Program]:
@@ -262,7 +263,7 @@ def search_terms(
 def recalibrate(
     comparison: ModelComparison, best: FittedModel, others: Sequence[FittedModel]
 ) -> tuple[ModelComparison, FittedModel]:
-    """Return a comparison whose errors are estimated from the residuals of the best system, and that system.
+    """Return a comparison whose errors are estimated from the residuals of the best system, and this system.
 
     The closest alternatives, and the equations of `others`, are compared again.
     """
@@ -283,15 +284,16 @@ def recalibrate(
 def compare_alternatives(
     comparison: ModelComparison, best: FittedModel, equation: int, programs: Sequence[Program]
 ) -> None:  # fmt: skip
-    """Fit programs in the place of one equation, and remember the best; the first few without unnecessary constants.
+    """Fit programs in the place of one equation, and remember the best.
 
-    With unnecessary constants, an alternative would count as an elaboration of the equation.
+    The unnecessary constants of the first few are removed: alternatives with more constants than the equation usually
+    do not count.
     """
     effort = SETTINGS.effort
     rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
-    for rival in comparison.narrow_down(best, equation, programs, rounds)[: effort.rounds[1][1]]:
-        pruned = descent.prune(rival, equation)
+    for alternative in comparison.narrow_down(best, equation, programs, rounds)[: effort.rounds[1][1]]:
+        pruned = descent.prune(alternative, equation)
         comparison.fitted_models[equation, structure(pruned.programs[equation])] = pruned
 
 

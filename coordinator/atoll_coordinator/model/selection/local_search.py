@@ -1,8 +1,9 @@
 """Local search: shortens the description of a system by changes of one equation at one node.
 
-How it works. `improve` takes one equation after another. It removes unnecessary parts, fits the programs nearby
-(`narrow_down`: many with few steps, the best with more), removes unnecessary parts of each that is about as short, and
-goes on from the shortest. The search ends when no equation changes, or when the work budget is used up.
+How it works. `improve` takes one equation after another. It removes unnecessary parts, and fits the programs nearby
+(`narrow_down`: many programs with few steps, the best with more steps). If the description of such a program is about
+as short, its unnecessary parts are removed. The search continues from the shortest description. The search ends when no
+equation changes, or when the work budget is used up.
 
 Doubts. Only one equation changes at a time, at one node. `prune` uses standard errors from the normal equations, which
 are too small if the residuals have a pattern; each removal is therefore confirmed by a fit."""
@@ -31,8 +32,8 @@ ProgramsNearby = Callable[[int, Program], Iterator[Program]]
 class LocalSearch:
     """Shortens systems until no system nearby is shorter, or the estimator's `budget` of work is used up.
 
-    A step that has begun is finished, if it does not exceed the budget by more than `SETTINGS.effort.work`. A descent
-    ends at a system that was tried before. Unless the search `is_thorough`, only unnecessary constants are removed from
+    A step that has begun is finished, unless it exceeds the budget by more than `SETTINGS.effort.work`. A descent ends
+    at a system that was tried before. Unless the search `is_thorough`, only unnecessary constants are removed from
     systems on the way, and no other parts.
     """
 
@@ -80,7 +81,7 @@ class LocalSearch:
         return model
 
     def prune(self, model: FittedModel, equation: int) -> FittedModel:
-        """Set constants of one equation to 0, 1 or -1 as long as that shortens the description.
+        """Set constants of one equation to 0, 1 or -1 as long as this shortens the description.
 
         Candidates follow from the distance of a constant from 0, 1 or -1 in standard errors (Wald's test). So each step
         takes one or two fits. There are few constants, so this is done even if the budget is used up.
@@ -100,9 +101,9 @@ class LocalSearch:
     def _with_one_neutral_constant(self, model: FittedModel, equation: int) -> list[Program]:
         """Return programs with one constant set to 0, 1 or -1, the most promising first.
 
-        Constants of infinite variance, which the data do not determine, come first; the others by their distance. If
-        residuals are integration errors, they do not show the uncertainty of constants, so they count at their upper
-        limit.
+        Constants of infinite variance, which the data do not determine, come first. The other constants are sorted by
+        their distance. Integration errors do not show the uncertainty of constants. So if residuals are integration
+        errors, their upper limit counts instead.
         """
         program = model.programs[equation]
         fit = model.fit
@@ -126,7 +127,8 @@ class LocalSearch:
     def _is_new(
         self, known_lengths: dict[tuple[int, tuple[bytes, ...]], float], model: FittedModel, equation: int
     ) -> bool:
-        """Tell whether an equation of a system is not in `known_lengths`, or only with worse constants; adds it."""
+        """Tell whether an equation of a system is not in `known_lengths`, or only with a longer description; add it
+        then."""
         system = equation, tuple(map(structure, model.programs))
         if model.nats > known_lengths.get(system, math.inf) - SETTINGS.selection.least_gain:
             return False

@@ -1,19 +1,20 @@
 """The choice of the model: a table of stages that propose candidates and compare systems.
 
-`STAGES` lists them in the order in which they run, each with the condition under which it is due; `select_model` runs
-them and writes the name of each to the log. A stage takes a `Choice`, the state of the choice so far, and returns the
-next one. The stages fall into three parts:
+`STAGES` lists the stages in the order in which they run, each with the condition under which it is due. `select_model`
+runs them and writes the name of each to the log. A stage takes a `Choice`, the state of the choice so far, and returns
+the next state. There are three kinds of stages:
 
-1. *Shortcuts*: laws by sparse regression are fitted first. Where these describe the trajectories up to the noise,
+1. *Shortcuts*: laws by sparse regression are fitted first. If these laws describe the trajectories up to the noise,
    nothing else is proposed.
 2. *Candidates*: each stage adds its proposals for each equation to the pool. This ends when the pool suffices
-   (`CandidatePool.is_sufficient`): the residuals of a system are noise, and it is not longer than laws usually are.
-   Then the best system is searched: candidates are exchanged, and descents look for shorter descriptions nearby.
-3. *Second looks* at the system found: candidates that were too long with one part removed, operators that a search does
-   not use at first, the user's guesses, and terms that noise has hidden.
+   (`CandidatePool.is_sufficient`): the residuals of a system are noise, and its equations are not longer than laws
+   usually are. Then the best system is searched: candidates are exchanged, and descents look for shorter descriptions
+   nearby.
+3. *Improvements* of the system found: candidates that were too long, with one part removed; operators that a search
+   does not use at first; the user's guesses; and terms that noise has hidden.
 
-Doubts: the second looks repair what the first parts miss, each for a kind of law that was missed once. A search over
-all candidates by one criterion would make them unnecessary, at several times the work.
+Doubts: each improvement was added for a kind of law that the earlier stages had missed. A search over all candidates by
+one criterion would make the improvements unnecessary, at several times the work.
 """
 
 import logging
@@ -78,7 +79,7 @@ class Choice:
 
     @property
     def lacks_candidates(self) -> bool:
-        """Whether there is a pool and it is not sufficient, and no system was selected."""
+        """Whether more candidates are needed: the pool is not sufficient, and no system was selected."""
         return self.selection is None and self.pool is not None and not self.pool.is_sufficient
 
     @property
@@ -122,7 +123,7 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
 
 
 def fit_laws(choice: Choice) -> Choice:
-    """Select the laws of sparse regression, if together they describe the trajectories up to the noise."""
+    """Select the laws of sparse regression, if a system of these laws describes the trajectories up to the noise."""
     return replace(choice, selection=select_laws(choice.task))
 
 
@@ -152,7 +153,7 @@ def propose(proposer: Proposer) -> Callable[[Choice], Choice]:
 def _law_programs(task: ModellingTask) -> dict[str, list[Program]]:
     """Return the laws of the equations that have laws among many variables.
 
-    Empty if all equations have such laws: together they did not fit, so one of them is wrong.
+    Empty if all equations have such laws: the system of these laws did not fit, so one of the laws is wrong.
     """
     law_programs = {
         name: [law.program for law in task.laws[name] if task.may_be_shown(law.program)]
@@ -191,15 +192,15 @@ def compare_with_laws(choice: Choice) -> Choice:
     return choice
 
 
-# ---------------------------------------------------------------------------------------------- second looks
+# ---------------------------------------------------------------------------------------------- improvements
 
 
-def improve(second_look: Callable[[SelectedModel], SelectedModel]) -> Callable[[Choice], Choice]:
-    """Return the stage that replaces the selection by the result of a second look."""
+def improve(change: Callable[[SelectedModel], SelectedModel]) -> Callable[[Choice], Choice]:
+    """Return the stage that replaces the selection by the result of `change`."""
 
     def run(choice: Choice) -> Choice:
         assert choice.selection is not None
-        return replace(choice, selection=second_look(choice.selection))
+        return replace(choice, selection=change(choice.selection))
 
     return run
 
@@ -224,7 +225,7 @@ def try_reduced_candidates(selection: SelectedModel) -> SelectedModel:
 def try_guesses(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description by the user's guesses, one at a time or all together.
 
-    All guesses are fitted along the trajectories, also if the search has rejected them: the search compares
+    All guesses are fitted along the trajectories, even if the search has rejected them, since the search compares
     derivatives.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
@@ -245,20 +246,20 @@ def try_guesses(selection: SelectedModel) -> SelectedModel:
 def try_other_terms(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description with terms added or removed, see `search_terms`.
 
-    Noise may have hidden a term, or caused one. The errors of measurement are estimated again from the residuals of
-    each better system. The stage does not run without noise: then no term is hidden, and a term could describe errors
-    of coarse integration steps. It does not run for laws by derivatives among many variables, because these were chosen
-    from all terms.
+    Noise may have hidden a term, or caused one. After each better system, the errors of measurement are estimated again
+    from its residuals. Without noise the stage does not run: no term is hidden then, and an added term could describe
+    errors of coarse integration steps. It does not run for laws by derivatives among many variables, because these were
+    chosen from all terms.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
-    until, seen = comparison.estimator.work + SETTINGS.effort.work, {_structures_of(best)}
+    until, known_structures = comparison.estimator.work + SETTINGS.effort.work, {_structures_of(best)}
     pairs = [() if name in task.known else propose_pairs(task, name) for name in task.variables]
     while not task.is_over:
         other = search_terms(task, comparison, best, selection.lists, pairs, until)
-        if _structures_of(other) in seen:
+        if _structures_of(other) in known_structures:
             break
-        seen.add(_structures_of(other))
-        if task.is_over:  # its rivals could not be compared again
+        known_structures.add(_structures_of(other))
+        if task.is_over:  # no time to compare its alternatives again
             best = other
             break
         comparison, best = recalibrate(comparison, other, [selection.model])
@@ -290,7 +291,7 @@ def try_further_operators(selection: SelectedModel) -> SelectedModel:
     return replace(selection, model=comparison.fit_from(best, best.programs) or best)
 
 
-def _is_clean_and_lacking(choice: Choice) -> bool:
+def _is_clean_and_lacks_candidates(choice: Choice) -> bool:
     can_be_simulated = choice.pool is not None and choice.pool.best is not None
     return choice.lacks_candidates and can_be_simulated and choice.task.is_nearly_clean
 
@@ -302,7 +303,8 @@ def _may_be_reduced(choice: Choice) -> bool:
 def _may_hide_terms(choice: Choice) -> bool:
     """Tell whether noise may have hidden a term, or caused one.
 
-    Without noise the earlier stages have missed no term, and a term could describe errors of coarse integration steps.
+    Without noise the earlier stages have missed no term, and an added term could describe errors of coarse integration
+    steps.
     """
     if choice.selection is None or choice.is_over or choice.selection.task.is_nearly_clean:
         return False
@@ -314,12 +316,12 @@ STAGES: Final = (
     Stage("laws in short pieces", lambda c: c.selection is None and c.task.is_limited, begin_with_laws),
     Stage("the nearest candidates", lambda choice: choice.selection is None, propose(propose_nearest)),
     Stage("sums by pursuit", lambda choice: choice.lacks_candidates, propose(propose_sums)),
-    Stage("sums with further operators", _is_clean_and_lacking, propose(propose_further_sums)),
+    Stage("sums with further operators", _is_clean_and_lacks_candidates, propose(propose_further_sums)),
     Stage("all candidates", lambda choice: choice.lacks_candidates, propose(propose_all)),
     Stage("search among the candidates", lambda choice: choice.selection is None, search),
-    Stage("candidates less one part", _may_be_reduced, improve(try_reduced_candidates)),
+    Stage("candidates with one part removed", _may_be_reduced, improve(try_reduced_candidates)),
     Stage("further operators", lambda choice: choice.may_improve, improve(try_further_operators)),
-    Stage("the laws of the beginning", lambda c: c.law_selection is not None and c.is_over, compare_with_laws),
+    Stage("comparison with the first laws", lambda c: c.law_selection is not None and c.is_over, compare_with_laws),
     Stage("guesses", lambda choice: choice.selection is not None, improve(try_guesses)),
     Stage("terms hidden by noise", _may_hide_terms, improve(try_other_terms)),
 )

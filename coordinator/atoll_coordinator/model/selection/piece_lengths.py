@@ -1,10 +1,10 @@
 """Piece length: the number of rows of a trajectory that are simulated without a break.
 
-Errors of an initial state grow along a trajectory; in a chaotic system, its prediction is lost after some hundred rows.
-If whole trajectories cannot be fitted, shorter pieces, each from its own initial state, often can. They are a weaker
-test of a model. So `search_in_pieces` begins with the longest pieces, and takes shorter pieces only if the system fits
-these well. Doubt: a wrong system can fit short pieces, and the test of this system is then weak; a remark in the result
-says so.
+Errors of an initial state grow along a trajectory; a chaotic trajectory cannot be predicted beyond some hundred rows.
+If whole trajectories cannot be fitted, shorter pieces, each from its own initial state, often can. Shorter pieces are a
+weaker test of a model. So `search_in_pieces` begins with the longest pieces, and takes shorter pieces only if the
+system fits these shorter pieces well. Doubt: a wrong system can also fit short pieces; a remark in the result says that
+the model was tested in pieces.
 """
 
 from collections.abc import Iterator, Sequence
@@ -69,8 +69,8 @@ def with_longest_pieces(task: ModellingTask) -> ModellingTask:
 def refit_on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     """Return the chosen system fitted to all rows, if necessary in shorter pieces; None if this fails.
 
-    With dozens of states it is fitted to fewer rows. The integration is so precise that its errors do not affect the
-    constants.
+    With dozens of states, the system is fitted to fewer rows. The integration is so precise that its errors do not
+    affect the constants.
     """
     task, chosen = selection.task, selection.comparison.estimator
     measurements = task.measurements(task.variables)
@@ -100,7 +100,7 @@ def piece_remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> I
     """Yield remarks for the user: subtracted solver errors, trajectories simulated in pieces, states without an
     equation."""
     if task.solver is not None:
-        yield f"{task.solver}, reproduces the rows from these equations; its errors were subtracted from them."
+        yield f"{task.solver}, reproduces the rows from these equations; its errors were subtracted from the rows."
     whole = task.longest
     if whole > task.piece:
         tested = (
@@ -163,9 +163,9 @@ def _tasks_by_piece_length(task: ModellingTask) -> list[ModellingTask]:
 def choose_piece_length(task: ModellingTask, programs: Sequence[Program]) -> ModellingTask:
     """Return the task with the piece length at which a system describes nearly noise-free rows in the fewest nats.
 
-    Errors of a solver add up along a trajectory. A new initial state for each piece, which costs 1/2 ln N for each
-    number, restarts the sum. In a whole trajectory, terms that are not in the law would describe the accumulated
-    errors.
+    Errors of a solver add up along a trajectory. Each piece begins with a new initial state, without accumulated
+    errors; it costs 1/2 ln N for each number. In a whole trajectory, terms that are not in the law would describe the
+    accumulated errors.
     """
     lengths: dict[int, float] = {}
     tasks = {task.piece: task}
@@ -180,7 +180,7 @@ def choose_piece_length(task: ModellingTask, programs: Sequence[Program]) -> Mod
 
 
 def _description_length(comparison: ModelComparison, model: FittedModel) -> float:
-    """Return the nats of all errors, independent within pieces, and of all initial states."""
+    """Return the nats of all errors, which are treated as independent within pieces, and of all initial states."""
     counts, starts = comparison.score.counts, model.fit.starts.size
     free = np.maximum(counts - starts / len(counts), 1.0)
     variances = np.maximum(model.fit.squares * counts / free, comparison.score.least_errors**2)

@@ -1,9 +1,9 @@
 """The pool of candidates: the ranked programs for each equation, and the best system of a few of them.
 
 Proposals come in stages (`STAGES`). Each call of `add` ranks the new programs of each equation by its trajectories
-alone (`candidates`), then fits a few systems of the best ones. As soon as the residuals of a system are noise, programs
-are no longer added if no misfit could compensate their length. Doubt: `is_sufficient` can stop too early if the best
-system fits by chance; the later stages look again.
+alone (`candidates`), then fits a few systems of the best ones. As soon as the residuals of a system are noise, new
+programs are no longer added if they are so long that no decrease of the misfit could compensate their length. Doubt:
+`is_sufficient` can stop too early if the best system fits by chance; later stages try further programs.
 """
 
 import math
@@ -32,7 +32,8 @@ class CandidatePool:
         """The equations of variables in `fixed_candidates` have these candidates only.
 
         The `best` system, if there is one already, has calibrated the errors of the `comparison`. Unless the pool
-        `is_calibrating`, better systems do not calibrate it again, so that old and new lengths can be compared.
+        `is_calibrating`, better systems do not calibrate the comparison again, so that old and new lengths can be
+        compared.
         """
         self._is_calibrating = is_calibrating
         self.comparison = comparison
@@ -74,8 +75,8 @@ class CandidatePool:
         """Nats of the longest equation of the best system, among equations with ranked candidates; 0 without any."""
         programs = [] if self.best is None else self.best.programs
         pairs = zip(self._task.variables, programs, strict=False)
-        sought = [program for name, program in pairs if name in self._ranked]
-        return max(map(self.comparison.score.length, sought), default=0.0)
+        searched = [program for name, program in pairs if name in self._ranked]
+        return max(map(self.comparison.score.length, searched), default=0.0)
 
     @property
     def is_sufficient(self) -> bool:
@@ -83,7 +84,7 @@ class CandidatePool:
 
         False if a longer system could still reduce the misfit by more than its length. Also False if a shorter system
         may be missing: when targets are so uncertain that the search cannot distinguish equations of the same error
-        (bar magnets at 5 % of noise), or when an equation is longer than laws usually are.
+        (for example bar magnets with 5 % of noise), or when an equation is longer than laws usually are.
         """
         if self.best is None or self.comparison.score.may_be_improved(self.best):
             return False

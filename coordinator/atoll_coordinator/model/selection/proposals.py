@@ -1,9 +1,9 @@
-"""Proposers: functions that return candidate programs for an equation. They do not choose among them.
+"""Proposers: functions that return candidate programs for an equation. They do not choose among these programs.
 
-Each takes the modelling task, the name of a variable, and a length limit in nats: longer programs cannot win (infinite
-if no limit is known). Sources are the search, sparse regression, matching pursuit of derivatives, pairs of terms, and
-candidates with one part removed. Doubt: most proposals are selected by their error on smoothed derivatives, where the
-right program may be far behind.
+Each takes the modelling task, the name of a variable, and a limit of the length in nats (infinite if no limit is
+known). Longer programs cannot be the model. Sources are the search, sparse regression, matching pursuit of derivatives,
+pairs of terms, and candidates with one part removed. Doubt: most proposals are selected by their error on smoothed
+derivatives, where the right program may have a low rank.
 """
 
 import math
@@ -127,7 +127,8 @@ def propose_further_sums(task: ModellingTask, name: str, most: float) -> Iterabl
 def may_use_further_operators(task: ModellingTask, name: str) -> bool:
     """Tell whether further operators may be tried for an equation.
 
-    Not if it is known, or has a law by derivatives among many variables: then it has no other candidates."""
+    False for a known equation, and for a law that was found among many variables from derivatives: it has no other
+    candidates."""
     return bool(task.further_operators(name)) and name not in task.rate_law_variables and name not in task.known
 
 
@@ -135,10 +136,10 @@ def _pursue_by_group(task: ModellingTask, name: str, most: float, needed: Collec
     problem = task.dataset.problem(name)
     parts = [problem.of_group(group) for group in range(len(task.recording.groups))] or [problem]
     operators = task.operators(name) | set(needed)
-    sought = Pursuit(task.columns(name), frozenset(operators), frozenset(needed), most)
-    return [program for part in parts for program in _pursue(task, part, sought)]
+    search_space = Pursuit(task.columns(name), frozenset(operators), frozenset(needed), most)
+    return [program for part in parts for program in _pursue(task, part, search_space)]
 
 
-def _pursue(task: ModellingTask, problem: Problem, sought: Pursuit) -> tuple[Program, ...]:
+def _pursue(task: ModellingTask, problem: Problem, search_space: Pursuit) -> tuple[Program, ...]:
     """Return the sums with the smallest residuals on a target; empty if the time is over."""
-    return task.spread.map(PURSUED, lambda: problem, [sought])[0] or ()
+    return task.spread.map(PURSUED, lambda: problem, [search_space])[0] or ()

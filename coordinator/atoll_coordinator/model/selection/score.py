@@ -2,13 +2,13 @@
 
 How it works. A description consists of three parts: the residuals of the simulated states (minus their log-likelihood),
 the structures of the equations, and 1/2 ln N for each fitted constant (`model.description_length`). The error model
-consists of the size of the independent errors and of correlated errors of a sensor. At first it comes from the
-smoother, later from the residuals of the best system. A score never changes: `Score.calibrate` returns another one, and
-lengths by two scores are never compared.
+consists of the size of the independent errors and of correlated errors of a sensor. At first the error model comes from
+the smoother, later from the residuals of the best system. A score never changes: `Score.calibrate` returns another
+score, and lengths by two scores are never compared.
 
 Doubts: the calibration treats the residuals of the best system so far as errors of measurement. If this system is
-    wrong, the score is too lenient for other systems. So the errors are calibrated again after each stage that found a
-    better system.
+wrong, the score is too lenient for other systems. So the errors are calibrated again after each stage that found a
+better system.
 """
 
 import math
@@ -120,8 +120,9 @@ class Score:
 
     @property
     def _least_squares(self) -> FloatArray:
-        """Mean squares (O,) of residuals below which nothing is gained: integration errors, or less than rounding
-        errors are by chance, so that a function that follows the steps of rounded values has no advantage."""
+        """Mean squares (O,) of residuals below which smaller residuals gain nothing. They are the mean squares of
+        integration errors. For rounded values they are at least the smallest mean squares that rounding errors have by
+        chance, so that a function that follows the steps of rounded values has no advantage."""
         rounding, least = self.estimator.measurements.rounding, self.least_errors**2
         return least if rounding is None else np.maximum(least, rounding**2 / _variance_factors(self.counts))
 
@@ -133,7 +134,8 @@ class Score:
 
     @cached_property
     def is_noisy(self) -> npt.NDArray[np.bool_]:
-        """Which states (O,) have independent errors, by the smoother, that are large enough to hide a term."""
+        """Which states (O,) have independent errors, as the smoother estimates them, that are large enough to hide a
+        term."""
         return self.estimator.measurements.noise >= SETTINGS.selection.least_noise * self._scales
 
     @cached_property
@@ -154,7 +156,7 @@ class Score:
 
     @cached_property
     def constant_nats(self) -> float:
-        """Nats of a constant with a value for each group, for all groups together."""
+        """Nats of a constant that has a value for each group; the sum over all groups."""
         return self._own_nats * self.groups
 
     @cached_property
@@ -173,7 +175,7 @@ class Score:
     def score_fit(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model of a fit, with its misfit and length in nats."""
         misfit = self._misfit_of(fit.system).total(self.squares(fit)) + self._resting_misfit(fit)
-        return FittedModel(fit.system.programs[self.leading :], fit, misfit, self._with_prices(misfit, fit.system))
+        return FittedModel(fit.system.programs[self.leading :], fit, misfit, self._add_prices(misfit, fit.system))
 
     def calibrate(self, fit: TrajectoryFit) -> tuple["Score", TrajectoryFit]:
         """Return the score with errors estimated from the residuals of a fit, and the fit repeated with these errors.
@@ -195,7 +197,7 @@ class Score:
         noise = self._independent_noise(roughness(self.estimator.measurements, residuals), free)
         return replace(self, roughness=noise, rows=free)
 
-    def _with_prices(self, misfit: float, system: System) -> float:
+    def _add_prices(self, misfit: float, system: System) -> float:
         """Return the nats of a system with this misfit."""
         return system_length(misfit, system.programs[self.leading :], 1, self._constants_length(system))
 
@@ -204,11 +206,11 @@ class Score:
         return self.misfit.with_fitted(self._fitted_numbers(system))
 
     def _fitted_numbers(self, system: System) -> float:
-        """Return the number of fitted numbers per measured state: constants, also temporarily fixed ones, and initial
-        states."""
+        """Return the number of fitted numbers per measured state: constants, including temporarily fixed constants, and
+        initial states."""
         programs = system.programs[self.leading :]
-        sought = (program for index, program in enumerate(programs) if index not in self.fixed)
-        constants = max(system.count, sum(len(constant_places(program)) for program in sought))
+        searched = (program for index, program in enumerate(programs) if index not in self.fixed)
+        constants = max(system.count, sum(len(constant_places(program)) for program in searched))
         return (constants + self._initial_values) / len(self.counts)
 
     def _constants_length(self, system: System) -> float:
@@ -264,7 +266,7 @@ class Score:
         return fit.residuals if self.errors is None else self.estimator.whiten(fit.residuals, self.errors)
 
     def squares(self, fit: TrajectoryFit) -> FloatArray:
-        """Return the mean squares (O,) of `whiten`."""
+        """Return the mean squares (O,) of the whitened residuals."""
         return fit.squares if self.errors is None else self.estimator.squares(self.whiten(fit))
 
     @property
@@ -289,7 +291,7 @@ class Score:
         return float(max(1.0, (self.least_errors**2 / np.maximum(model.fit.squares, 1e-300)).max()))
 
     def length(self, program: Program) -> float:
-        """Return the nats of a program, its constants fitted."""
+        """Return the nats of a program with fitted constants."""
         return structure_length(program) + self.constant_nats * len(constant_places(program))
 
     def may_be_improved(self, model: FittedModel) -> bool:
@@ -302,8 +304,8 @@ class Score:
 
         The misfit of a nearly noise-free state could decrease to the noise, or to the residuals of an exact model. If
         the residuals of a state are as small as the smoother's noise, a longer system could at most explain the excess
-        of their slow part over the slow part of independent errors. If they are larger than the noise, the result is
-        infinite.
+        of the slow part of the residuals over the slow part of independent errors. If the residuals are larger than the
+        noise, the result is infinite.
         """
         measurements, squares = self.estimator.measurements, self.squares(model.fit)
         misfit = self._misfit_of(model.fit.system)
@@ -351,7 +353,7 @@ class Score:
     def excess(self, model: FittedModel) -> float:
         """Return the ratio of the residuals to the noise, for the state with the largest ratio.
 
-        Smoothed states as inputs are assumed to add residuals as large as the noise.
+        If smoothed states are inputs, they are assumed to add residuals as large as the noise.
         """
         measurements, residuals = self.estimator.measurements, np.sqrt(model.fit.squares)
         least = SETTINGS.common.negligible * self._scales

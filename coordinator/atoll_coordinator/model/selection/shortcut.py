@@ -1,11 +1,12 @@
 """Shortcut: if sparse regression found a law at the noise level for each state, these laws are the model.
 
-How it works. Such laws were chosen from all products up to a degree, on many more rows than products. They are fitted
-to the trajectories together, in pieces as long as errors of the initial states allow. Unnecessary parts are removed,
-and the few possible systems are compared. If the residuals are larger than the noise, the other stages run.
+How it works. These laws were chosen from all products up to a degree, with many more rows than products. The laws of
+all states are fitted together to the trajectories, in pieces as long as errors of the initial states allow. Unnecessary
+parts are removed, and the few possible systems are compared. If the residuals are larger than the noise, the other
+stages run.
 
-Doubt. A sum of products can approximate a law of another form so well that its residuals look like noise. So other
-programs of the search must be clearly longer descriptions (`Law.lead`).
+Doubt. A sum of products can approximate a law of another form so well that its residuals look like noise. So the laws
+are only used if the descriptions by other programs of the search are clearly longer (`Law.lead`).
 """
 
 import math
@@ -35,9 +36,9 @@ from atoll_core.expression.program import Program
 from atoll_core.expression.writing.shortest import shortest
 
 _LEAST_SIZE: Final = 1e-4
-"""Least relative size of the errors of an initial state. Along a piece they grow by the factor g to the square root of
-this size. The precision
-of the normal equations of constants and initial states is worse than double precision by the factor g^4: here 1e-4."""
+"""Least relative size that is assumed for the errors of an initial state. Along a piece the errors grow by a factor g,
+to the square root of this size: g is 100. The relative precision of the normal equations of constants and initial
+states is g^4 times double precision: about 1e-8."""
 
 
 def add_laws(task: ModellingTask) -> ModellingTask:
@@ -53,7 +54,7 @@ def add_laws(task: ModellingTask) -> ModellingTask:
 def select_laws(task: ModellingTask) -> SelectedModel | None:
     """Return the model made of laws; None if a law is missing, or if the residuals are larger than the noise."""
     if task.recording.groups:
-        return None  # laws of one group are candidates for all
+        return None  # laws come from single groups, and are only candidates
     lists = [_law_programs(task, name) for name in task.variables]
     if not all(lists) or not task.laws:
         return None
@@ -69,7 +70,7 @@ def fit_laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
     """Return the best system of laws at the noise level, in short pieces; None if a variable has no such law.
 
     A choice with a time limit begins with this system, since it takes little more than one fit. Unlike in
-    `select_laws`, the laws may come from few rows, and other programs may fit these about as well.
+    `select_laws`, the laws may come from few rows, and other programs may fit these rows about as well.
     """
     if task.recording.groups:
         return None
@@ -86,10 +87,10 @@ def fit_laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
     comparison, start = short.comparison.calibrate(start)
     best = exchange_programs(comparison, start, lists)
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
-    sought = [equation for equation in range(len(lists)) if equation not in comparison.fixed]
-    for equation in sought:
+    searched = [equation for equation in range(len(lists)) if equation not in comparison.fixed]
+    for equation in searched:
         best = descent.prune(best, equation)
-    for equation in sought:
+    for equation in searched:
         compare_alternatives(comparison, best, equation, lists[equation])
     return SelectedModel(short, comparison, best, lists)
 
@@ -121,19 +122,17 @@ def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -
         return None
     comparison, best = selection.comparison, selection.model
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.effort.work)
-    for equation in range(len(lists)) if not are_lawful else ():  # these have no unnecessary parts
+    for equation in range(len(lists)) if not are_lawful else ():  # such laws have no unnecessary parts
         if equation not in comparison.fixed:
             best = descent.prune(best, equation)
     return replace(selection, model=comparison.fit_from(best, best.programs) or best)
 
 
 def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison, rate: float) -> float:
-    """Return the number of rows over which errors as large as the noise stay small.
+    """Return the number of rows over which errors as large as the noise stay small; infinite if errors do not grow.
 
-    It is half of the rows after which the errors are as large as the state.
-
-    If errors grow by a factor of e in the time T, an error of the relative size s is as large as the state after T
-    ln(1/s). `rate` is 1/T. Infinite if errors do not grow.
+    It is half of the number of rows after which the errors are as large as the state. If errors grow by a factor of e
+    in the time T, an error of the relative size s is as large as the state after the time T ln(1/s). `rate` is 1/T.
     """
     measurements = comparison.estimator.measurements
     size = float(np.clip(measurements.relative_noise.max(), _LEAST_SIZE, 0.1))

@@ -2,11 +2,11 @@
 
 How it works. The errors of a solver are a function of the equations, of the first row and of the solver (Zadunaisky
 1976, Numerische Mathematik 27:21): the same solver makes the same errors again. So each common solver is tried, and
-constants are fitted with which it reproduces the rows. Its solutions depend on constants almost as exact solutions do,
-so Gauss-Newton steps with exact sensitivities converge (defect correction, Stetter 1978, Numerische Mathematik 29:425).
-The fit begins with few rows, because the solutions jump where the solver accepts a step for some constants and rejects
-it for others. With wrong equations, or another solver, the residuals stay as large as before, and no errors are
-subtracted.
+constants are fitted so that the solutions of this solver reproduce the rows. The solutions of a solver depend on
+constants almost like exact solutions, so Gauss-Newton steps with exact sensitivities converge (defect correction,
+Stetter 1978, Numerische Mathematik 29:425). The fit begins with few rows, because the solutions jump where the solver
+accepts a step for some constants and rejects it for others. With wrong equations, or another solver, the residuals stay
+as large as before, and no errors are subtracted.
 
 Doubt. Only the solvers and tolerances in `SOLVERS` are tried, and only tables that begin at the first row of the
 simulation.
@@ -56,8 +56,8 @@ SOLVERS: Final = tuple(
 
 
 _PATIENCE: Final = 5
-"""Most steps of a fit without halving the residuals: at first, accepted and rejected solver steps change between
-them."""
+"""Most steps of a fit without halving the residuals: at first, residuals are irregular, since the solver accepts and
+rejects different steps for other constants."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +102,8 @@ def _times(recording: Recording) -> Iterator[FloatArray]:
 def _reproduce_rows(task: ModellingTask, whole: Measurements, solver: Solver, system: System) -> _Reproduction | None:
     """Return the constants with which the solver reproduces all rows; None if there are none.
 
-    Along chaotic trajectories the last digits of constants decide. There simple numbers are tried, which are known
-    exactly.
+    Along chaotic trajectories the last digits of the constants matter. So simple numbers, which are known exactly, are
+    also tried there.
     """
     at = whole.times + task.recording.offset  # LSODA's first step depends on the time
     runs = [_Run(at[first:end], whole.measured[:, first:end]) for first, end in whole.bounds.tolist()]
@@ -131,9 +131,10 @@ def _reproduce_rows(task: ModellingTask, whole: Measurements, solver: Solver, sy
 def _fit_constants(
     task: ModellingTask, part: Measurements, solver: Solver, system: System, runs: Sequence[_Run]
 ) -> tuple[System, FloatArray, float]:
-    """Return the constants with the least residuals of a solver on the first rows, and the sizes of these residuals.
+    """Return the constants with the smallest residuals of a solver on the first rows, and two sizes of these residuals.
 
-    Sizes: for each state (S,) over its standard deviation; for all states together over the errors of the solver.
+    The sizes are: for each state (S,), the residuals over its standard deviation; for all states together, the
+    residuals over the errors of the solver.
     """
     estimator = task.make_comparison(part, task.variables, has_noise=False).estimator
     scales, starts = part.scales[:, None], np.ascontiguousarray(part.measured[:, part.bounds[:, 0]].T)
@@ -173,7 +174,7 @@ def _round_to_simple_numbers(system: System) -> System:
 def _step_constants(system: System, slopes: FloatArray, residuals: FloatArray) -> System:
     """Return the system after a least-squares step for `residuals` (M,) with the sensitivities `slopes` (M, P).
 
-    In directions that the rows hardly determine, constants keep the values of the fit that they come from.
+    In directions that the rows hardly determine, constants keep their values before the step.
     """
     sizes = np.abs(system.values)
     left, singular, right = np.linalg.svd(slopes * sizes, full_matrices=False)

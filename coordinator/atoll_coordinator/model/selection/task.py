@@ -60,7 +60,7 @@ class ModellingTask:
 
     @cached_property
     def known(self) -> dict[str, Program]:
-        """The equations that the user has given."""
+        """The equations given by the user."""
         return {
             name: equation_candidates.known
             for name, equation_candidates in self.candidates.items()
@@ -160,7 +160,7 @@ class ModellingTask:
     def with_comparison(self, comparison: ModelComparison) -> "ModellingTask":
         """Return the task with a calibrated `comparison`."""
         task = replace(self)
-        task.__dict__["comparison"] = comparison  # as the cached property keeps it
+        task.__dict__["comparison"] = comparison  # the value of the cached property
         return task
 
     def make_comparison(
@@ -170,9 +170,9 @@ class ModellingTask:
         """Return a comparison over these measurements, which may represent more `measured_rows` of the same time span.
 
         The tolerated error of an integration step is a share of the noise; without `has_noise` the noise counts as
-        zero. Errors of all steps may have the same sign, while noise is averaged over the rows. So if it `is_precise`,
-        the sum of the errors along a piece is limited to this share of the standard error of a mean; an interpolation
-        error does not count as noise then.
+        zero. The errors of all steps may have the same sign, while noise is averaged over the rows. So in a comparison
+        that `is_precise`, the sum of the errors along a piece is limited to this share of the standard error of a mean.
+        Interpolation errors do not count as noise then.
         """
         noise = float(measurements.relative_noise.min()) if has_noise else 0.0
         if is_precise and not any(self.dataset.problem(name).target.is_noisy for name in self.candidates):

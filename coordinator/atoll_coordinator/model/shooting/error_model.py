@@ -1,10 +1,10 @@
 """The error model of measured states, which weights the residuals of a fit, and its estimation from residuals. Pure.
 
-The errors of a state have one variance for rows of weight 1. A share of it may be correlated between neighbouring rows
-(an Ornstein-Uhlenbeck process, see `atoll_coordinator.model.shooting.kernels.innovations`), as in errors of simulators,
-filters and drifting sensors. `Innovations` whitens residuals by the Kalman filter of this process, and estimates share
-and decay on a grid by description length. Doubt: correlated residuals may also be errors of the law; only rough
-residuals count as errors of a sensor. Letters: O measured states, N rows.
+The errors of a state have one variance for rows of weight 1. A share of this variance may be correlated between
+neighbouring rows (an Ornstein-Uhlenbeck process, see `atoll_coordinator.model.shooting.kernels.innovations`), as in
+errors of simulators, filters and drifting sensors. `Innovations` whitens residuals by the Kalman filter of this
+process, and estimates share and decay on a grid by description length. Doubt: correlated residuals may also be errors
+of the law; only rough residuals count as errors of a sensor. Letters: O measured states, N rows.
 """
 
 import math
@@ -28,8 +28,8 @@ _NOTHING: Final = np.empty(0)
 class ErrorModel:
     """The errors of O measured states. All arrays are (O,).
 
-    `sigmas` are standard deviations, `shares` the correlated shares of the variances, `decays` the correlations of
-    these shares between rows one median time step apart.
+    `sigmas` are standard deviations, and `shares` the correlated shares of the variances. `decays` are the correlations
+    of the correlated parts between rows one median time step apart.
 
     A fit estimates `sigmas`, unless the errors are known (`is_known`); `shares` and `decays` are constant in a fit.
     """
@@ -48,9 +48,9 @@ class ErrorModel:
     def degrees_of_freedom(self) -> FloatArray:
         """Degrees of freedom of the variance of each state (O,) over its number of rows: 1 if errors are independent.
 
-        The variance of a mean is multiplied by (1 + r)/(1 - r). The estimated correlation r has the variance (1 -
-        r^2)/n, so that the logarithm of this factor has the variance 4/(n (1 - r^2)). The logarithm of the innovations'
-        variance has the variance 2/n (Satterthwaite 1946).
+        If neighbouring errors have the correlation r, the variance of a mean is multiplied by (1 + r)/(1 - r). The
+        estimated correlation r has the variance (1 - r^2)/n, so that the logarithm of this factor has the variance 4/(n
+        (1 - r^2)). The logarithm of the innovations' variance has the variance 2/n (Satterthwaite 1946).
         """
         return np.asarray(1.0 / (1.0 + (self.shares > 0.0) * 2.0 / (1.0 - self.decays**2)))
 
@@ -125,11 +125,11 @@ class Innovations:
         return replace(found, sigmas=np.where(shares > 0.0, np.sqrt(squares / np.maximum(self._counts, 1.0)), sigmas))
 
     def _is_smooth(self, state: int, residuals: FloatArray, share: float, decay: float, turn: float) -> bool:
-        """Tell whether a smooth process, with a derivative that is correlated over `turn` rows or more, is likelier
-        than a rough one."""
+        """Tell whether a smooth process, with a derivative that is correlated over `turn` rows or more, is more
+        probable than a rough process."""
         sums, room = np.empty(2), (*np.empty((3, 3, 3)), np.empty((2, 3)))
         self._innovate(state, residuals, share, decay, sums)
-        rough, length = self._length(state, sums), turn  # (1 + x - x^2) exp(-x), of the derivative, is 1/e at x = 1
+        rough, length = self._length(state, sums), turn  # its correlation (1 + x - x^2) exp(-x) is 1/e at x = 1
         longest = max(length, int((self.segments[:, 1] - self.segments[:, 0]).max()))
         while length <= longest:
             for part in _SMOOTH_SHARES:
@@ -142,7 +142,7 @@ class Innovations:
         return False
 
     def _length(self, state: int, sums: FloatArray) -> float:
-        """Return minus the logarithm of the likelihood of errors with these sums, their variance fitted."""
+        """Return minus the log-likelihood of errors with these sums; their variance is fitted."""
         count = float(self._counts[state])
         return 0.5 * count * math.log(max(float(sums[0]) / count, 1e-300)) + 0.5 * float(sums[1])
 
@@ -150,8 +150,8 @@ class Innovations:
         """Return the shares and decays (O,) of least description length for these residuals (O, N).
 
         A correlation has two more numbers, which cost ln n nats (Schwarz 1978). Residuals of fitted slow curves are
-        less correlated than the errors: with `fitted` numbers for each state, the decay d is too small by (2 d + (1 +
-        d) `fitted`)/n (for a mean, `fitted` 1: Marriott & Pope 1954). This bias is added.
+        less correlated than the errors. With `fitted` numbers for each state, the estimated decay d is too small by (2
+        d + (1 + d) `fitted`)/n (Marriott & Pope 1954 for a mean, `fitted` 1), and is corrected by this bias.
         """
         shares, decays = np.zeros((2, len(residuals)))
         for state in np.flatnonzero(self._counts).tolist():

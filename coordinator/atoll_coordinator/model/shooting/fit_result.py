@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 
 _LEAST_CURVATURE: Final = 1e-13
-"""Least eigenvalue of the scaled normal matrix (unit diagonal) of an initial state: smaller ones are rounding errors.
+"""Least eigenvalue of the scaled normal matrix (unit diagonal) of an initial state: smaller eigenvalues are rounding
+errors.
 
 Entries are sums over N rows, rounded by about eps*sqrt(N) each, and the largest eigenvalue is at most D, so that
 eigenvalues are known to about eps*D*sqrt(N): 1e-13 at D = 7 and N = 4000. The same value is used for all fits. With
@@ -32,12 +33,21 @@ fewer rows, some known eigenvalues are raised to it; with more rows, some roundi
 class TrajectoryFit:
     """A system fitted to segments.
 
-    `starts` (G, D) are the fitted initial states of `segments` (G, 2); if trajectories are fitted in whole, (G, D + K)
-    with K offsets in the last columns; `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
-    `errors` the error model that weighted them; `squares` (O,) the mean squares of residuals; `normal`, `coupling` and
-    `own` the blocks of the normal equations at the end, weighted; `estimator` fitted it; `is_stiff` tells whether the
-    system was integrated as a stiff one; `gradient` (P,) is the derivative of the log-likelihood by the constants, zero
-    except for constants on their bounds.
+    Attributes:
+        system: the system with fitted constants.
+        segments: the segments (G, 2) of rows.
+        starts: the fitted initial states (G, D) of the segments. If whole trajectories are fitted, (G, D + K): the last
+            columns are K offsets.
+        simulated: the simulated states (D, N).
+        residuals: measured values minus simulated values and offsets (O, N).
+        errors: the error model by which residuals are weighted.
+        squares: the mean squares (O,) of the residuals.
+        normal: block of the weighted normal equations at the end of the fit: constants (P, P).
+        coupling: block of constants and initial states (G, P, L).
+        own: blocks of the initial states of each segment (G, L, L).
+        estimator: the estimator that fitted the system.
+        is_stiff: whether the implicit method was used.
+        gradient: the derivative (P,) of the log-likelihood by the constants: zero, except for constants on bounds.
     """
 
     system: System
@@ -63,7 +73,7 @@ class TrajectoryFit:
 
     @property
     def reduced(self) -> FloatArray:
-        """The normal matrix (P, P) of the constants, initial states eliminated.
+        """The normal matrix (P, P) of the constants after elimination of the initial states.
 
         Initial states that hardly affect a trajectory have nearly singular blocks. Their part is subtracted by roots W
         (G, D, D) of the inverse blocks (W W' is the inverse), so that the result is positive semidefinite up to
@@ -77,32 +87,32 @@ class TrajectoryFit:
 
 
 def covariance(fit: TrajectoryFit) -> FloatArray:
-    """Return the covariance (P, P) of the fitted constants, initial states eliminated.
+    """Return the covariance (P, P) of the fitted constants after elimination of the initial states.
 
     The variance of a constant is infinite if other constants or initial states can replace its effect.
     """
-    covariances, is_open = _covariance_and_open(fit)
-    covariances[np.diag_indices_from(covariances)] = np.where(is_open, math.inf, np.diag(covariances))
+    covariances, is_undetermined = _covariance_and_undetermined(fit)
+    covariances[np.diag_indices_from(covariances)] = np.where(is_undetermined, math.inf, np.diag(covariances))
     return covariances
 
 
 def bounded_covariance(fit: TrajectoryFit) -> FloatArray:
     """Return the covariance (P, P) with large finite variances instead of infinite ones: a positive definite matrix."""
-    return _covariance_and_open(fit)[0]
+    return _covariance_and_undetermined(fit)[0]
 
 
-def _covariance_and_open(fit: TrajectoryFit) -> tuple[FloatArray, Flags]:
+def _covariance_and_undetermined(fit: TrajectoryFit) -> tuple[FloatArray, Flags]:
     return estimate_covariance(fit.reduced, fit.system.values, fit.system.on_bounds, np.diag(fit.normal))
 
 
 def growth_rate(fit: TrajectoryFit) -> float:
     """Return the rate at which errors of a state grow, in e-folds per unit of time: the largest Lyapunov exponent.
 
-    The mean over all trajectories; negative where errors shrink, NaN without a segment of two rows. The sensitivities
-    to a segment's initial state give the size of a small error at its end. An error vector is propagated from segment
-    to segment of a trajectory and normalised at each, so that it turns into the direction of fastest growth (Benettin
-    et al. 1980). For a trajectory with one segment, the growth of its fastest direction is used, which is an upper
-    limit.
+    The result is the mean over all trajectories: negative if errors shrink, NaN without a segment of two rows. The
+    sensitivities to a segment's initial state give the size of a small error at its end. An error vector is propagated
+    from segment to segment of a trajectory and normalised at each, so that it turns into the direction of fastest
+    growth (Benettin et al. 1980). For a trajectory with one segment, the growth in the direction of fastest growth is
+    used, which is an upper limit.
     """
     measurements = fit.estimator.measurements
     fitted, states = fit.system.count, len(fit.system.outputs)
@@ -138,9 +148,9 @@ def _growths(matrices: FloatArray) -> list[float]:
 def speed_growth(fit: TrajectoryFit) -> float:
     """Return the mean growth rate of the speed along the trajectories of `fit`, in e-folds per unit of time.
 
-    An error in time grows like the speed. So do all errors of a process that grows as a whole: relative to the state
-    they stay constant. Speeds are means over the first and the second half of a trajectory, so that a recurrent process
-    has a rate of about zero.
+    An error in time causes an error of the state that is proportional to the speed. If a whole process grows, all its
+    errors grow like this, and stay constant relative to the state. Speeds are means over the first and the second half
+    of a trajectory, so that a recurrent process has a rate of about zero.
     """
     measurements = fit.estimator.measurements
     owners, times = measurements.owners_of_rows, measurements.times

@@ -2,10 +2,10 @@
 
 Each segment of rows is integrated from its own initial state, together with the derivatives of the states by constants
 and initial states (variational equations). There is an explicit Runge-Kutta method (with a quick and a precise table),
-and an implicit one for stiff systems; a caller tries the implicit method if the explicit one has used up its steps.
-Doubt: the limits on steps are counts, fitted to one machine; a very stiff right system can be rejected by them.
-Letters: D states, P fitted numbers, L numbers of one segment (D initial states, then offsets), G segments, N rows, O
-measured states.
+and an implicit method for stiff systems. A caller tries the implicit method if the explicit method has used up its
+steps. Doubt: the limits on the number of steps were tuned on one machine; they can reject a correct system that is very
+stiff. Letters: D states, P fitted numbers, L numbers of one segment (D initial states, then offsets), G segments, N
+rows, O measured states.
 """
 
 from dataclasses import dataclass
@@ -25,19 +25,21 @@ from atoll_core.expression.kernels.tape import Ints
 STEPS_PER_ROW: Final = 40
 """Most integration steps for each row, on average: systems that need more are stiff or blow up."""
 OVERHEAD_NUMBERS: Final = 10
-"""Work of a row besides its states and sensitivities, as a number of integrated numbers that take the same time."""
+"""Fixed work of a row, in addition to its states and sensitivities, expressed as the number of integrated numbers that
+take the same time."""
 STEEPEST: Final = 1e60
-"""Guard: the squares of larger sensitivities (of a scaled state to a scaled constant) overflow."""
+"""Guard: systems with larger sensitivities (of a scaled state to a scaled constant) are rejected, since squares
+overflow."""
 _FREE_STEPS: Final = (4.0, 12.0, 1.0)
 """Steps for each row that do not count as additional work: quick, precise and implicit method."""
 _QUICK_STEPS: Final = 8
-"""Steps for each row above which the implicit method takes less time than the quick one."""
+"""Steps for each row above which the implicit method takes less time than the quick method."""
 _FINEST_IMPLICIT: Final = 1e-6
 """Least error of an implicit step over a state's standard deviation: for smaller errors, a method of low order needs
 too many steps."""
 
 Unsimulated = Literal["ran away", "out of steps"]
-"""Why there is no simulation: states left their range, or all allowed steps were used."""
+"""Why a simulation ended early: states left their range, or all allowed steps were used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +165,8 @@ class Integrator:
     def simulate(self, system: System, segments: Ints, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
         """Return the states (D, N) of segments that all begin at `start` (D,), and why integration ended early.
 
-        States are NaN after an early end; the reason is None without one. If the explicit method takes too many steps,
-        the implicit method is used.
+        States are NaN after an early end; the reason is None if there was no early end. If the explicit method takes
+        too many steps, the implicit method is used.
         """
         starts = np.repeat(start[None], len(segments), axis=0)
         for method in self.methods:

@@ -28,29 +28,40 @@ from atoll_core.expression.kernels.tape import Ints
 BLOW_UP_WIDTHS: Final = 3.0
 """A simulated state counts as blown up if it leaves the measured range by more than this many widths of the range."""
 _LARGEST_SHARE: Final = 0.1
-"""Upper limit of the variance of normal errors over the squared reach of robustness weights: above it, errors outside
-of the reach would count. Weights that reach to six median errors have 0.061."""
+"""Upper limit of the ratio of the variance of normal errors to the squared reach of robustness weights. Above this
+limit, errors outside of the reach would matter. For weights that reach to six median errors, the ratio is 0.061."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """Rows of trajectories for a system of D equations.
 
-    `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated without a break, `owners` (B,) the
-    trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), weight 0 leaves a value
-    out; `smoothed` is (D, N); `observed` (O,) has the indices of the measured ones among the D states, and `offset`
-    (K,) the indices among these of states with an unknown offset. `scales` (D,) are the states' standard deviations,
-    `noise` (O,) the standard deviations of the measurement errors as the smoother estimates them; `has_smoothed_inputs`
-    tells whether smoothed states without an equation are inputs. `inverse_variances` (O, N) are the relative inverse
-    variances of the errors of each row, 1 on average over the recording; `weights` contain them as a factor.
-    `consistency` (O,) is the weighted mean square of normal errors over their variance, less than one where robustness
-    weights reduce the large ones;
-    None: one for all states. `resting` (O, N) marks trajectories along which a state was always 0, such as an absent
-    species: there it has weight 0 and the initial value 0; None: no such trajectory. `input_slopes` belong to `inputs`
-    (U, N). `variables` has the names of the components of a point: D states, then U inputs. `groups` has the index of
-    the group of each trajectory, if groups have their own constants; None: all share them. `input_error` is the
-    interpolation error of input curves over their standard deviations; simulated states have about the same relative
-    error. `rounding` (O,) are the standard deviations of the rounding errors of the measured values; None: not rounded.
+    Attributes:
+        bounds: half-open row ranges (B, 2) of the pieces that are simulated without a break.
+        owners: the trajectory of each piece (B,), as an index of `names`.
+        times: times of the rows (N,).
+        measured: measured values (O, N).
+        weights: weights (O, N) of the measured values; values with weight 0 are not used.
+        smoothed: smoothed states (D, N).
+        observed: indices (O,) of the measured states among the D states.
+        inputs: inputs (U, N).
+        input_slopes: slopes (U, N) of the inputs.
+        scales: standard deviations (D,) of the states.
+        noise: standard deviations (O,) of the measurement errors, as the smoother estimates them.
+        offset: indices (K,), among the measured states, of states with an unknown offset.
+        variables: names of the components of a point: D states, then U inputs.
+        names: names of the trajectories.
+        has_smoothed_inputs: whether smoothed states without an equation are inputs.
+        inverse_variances: relative inverse variances (O, N) of the errors, 1 on average over the recording. They are a
+            factor of `weights`. None: all are 1.
+        consistency: weighted mean square (O,) of normal errors over their variance. It is less than one if robustness
+            weights reduce large errors. None: one for all states.
+        resting: marks (O, N) trajectories along which a state was always 0, such as an absent species: there the state
+            has weight 0 and the initial value 0. None: there is no such trajectory.
+        groups: index of the group of each trajectory if groups have their own constants; None: all have the same.
+        input_error: interpolation error of input curves over their standard deviations; simulated states have about the
+            same relative error.
+        rounding: standard deviations (O,) of the rounding errors of the measured values; None: not rounded.
     """
 
     bounds: Ints
@@ -87,14 +98,14 @@ class Measurements:
 
     @cached_property
     def step(self) -> float:
-        """Median step from one row of a piece to the next; 1 where no piece has two."""
+        """Median step from one row of a piece to the next; 1 if no piece has two rows."""
         is_inner = np.ones(self.rows, dtype=bool)
         is_inner[self.bounds[:, 0]] = False
         steps = np.diff(self.times, prepend=self.times[0])[is_inner]
         return float(np.median(steps)) if len(steps) else 1.0
 
     def groups_of(self, segments: Ints) -> Ints:
-        """Return the group (G,) of each of these row ranges; 0 where there are no groups."""
+        """Return the group (G,) of each of these row ranges; 0 without groups."""
         if self.groups is None:
             return np.zeros(len(segments), np.int64)
         return self.groups[self.owners_of_rows[segments[:, 0]]]
@@ -114,7 +125,7 @@ class Measurements:
 
     @cached_property
     def sizes(self) -> FloatArray:
-        """Mean absolute value (D + U,) of each number of a point."""
+        """Mean absolute value (D + U,) of each component of a point."""
         return np.asarray(np.abs(np.concatenate([self.smoothed, self.inputs])).mean(axis=1))
 
     def segments(self, length: int | None) -> Ints:
@@ -126,10 +137,10 @@ class Measurements:
         return np.array(ranges, dtype=np.int64)
 
     def thin(self, most: int) -> "Measurements":
-        """Return pieces of the trajectories of at most about `most` rows together, early ones as well as late ones.
+        """Return pieces of the trajectories with about `most` rows in total; both early and late pieces are selected.
 
-        If groups have their own constants, the number of pieces is chosen by this number of rows, and each group has at
-        least one piece if possible.
+        If groups have their own constants, the number of pieces follows from the rows of the pieces themselves. Then
+        each group has at least one piece, if possible.
         """
         if self.rows <= most:
             return self
@@ -233,7 +244,7 @@ def measurements_of(
         input_error=recording.input_error,
         rounding=_rounding(recording, chosen, variances),
     )
-    return _where_inputs_are_known(whole, parts, others)
+    return _keep_rows_with_inputs(whole, parts, others)
 
 
 def _rounding(recording: Recording, chosen: Sequence[int], variances: Sequence[VarianceModel]) -> FloatArray | None:
@@ -244,8 +255,8 @@ def _rounding(recording: Recording, chosen: Sequence[int], variances: Sequence[V
     return np.array([error * variance.scale for error, variance in zip(errors, variances, strict=True)])
 
 
-def _where_inputs_are_known(whole: Measurements, parts: Sequence[Trajectory], others: Sequence[int]) -> Measurements:
-    """Return the parts of all pieces along which the smoothed states that are inputs are known."""
+def _keep_rows_with_inputs(whole: Measurements, parts: Sequence[Trajectory], others: Sequence[int]) -> Measurements:
+    """Return the parts of all pieces along which all smoothed states that serve as inputs are known."""
     if not others or all(part.is_known is None for part in parts):
         return whole
     is_known = np.concatenate(
@@ -292,9 +303,9 @@ def _robustness_weights(part: Trajectory, chosen: list[int]) -> FloatArray:
 def _consistency(parts: Sequence[Trajectory], chosen: list[int]) -> FloatArray | None:
     """Return for each state the weighted mean square of normal errors e over their variance, E[w e^2] / (E[w] var e).
 
-    Weights w = (1 - (e/c)^2)^2 have the mean 1 - 2x + 3x^2 with x = (var e)/c^2, and E[w e^2] is
-    (1 - 6x + 15x^2) var e; errors beyond c add less than a thousandth where weights reach to six median errors. x
-    follows from the mean weight of the measurements that have one.
+    Weights w = (1 - (e/c)^2)^2 have the mean 1 - 2x + 3x^2 with x = (var e)/c^2, and E[w e^2] is (1 - 6x + 15x^2) var
+    e; errors beyond c add less than a thousandth if weights reach to six median errors. x is computed from the mean of
+    the weights above zero.
     """
     if all(part.robustness_weights is None for part in parts):
         return None
@@ -356,9 +367,9 @@ def _choose_spread(owners: Sequence[int], count: int) -> list[int]:
 
     `owners` has the trajectory of each piece.
 
-    Every n-th piece could always be the first piece of a trajectory; later parts, such as an attractor or an input that
-    is switched on, would be missing. A lattice samples each of `count` equal parts of a trajectory once, and
-    neighbouring trajectories in distant parts.
+    If every n-th piece were selected, it could always be the first piece of a trajectory, and later parts, such as an
+    attractor or an input that is switched on, would be missing. A lattice samples each of `count` equal parts of a
+    trajectory once, and samples neighbouring trajectories in distant parts.
     """
     step = lattice_step(count)
     left: dict[int, list[int]] = {}

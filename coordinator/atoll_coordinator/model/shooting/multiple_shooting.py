@@ -1,34 +1,36 @@
 """Constants and initial states of a system fitted to measured trajectories by multiple shooting.
 
-How it works. A trajectory is cut into segments of rows, and each segment is integrated from an initial state of its own
-(Bock 1983), so that an error at the beginning has no time to grow. Constants and initial states are fitted together, to
-the least sum of squared residuals over the variances of the errors. Segments grow from ten rows to whole trajectories
-(`fit_in_stages`): short segments converge from any start values, whole trajectories use all information of the data.
+How it works. A trajectory is cut into segments of rows, and each segment is integrated from its own initial state (Bock
+1983), so that an error of the initial state has little time to grow. Constants and initial states are fitted together
+by weighted least squares: the sum of squared residuals over the variances of the errors is minimal. Segments grow from
+ten rows to whole trajectories (`fit_in_stages`): short segments converge from any start values, whole trajectories use
+all information of the data.
 
 1. *A point of the fit* (`_Point`). The system is integrated with its sensitivities, the derivatives of all states by
-   the constants and by the initial state of the segment (`integration`). They give the normal equations, which have the
-   shape of an arrow: a block for the constants, and for each segment a block of its own numbers, coupled to the
-   constants only. The segments' blocks are eliminated first (`kernels.normal_equations.solve_step`).
+   the constants and by the initial state of the segment (`integration`). The sensitivities give the normal equations,
+   which have the shape of an arrow: a block for the constants, and for each segment a block of its own numbers, coupled
+   to the constants only. The segments' blocks are eliminated first (`kernels.normal_equations.solve_step`).
 2. *The errors* (`error_model`). The variance of each state is estimated from the residuals again after each step, so
-   that no state outweighs the others by its unit. If errors of a sensor are correlated between neighbouring rows, the
-   residuals are whitened before they are squared (`Innovations`); the correlated share is constant during a fit. It is
-   found by calibration (`selection.comparison`): the first good model is fitted with independent errors, its residuals
-   give the errors of measurement, and all later models are fitted and compared with these.
+   that no state outweighs the others because of its unit. If errors of a sensor are correlated between neighbouring
+   rows, the residuals are whitened before they are squared (`Innovations`); the correlated share is constant during a
+   fit. This share is found by calibration (`selection.comparison`): the first good model is fitted with independent
+   errors, its residuals give the errors of measurement, and all later models are fitted and compared with these errors.
 3. *A step* (`least_squares.minimize`). If sensitivities cost much more than states, a step is first integrated without
    sensitivities, since nearly half of all steps fail.
-4. *Joining* (`MultipleShooting.join`). Before segments are fitted in longer ones, constants and initial states are
-   moved until each segment begins where the one before ends. The conditions are linearised, and the initial states of
-   the inner segments eliminated by them: condensing (`_condense`). Without joining, the fit of a chaotic trajectory
-   fails between two stages: a state simulated from the beginning of a long segment is far from the measured state.
+4. *Joining* (`MultipleShooting.join`). Before a fit with longer segments, constants and initial states are moved until
+   each short segment begins where the previous segment ends. These conditions are linearised and used to eliminate the
+   initial states of the inner segments: condensing (`_condense`). Without joining, the fit of a chaotic trajectory
+   fails at the next stage: a state that is simulated from the beginning of a long segment is far from the measured
+   state.
 5. *Offsets and groups.* A state that was measured with an unknown offset has one offset for each whole trajectory, as
    another number of the segment. Groups of trajectories with their own constants have more columns of sensitivities
    (`system.Sharing`).
 
-Doubts. Variances are estimated by their mode given the residuals, not integrated out: the weight of a state that a
-model fits exactly follows from `SmoothingSettings.smallest_noise`. Two rules were tuned on one machine: when a step
-is first integrated without sensitivities, and how many integration steps are free. They change the counted work, and
-hence where a search stops, but no fit. Letters: D states, P fitted constants, L numbers of a segment, G segments, N
-rows, O measured states.
+Doubts. Variances are estimated by their mode given the residuals, not integrated out. So if a model fits a state
+exactly, the weight of this state follows from `SmoothingSettings.smallest_noise`. Two rules were tuned on one machine:
+when a step is first integrated without sensitivities, and how many integration steps are free. These rules change the
+counted work, and hence the point at which a search stops, but no fit. Letters: D states, P fitted constants, L numbers
+of a segment, G segments, N rows, O measured states.
 """
 
 import math
@@ -53,8 +55,8 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 _REJECTED: Final = 0.4
-"""Share of fit steps that do not lower the cost: without noise 0.5 with 8 states, 0.4 with 40. A step is first
-integrated without sensitivities if this takes less than this share of the work."""
+"""Share of fit steps that do not lower the cost (measured without noise: 0.5 with 8 states, 0.4 with 40 states). A step
+is first integrated without sensitivities if this takes less than this share of the work."""
 
 
 class _Blocks(NamedTuple):
@@ -95,7 +97,7 @@ class MultipleShooting:
     def __init__(
         self, measurements: Measurements, tolerance: float, deadline: Deadline | None = None, measured_rows: int = 0
     ) -> None:
-        """After the `deadline` a fit takes no more steps. The other arguments are those of `Integrator`."""
+        """After the `deadline` a fit takes no more steps. See `Integrator` for the other arguments."""
         self.integrator: Final = Integrator(measurements, tolerance, measured_rows)
         self.measurements: Final = measurements
         self.tolerance: Final = tolerance
@@ -127,8 +129,8 @@ class MultipleShooting:
             steps: most steps, successful or not.
             starts: initial states (G, D), or with offsets (G, D + K); None: the smoothed states.
             errors: the first error model; None: independent errors as large as the smoother's noise.
-            is_stiff: whether similar systems are stiff. In a fit of few steps, only then the implicit method is
-                allowed, since most candidates that seem stiff are wrong.
+            is_stiff: whether similar systems are stiff. A fit of few steps may use the implicit method only if they
+                are, since most candidates that seem stiff are wrong.
         """
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=may_be_stiff)
@@ -155,15 +157,15 @@ class MultipleShooting:
         fitter.method = self.integrator.methods[is_stiff]
         point, _ = fitter.point(system, starts, errors)
         fit = fitter.result(point)
-        assert fit is not None, "what was fitted can be integrated"
+        assert fit is not None, "a fitted system can be integrated"
         return fit
 
     def join(self, fit: TrajectoryFit, before: int | None, after: int | None) -> tuple[System, FloatArray] | None:
         """Return the system and initial states (G, D) of longer segments that make the segments of a fit continuous.
 
         In a chaotic trajectory, the end of a long segment cannot be predicted from its beginning. So Gauss-Newton steps
-        close the gaps between the short segments of each longer segment: each begins at the end of the previous segment
-        (Bock 1983).
+        close the gaps between the short segments of each longer segment: each short segment then begins at the end of
+        the previous short segment (Bock 1983).
 
         Args:
             fit: a fit of segments of about `before` rows.
@@ -216,7 +218,7 @@ class MultipleShooting:
         ends = np.zeros((len(segments), starts.shape[1], system.count + starts.shape[1]))
         reached, parts = np.zeros_like(starts), []
         numbers = OVERHEAD_NUMBERS + starts.shape[1] * (system.count + starts.shape[1])
-        for parity in (0, 1):  # a segment that ends in the first row of the next would be overwritten by that
+        for parity in (0, 1):  # the last row of a segment is the first row of the next, which would overwrite it
             chosen = np.arange(parity, len(segments), 2)
             course = self.integrator.integrate(method, system, longer[chosen], np.ascontiguousarray(starts[chosen]))
             self.add_work(method.work(course.steps, self.measurements.rows // 2) * numbers)
@@ -249,7 +251,7 @@ class MultipleShooting:
         return known
 
     def residuals(self, simulated: FloatArray, starts: FloatArray, segments: Ints) -> FloatArray:
-        """Return residuals (O, N): measured minus simulated states, minus the offsets in the last columns of
+        """Return residuals (O, N): measured states, minus simulated states, minus the offsets in the last columns of
         `starts`."""
         measurements, states = self.measurements, len(simulated)
         residuals = np.asarray(self.measured - simulated[measurements.observed])
@@ -462,8 +464,9 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     def _starting_states(self) -> Iterator[FloatArray]:
         """Yield initial states (G, D or more) that are tried until a system can be integrated.
 
-        Noise may make a first value negative, where many laws blow up, for example growth. So if a state has one sign
-        from some row of its piece to the end, the second initial states have its value in this row.
+        Noise may change the sign of the first value of a state, and many laws, for example of growth, blow up with the
+        wrong sign. So a second set of initial states is tried: if the state has one sign from some row of its piece to
+        the end, the set has the value in this row.
         """
         measurements, segments = self._measurements, self._segments
         smoothed = np.ascontiguousarray(measurements.smoothed[:, segments[:, 0]].T)
@@ -507,10 +510,10 @@ def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> flo
 def _condense(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints) -> tuple[_Blocks, FloatArray]:
     """Return the normal equations of pieces with continuous segments, and how the initial states of segments move.
 
-    The move of a segment's initial state is linear in the constants and in the initial state of its piece. Its
-    coefficients follow from those of the previous segment, with the sensitivities S and T of its end to its initial
-    state and to the constants, and with the gap h there: S A, S B + T and S c + h (Bock 1983, section 3; Albersmeyer &
-    Diehl 2010, SIAM Journal on Optimization 20:1655).
+    The move of a segment's initial state is A s + B p + c, linear in the move s of the initial state of its piece and
+    in the step p of the constants. From one segment to the next, A, B and c become S A, S B + T and S c + h. S and T
+    are the sensitivities of the end of the first segment to its initial state and to the constants; h is the gap
+    between both segments (Bock 1983, section 3; Albersmeyer & Diehl 2010, SIAM Journal on Optimization 20:1655).
 
     Args:
         blocks: the normal equations of the segments.
@@ -578,7 +581,8 @@ def fit_in_stages(
 def _intermediate_lengths(lengths: Sequence[int | None], measurements: Measurements) -> Iterator[int | None]:
     """Yield `lengths`, and intermediate lengths if the ratio of two successive lengths is too large.
 
-    Errors may grow so much along a trajectory that a fit of long segments fails from the fit of short segments.
+    Errors may grow so much along a trajectory that a fit of long segments fails if it starts from the fit of much
+    shorter segments.
     """
     longest = int((measurements.bounds[:, 1] - measurements.bounds[:, 0]).max())
     before: int | None = None

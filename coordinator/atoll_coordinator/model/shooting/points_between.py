@@ -1,6 +1,6 @@
-"""Points off the measured curves, each computed from two measured points that are far apart. Pure.
+"""Points away from the measured curves, each computed from two measured points that are far apart. Pure.
 
-Letters: N measured points, V components of a point, G points off the curves.
+Letters: N measured points, V components of a point, G points away from the curves.
 """
 
 import math
@@ -13,37 +13,38 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 MOST_POINTS: Final = 500
-"""About the number of measured points used; chosen by a lattice, since every n-th row may be the same phase of a
+"""Approximate number of measured points used. A lattice selects them, since every n-th row may have the same phase of a
 period."""
 
 
 def points_between(points: FloatArray) -> FloatArray:
     """Return points (G, V) on lines between two measured points that are far apart among all `points` (V, N).
 
-    On such lines, linear constraints of all measured points hold, such as a constant weighted sum or a sign, and
-    energies are not as large as in the corners of a box of many states.
+    If all measured points satisfy a linear constraint, such as a constant weighted sum or a sign, points on these lines
+    satisfy it as well. Energies are also smaller than in the corners of a box of many states.
     """
-    first, second, (share,) = _pairs(points, 1)
+    first, second, (share,) = _draw_pairs(points, 1)
     return np.asarray(first + share[:, None] * (second - first))
 
 
 def points_in_boxes(points: FloatArray, moved: int) -> FloatArray:
-    """Return points (G, V) in boxes spanned by two measured points; constant sums, for example, are not kept.
+    """Return points (G, V) in boxes spanned by two measured points; linear constraints, such as constant sums, need not
+    hold there.
 
     The first `moved` components vary; the others, such as inputs, have the values of the first of the two points.
     """
-    first, second, shares = _pairs(points, moved)
+    first, second, shares = _draw_pairs(points, moved)
     first[:, :moved] += shares.T * (second - first)[:, :moved]
     return first
 
 
 def remove_conserved_directions(moves: FloatArray, points: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return `moves` (G, V) projected so that weighted sums stay constant that are constant in all `points` (V, N).
+    """Return `moves` (G, V) without their components along conserved directions of the `points` (V, N).
 
-    Such sums are directions (singular vectors, in units of the range) along which the points vary by no more than their
-    `noise` (V,). The variance of N independent rows has the relative standard error sqrt(2/N); a signal differs from
-    noise (p = 0.05) if it adds more than 1.64 times that. If there are no more rows than components, no direction is
-    removed.
+    Along a conserved direction (a singular vector, in units of the range), all points have the same weighted sum: it
+    varies by no more than the `noise` (V,). The variance of N independent rows has the relative standard error
+    sqrt(2/N); a signal differs from noise (p = 0.05) if it adds more than 1.64 standard errors. If there are no more
+    rows than components, no direction is removed.
     """
     if points.shape[1] <= len(points):
         return moves
@@ -57,12 +58,12 @@ def remove_conserved_directions(moves: FloatArray, points: FloatArray, noise: Fl
     return np.asarray(moves - (moves / widths) @ kept.T @ kept * widths)
 
 
-def _pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _draw_pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return G pairs of measured points, as two arrays (G, V), and shares (numbers, G) of the way from first to
     second."""
     count, width = SETTINGS.effort.beam, np.maximum(np.ptp(points, axis=1), 1e-300)
     known = points.T[thinned_places(points.shape[1], MOST_POINTS)]
-    outer = known[_far_apart(known / width, 2 * count)]
+    outer = known[_choose_far_apart(known / width, 2 * count)]
     first_coordinates, second_coordinates, *shares = _latin_hypercube(count, 2 + numbers).T
     first, second = (
         outer[(coordinates * len(outer)).astype(int)] for coordinates in (first_coordinates, second_coordinates)
@@ -70,7 +71,7 @@ def _pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, Fl
     return first, second, np.array(shares)
 
 
-def _far_apart(points: FloatArray, count: int) -> list[int]:
+def _choose_far_apart(points: FloatArray, count: int) -> list[int]:
     """Return the indices of up to `count` of the `points` (N, D), each the farthest from all earlier ones.
 
     Farthest-point sampling (Gonzalez 1985): a long steady state gets no more points than the transient.

@@ -1,9 +1,9 @@
 """The size of errors of measurement, estimated from the residuals of a law. Pure.
 
-Errors of measurement are rough, the errors of a law are slow: second differences give the size of errors of measurement
-(`roughness`), cosines along the rows the share of errors of the law (`slow_shares`). `count_pieces` returns the number
-of independent numbers in slow errors. Doubt: correlated errors of a sensor are slow as well; `error_model` must remove
-them first. Letters: O measured states, N rows, R rows of some trajectories.
+Errors of measurement are rough, and errors of a law are slow. So second differences give the size of the errors of
+measurement (`roughness`), and a fit of cosines along the rows gives the share of the errors of the law (`slow_shares`).
+`count_pieces` returns the number of independent numbers in slow errors. Doubt: correlated errors of a sensor are slow
+as well; `error_model` must remove them first. Letters: O measured states, N rows, R rows of some trajectories.
 """
 
 import math
@@ -16,8 +16,8 @@ from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_core.data.dataset import FloatArray
 
 ROUGHNESS_VARIANCE: Final = 35.0 / 9.0
-"""Relative variance of the variance that `roughness` estimates, times the number of rows: second differences of
-independent errors have the correlations -2/3 and 1/6 (Gasser, Sroka & Jennen-Steinmetz 1986)."""
+"""The variance that `roughness` estimates has this relative variance, divided by the number of rows: second differences
+of independent errors have the correlations -2/3 and 1/6 (Gasser, Sroka & Jennen-Steinmetz 1986)."""
 
 _ROUNDING: Final = 1e-9
 """Guard: upper limit of the relative rounding error of sums of squares by Fourier transforms, for 1e9 rows."""
@@ -42,11 +42,13 @@ def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
 
 
 def slow_shares(measurements: Measurements, residuals: FloatArray, pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the share of the residuals' squares (O,) that slow waves explain, and the expected share.
+    """Return the share of the residuals' squares (O,) that slow cosines explain, and its expected value for independent
+    errors.
 
     The errors of a law move a state no faster than its derivative varies. Hence they are a sum of about `pieces` (O,)
-    cosines along the rows, and three more along each trajectory, whose initial state and constants take up the slowest.
-    Of the squares of independent errors, the cosines explain on average their number over the number of rows.
+    cosines along the rows. Three more cosines are used along each trajectory, because the fit of its initial state and
+    of the constants absorbs the slowest. On average, the cosines explain this share of the squares of independent
+    errors: the number of cosines over the number of rows.
     """
     shares, expected = np.zeros(len(residuals)), np.zeros(len(residuals))
     for state, (values, weights) in enumerate(zip(residuals, measurements.weights, strict=True)):
@@ -69,11 +71,11 @@ def slow_shares(measurements: Measurements, residuals: FloatArray, pieces: Float
 def count_pieces(measurements: Measurements) -> FloatArray:
     """Return the number of independent numbers (O,) in errors that vary as slowly as the derivatives of the states.
 
-    Rows over their correlation length, the lag at which the autocorrelation of the smoothed states' differences falls
-    below 1/e; at most all rows.
+    This is the number of rows over their correlation length. The correlation length is the lag at which the
+    autocorrelation of the differences of the smoothed states falls below 1/e; it is at least one row.
     """
     counts = np.zeros(len(measurements.observed))
-    pieces = list(_stretches(measurements))
+    pieces = list(_ranges_without_gaps(measurements))
     for place, state in enumerate(measurements.observed.tolist()):
         parts = [np.diff(measurements.smoothed[state, rows]) for rows in pieces]
         rows = float((measurements.weights[place] > 0.0).sum())
@@ -84,7 +86,7 @@ def count_pieces(measurements: Measurements) -> FloatArray:
 def _correlation_length(parts: Sequence[FloatArray]) -> int:
     """Return the lag at which the autocorrelation of all `parts` falls below 1/e; the largest lag if it never does.
 
-    Fourier transforms give the possible lags up to rounding errors; the sums are computed at these.
+    Fourier transforms give the possible lags, up to rounding errors. At these lags the sums are then computed directly.
     """
     least = sum(float(part @ part) for part in parts) / math.e
     sums = np.zeros(max(map(len, parts), default=0))
@@ -97,7 +99,7 @@ def _correlation_length(parts: Sequence[FloatArray]) -> int:
     return max(len(sums), 1)
 
 
-def _stretches(measurements: Measurements) -> Iterator[slice]:
+def _ranges_without_gaps(measurements: Measurements) -> Iterator[slice]:
     """Yield ranges of rows without a gap between them, regardless of the pieces of simulations."""
     times = measurements.times
     steps = np.diff(times)

@@ -1,7 +1,7 @@
 """The size of errors of measurement, estimated from the residuals of smoothing, before a law is known. Pure.
 
-The variance of a row is a^2 + b^2 x^2 with the smoothed value x, the two-component model of analytical chemistry
-(Rocke & Lorenzato 1995); it is fitted to the residuals of smoothing, which do not depend on any law. ``residual_noise``
+The variance of a row is a^2 + b^2 x^2 with the smoothed value x: the two-component model of analytical chemistry (Rocke
+& Lorenzato 1995). It is fitted to the residuals of smoothing, which do not depend on any law. ``residual_noise``
 estimates the errors from the residuals of a law.
 """
 
@@ -26,7 +26,8 @@ proportional to the value, 72 % of tables of 21 rows reach it."""
 
 @dataclass(frozen=True)
 class VarianceModel:
-    """Error variance of one state; `proportional` is the share proportional to the value's square, at the value `rms`.
+    """Error variance of one state. `proportional` is the share of the variance that is proportional to the square of
+    the value, for the value `rms`.
 
     `mean` is the mean of inverse variances over the rows of the recording, so that weights are 1 on average. `scale` is
     the standard deviation of a row of weight 1, over the standard deviation for equal weights.
@@ -48,7 +49,7 @@ def estimate_variances(recording: Recording) -> list[VarianceModel]:
     Errors grow with the value if this shortens the description by `_EVIDENCE` nats, for one state or for all states
     together, since states are usually measured in the same way. A state with negative evidence has constant errors.
     """
-    found = [_estimate(recording, state) for state in range(len(recording.states))]
+    found = [_estimate_state(recording, state) for state in range(len(recording.states))]
     together = sum(evidence for _, evidence in found)
     return [
         model if evidence >= _EVIDENCE or (evidence > 0.0 and together >= _EVIDENCE) else VarianceModel()
@@ -56,8 +57,9 @@ def estimate_variances(recording: Recording) -> list[VarianceModel]:
     ]
 
 
-def _estimate(recording: Recording, state: int) -> tuple[VarianceModel, float]:
-    """Return the best proportional share of one state (index), and the evidence for any: nats over equal errors.
+def _estimate_state(recording: Recording, state: int) -> tuple[VarianceModel, float]:
+    """Return the best proportional share of one state (index), and the evidence for a proportional share: nats relative
+    to errors of equal size.
 
     A trajectory along which the state is always 0 is left out. Loess follows the errors of rows at the ends, so each
     row counts by the share of its error that is in its residual. All proportional shares have the same prior

@@ -70,8 +70,8 @@ class System:
     """D equations on one tape, see `kernels.rates.Tape`; `equations` are their programs.
 
     `parameters` (N,) has the index of each fitted constant, -1 for other nodes; `places` (P,) are their nodes, `owners`
-    (P,) their equations. `lower` and `upper` (Q,) are bounds on the fitted numbers, None where there are none. With a
-    `sharing`, Q may differ from P, and `constants` are the means over the groups. Without it, Q is P.
+    (P,) their equations. `lower` and `upper` (Q,) are bounds on the fitted numbers, None without bounds. With a
+    `sharing`, Q may differ from P, and `constants` are the means over the groups. Without a `sharing`, Q is P.
     """
 
     equations: tuple[Program, ...]
@@ -104,7 +104,7 @@ class System:
 
     @property
     def multiples(self) -> FloatArray:
-        """The factor of each constant (P,) to its fitted number."""
+        """Each constant (P,) is this multiple of its fitted number."""
         return np.ones(len(self.places)) if self.sharing is None else self.sharing.multiples
 
     @property
@@ -132,7 +132,7 @@ class System:
 
         Args:
             constants: constants of the nodes by group (G, N).
-            shared: constants by equation and node; equations are counted from the first one after the `leading` ones.
+            shared: constants by equation and node; equations are counted without the `leading` equations.
         """
         starts = [0, *(self.outputs[:-1] + 1).tolist()][leading:]
         fitted = {node: place for place, node in enumerate(self.places.tolist())}
@@ -187,7 +187,7 @@ class System:
     def by_place(self, numbers: FloatArray, power: int = 1) -> FloatArray:
         """Return values of the Q fitted numbers by group and constant (G, P); G is one without groups.
 
-        Variances are multiplied by the `power` 2 of the multiples.
+        Numbers are multiplied by the `power` of the multiples: 1 for values, 2 for variances.
         """
         if self.sharing is None:
             return numbers[None]

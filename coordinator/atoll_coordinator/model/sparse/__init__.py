@@ -1,10 +1,10 @@
 """Sparse regression: laws as sums of few terms, without simulations or a population, in seconds at most.
 
-- `atoms`: the dictionary of terms: products of variables, these times functions, libraries of both
+- `atoms`: the dictionary of terms (products of variables, and products with functions), and libraries of terms
 - `rows`: builders of rows: derivatives, integrals over windows, with the covariance of their errors
 - `regression`: the engine: fits, elimination, the criterion; its docstring explains how it works
-- `laws`: rows and libraries of each equation, the sum that is its law, and the choice of variables
-- `many_variables`: laws with functions where variables are many, on derivatives or short windows
+- `laws`: the rows and libraries for each equation, the sum that is the law, and the choice of variables
+- `many_variables`: laws with functions if there are many variables, fitted to derivatives or short windows
 - `pursuit`: sums of a polynomial and of products with functions, as candidates for trajectories (matching pursuit)
 - `kernels`: least squares and elimination, compiled; `warmup` compiles or loads them
 

@@ -1,8 +1,9 @@
-"""The dictionary of terms: products of variables, these times functions with a constant inside, libraries of both.
+"""The dictionary of terms: products of variables, products with functions that have a constant inside, and libraries of
+terms.
 
 A `Product` is a tuple of variables. A `Shape` is a product times a function, with its values on some rows; the function
 may have an inner constant. An `Atom` is a shape with a value of this constant: a term of a sum without its coefficient.
-Where no values are needed, a term is an expression. Doubt: the grids of inner constants are relative to the size of a
+Terms for which no values are needed are expressions. Doubt: the grids of inner constants are relative to the size of a
 variable, and can miss a function that varies in a small part of its range.
 
 Letters: K terms, R rows, V variables.
@@ -50,7 +51,7 @@ Product = tuple[int, ...]
 
 
 def product_of(factors: Sequence[Expression]) -> Expression:
-    """Return a product, 1 where there are no factors."""
+    """Return a product, 1 without factors."""
     product = factors[0] if factors else 1.0
     for factor in factors[1:]:
         product = (MULTIPLY, product, factor)
@@ -172,7 +173,7 @@ class Function:
     has_pole: bool = False
 
 
-def _of_scaled(code: int, rates: Sequence[float], value: Callable[[FloatArray], FloatArray],
+def _make_scaled_function(code: int, rates: Sequence[float], value: Callable[[FloatArray], FloatArray],
                slope: Callable[[FloatArray], FloatArray]) -> Function:  # fmt: skip
     """Return a function of c u with the inner constant c."""
     return Function(
@@ -183,7 +184,7 @@ def _of_scaled(code: int, rates: Sequence[float], value: Callable[[FloatArray], 
     )
 
 
-def _plain(code: int, value: Callable[[FloatArray], FloatArray]) -> Function:
+def _make_plain_function(code: int, value: Callable[[FloatArray], FloatArray]) -> Function:
     return Function(lambda u, _: value(u), lambda u, _: (code, u))
 
 
@@ -203,18 +204,18 @@ _KINK: Final = Function(
     lambda u, c: (ABS, (ADD, u, -c)),
     lambda u, c: np.sign(c - u),
 )
-_EXP: Final = _of_scaled(EXP, _BOTH_SIGNS, np.exp, np.exp)
+_EXP: Final = _make_scaled_function(EXP, _BOTH_SIGNS, np.exp, np.exp)
 _OF_ANY: Final = {
-    SIN: _of_scaled(SIN, _RATES, np.sin, np.cos),
-    COS: _of_scaled(COS, _RATES, np.cos, lambda u: -np.sin(u)),
+    SIN: _make_scaled_function(SIN, _RATES, np.sin, np.cos),
+    COS: _make_scaled_function(COS, _RATES, np.cos, lambda u: -np.sin(u)),
     EXP: _EXP,
-    TANH: _of_scaled(TANH, _RATES, np.tanh, lambda u: 1.0 - np.tanh(u) ** 2),
+    TANH: _make_scaled_function(TANH, _RATES, np.tanh, lambda u: 1.0 - np.tanh(u) ** 2),
 }
 """Functions of any argument, by the operator that they need."""
 _OF_SQUARES: Final = {EXP: _EXP}
-_WAVES: Final = {SIN: _plain(SIN, np.sin), COS: _plain(COS, np.cos)}
-_ABS: Final = _plain(ABS, np.abs)
-_OF_POSITIVE: Final = {LOG: _plain(LOG, np.log), SQRT: _plain(SQRT, np.sqrt), POW: _POWER}
+_WAVES: Final = {SIN: _make_plain_function(SIN, np.sin), COS: _make_plain_function(COS, np.cos)}
+_ABS: Final = _make_plain_function(ABS, np.abs)
+_OF_POSITIVE: Final = {LOG: _make_plain_function(LOG, np.log), SQRT: _make_plain_function(SQRT, np.sqrt), POW: _POWER}
 
 
 # --------------------------------------------------------------------------------------------- shapes and atoms
@@ -357,7 +358,7 @@ def product_atoms(inputs: FloatArray, terms: Sequence[Product]) -> tuple[Atom, .
 def dictionary(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], most: int = SETTINGS.sparse.most_atoms
 ) -> list[Shape]:
-    """Return products of functions with up to two variables; fewer variables if there are more than `most` atoms.
+    """Return products of a function and up to two variables; with fewer variables if there are more than `most` atoms.
 
     If there are too many atoms with two variables, only quotients have two variables: most laws with many variables
     have quotients.
@@ -389,31 +390,31 @@ def _products_with_functions(
 
 
 def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
-    """Yield powers u of a variable with the function 1/(c + u); start values of c are powers of shares of the variable.
-
-    The variable itself also has shifts beyond its largest value, as when the rest of a conserved amount saturates.
+    """Yield powers u of a variable with the function 1/(c + u); start values of c are the same powers of shares of the
+    variable's size. For the variable itself, c may also put the pole beyond its largest value: for example, if a
+    process saturates in the rest of a conserved amount.
     """
     leaf: Expression = (VARIABLE, column)
     square: Expression = (MULTIPLY, leaf, leaf)
     arguments: tuple[Expression, ...] = (leaf, square, (MULTIPLY, leaf, square), (MULTIPLY, square, square))
     for exponent, argument in enumerate(arguments, 1):
         yield argument, values**exponent, [replace(_OVER_SUM, constants=partial(_powers_of_shifts, exponent))]
-    yield leaf, values, [replace(_OVER_SUM, constants=partial(_beyond, float(values.max())))]
+    yield leaf, values, [replace(_OVER_SUM, constants=partial(_shifts_beyond_range, float(values.max())))]
 
 
-def _beyond(most: float, size: float) -> Sequence[float]:
+def _shifts_beyond_range(most: float, size: float) -> Sequence[float]:
     """Return shifts with a pole beyond the largest value `most` of a variable with the root mean square `size`."""
     return [-(most + shift * size) for shift in _SHIFTS if most > 0.0]
 
 
-def _within(u: FloatArray, size: float) -> Sequence[float]:
+def _kinks_within_range(u: FloatArray, size: float) -> Sequence[float]:
     """Return places of a kink in the range of u (R,)."""
     low, high = float(u.min()), float(u.max())
     return [low + share * (high - low) for share in _KINKS]
 
 
 def _powers_of_shifts(exponent: int, size: float) -> Sequence[float]:
-    """Return shifts for a power of a variable; the power has the root mean square `size`."""
+    """Return shifts for a power of a variable; `size` is the root mean square of the power."""
     return [shift**exponent * size for shift in _SHIFTS]
 
 
@@ -431,7 +432,7 @@ def _arguments(
         is_positive = bool((u > 0.0).all())
         positive = allowed(_OF_POSITIVE) if is_positive else []
         has_both_signs = bool(u.min() < 0.0 < u.max())
-        kinked = [replace(_KINK, constants=partial(_within, u))] if ABS in operators else []
+        kinked = [replace(_KINK, constants=partial(_kinks_within_range, u))] if ABS in operators else []
         kinked += [_ABS] if ABS in operators and has_both_signs else []
         kinked += [_SIGN] if {ABS, DIVIDE} <= operators and has_both_signs else []
         yield leaf, u, [*waves, *allowed(_OF_ANY), *([_OVER] if DIVIDE in operators else []), *positive, *kinked]

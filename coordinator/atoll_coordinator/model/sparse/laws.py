@@ -1,4 +1,4 @@
-"""The laws of states by sparse regression: which rows an equation is fitted to, and which libraries are tried.
+"""The laws of states by sparse regression: the rows to which an equation is fitted, and the libraries that are tried.
 
 How it works. There are three cases. Few variables (all products up to the fourth degree fit in a library): laws are
 sums of products. They are fitted to derivatives if there is no noise, else in the weak form, and compared with other
@@ -77,7 +77,7 @@ def find_all_laws(
         config: the resolved configuration.
         others: programs by variable with which laws are compared if there is noise.
         among_many: the result of `find_laws_among_many`; None: it is computed here.
-        spread: computes in threads or on workers; one after another unless given.
+        spread: computes in threads or on workers; None: one after another.
     """
     by_variable: dict[str, tuple[Law, ...]] = {}
     among_many = find_laws_among_many(preparation, config) if among_many is None else among_many
@@ -90,8 +90,8 @@ def find_all_laws(
 def find_laws_among_many(preparation: Preparation, config: JobConfig) -> LawsByGroup:
     """Return the laws among many variables, by group of trajectories; empty mappings for few variables.
 
-    These laws are not compared with other programs. This is most of the work of `find_all_laws`. Preparing computes it
-    and passes the result on to refining.
+    These laws are not compared with other programs. Finding them is most of the work of `find_all_laws`. It is done
+    when a job is prepared, and the result is passed on to refining.
     """
     return [_find_laws_among_many(part, config) for part in _parts(preparation)]
 
@@ -137,9 +137,9 @@ def _spaces(dataset: Dataset, config: JobConfig) -> dict[str, tuple[tuple[int, .
 def settled_variables(preparation: Preparation, config: JobConfig, among_many: LawsByGroup) -> frozenset[str]:
     """Return the variables whose laws are so certain that no long search is needed.
 
-    The residuals of these laws are like noise, and the laws were chosen on more rows than systems are compared on.
-    Among many variables, each equation is settled independently. Among few variables, all or none are settled, since a
-    search of few variables is short. The result is empty if the user has set an end of the search or guesses.
+    The residuals of these laws are like noise, and there were more rows than systems are compared on. With many
+    variables, each equation is settled independently. With few variables, either all equations are settled or none,
+    since a search with few variables is short. The result is empty if the user has set an end of the search or guesses.
     `among_many` is the result of `find_laws_among_many`.
     """
     budget = config.budget
@@ -177,8 +177,9 @@ def _are_many(variables: int, degree: int = SETTINGS.sparse.degree) -> bool:
     return math.comb(variables + degree, variables) > SETTINGS.sparse.largest_library
 
 
-def _has_like_rows(recording: Recording) -> bool:
-    """Tell whether all rows have equal weights and states have no unknown offset, as these methods assume."""
+def _meets_assumptions(recording: Recording) -> bool:
+    """Tell whether the assumptions of these methods hold: all rows have equal weights, and no state has an unknown
+    offset."""
     return not recording.offsets and all(
         part.weights is None and part.robustness_weights is None for part in recording.trajectories
     )
@@ -212,10 +213,10 @@ def find_laws(
         recording: the measurements.
         columns: indices of the allowed variables.
         operators: codes of the operators.
-        others: programs that laws are compared with where there is noise.
-        spread: computes in threads or on workers; one after another unless given.
+        others: programs with which laws are compared if there is noise.
+        spread: computes in threads or on workers; None: one after another.
     """
-    if not _has_like_rows(recording) or not _makes_sums(columns, operators) or recording.order == 2:
+    if not _meets_assumptions(recording) or not _makes_sums(columns, operators) or recording.order == 2:
         return ()
     if _is_interpolated(recording) and problem.target.uncertainty <= SETTINGS.inference.largest_uncertainty:
         return tuple(_find_laws_without_noise(problem, columns))
@@ -274,14 +275,14 @@ def _search_law(regression: Regression, terms: tuple[Product, ...]) -> tuple[Law
 
 
 _Description = tuple[tuple[Product, ...] | None, float]
-"""The products of a program that is a sum of products; for other programs None, and the nats of the program."""
+"""The products of a program, None if it is no sum of products; and the nats of the program."""
 
 
 def _describe(regression: Regression, program: Program) -> _Description:
     """Return the products or the nats of a program by the criterion of sums; infinite nats if it cannot be fitted.
 
-    Its constants were fitted to derivatives that smoothing has flattened. So one factor of the program is fitted to the
-    windows.
+    The constants of the program were fitted to derivatives that smoothing has flattened. So a factor of the whole
+    program is fitted to the windows.
     """
     written, rows = collected(program), regression.rows
     terms = products_of(written, SETTINGS.sparse.degree)
@@ -343,7 +344,7 @@ def _find_laws_with_noise(
 def _find_laws_among_many(part: Preparation, config: JobConfig) -> dict[str, tuple[Law, ...]]:
     """Return the laws of the states of one group: on derivatives without noise, on short windows with noise."""
     dataset, recording = part.dataset, part.recording
-    if recording is None or not _are_many(len(dataset.names)) or not _has_like_rows(recording):
+    if recording is None or not _are_many(len(dataset.names)) or not _meets_assumptions(recording):
         return {}
     is_interpolated = _is_interpolated(recording)
     if recording.order == 2 and not is_interpolated:
@@ -364,7 +365,8 @@ def _find_laws_among_many(part: Preparation, config: JobConfig) -> dict[str, tup
 def screen_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
     """Return the configuration with screened variables for each equation, if there are dozens of variables.
 
-    Variables set by the user are unchanged, and so are equations for which no variable can be excluded.
+    Variables that the user has set are not changed. Equations for which no variable can be excluded are not changed
+    either.
     """
     dataset, recording, space = preparation.dataset, preparation.recording, config.space
     if recording is None or not _are_many(len(dataset.names), 2):
@@ -386,10 +388,10 @@ def screen_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
 def screen_columns(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     """Return the variables among `columns` (indices) that the equation needs, ascending; empty if none explains it.
 
-    Products of two variables, and cubes, are added one at a time: each time the product that explains most of the
-    residuals, as long as this is more than the best of equally many products explains by chance. Backward elimination
-    then ranks the terms, since an early term may have replaced a later one. The result is the variables of the best
-    terms.
+    Products of two variables, and cubes, are added one at a time (forward selection). Each step adds the product that
+    explains most of the residuals. The selection ends when this product explains no more than chance gives for the best
+    of all products. Backward elimination then ranks the terms, since a later term may make an earlier term unnecessary.
+    The result contains the variables of the best terms.
     """
     if not _are_many(len(columns), 2):
         return tuple(columns)

@@ -1,11 +1,12 @@
-"""Laws of many variables: short sums of products and of functions with a constant inside, on rates or short windows.
+"""Laws of many variables: short sums of products and of functions with a constant inside, fitted to derivatives or
+short windows.
 
-Where there are six variables or more, libraries of all products up to the fourth degree are too large, and laws have
-functions that sums of products do not replace. Each equation is searched independently: first polynomials of low
-degree, then products with functions (quotients as in Hill's equation and others), each tried as one more term of the
-sum. Finally, functions of other laws are tried as terms, since a flux that leaves one state enters another. Reasons and
-figures: ADR 0043 and 0048. Doubt: at most a few functions are added, one at a time, so that a law in which two
-functions only fit together can be missed.
+With six or more variables, libraries of all products up to the fourth degree are too large, and laws have functions
+that sums of products cannot replace. Each equation is searched independently: first polynomials of low degree, then
+products with functions (quotients as in Hill's equation and others), each tried as one more term of the sum. Finally,
+functions of other laws are tried as terms, since a flux that leaves one state enters another. Reasons and figures: ADR
+0043 and 0048. Doubt: at most a few functions are added, one at a time. So a law can be missed if two of its functions
+fit only together.
 
 Letters: A atoms, K terms, N rows of a regression, W windows of L rows, R rows of all trajectories, V variables.
 """
@@ -43,18 +44,18 @@ from atoll_core.expression.program import operators_in
 
 _DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
 _KEPT: Final = 2
-"""Number of functions that are kept for each start sum of a search; they become terms of a library."""
+"""Number of functions that are kept for each start sum of a search; these functions become terms of a library."""
 
 # ------------------------------------------------------------------------------------------------ short windows
 
 _CUBIC, _LINE = 3, 1
 _SMOOTHNESS: Final = 2
-"""Power of the test functions (1 - s^2)^p: the smallest whose slope vanishes at both ends."""
+"""The power p of the test functions (1 - s^2)^p: the smallest power for which the slope vanishes at both ends."""
 _WIDER: Final = 1.5
 """Ratio of each half width tried to the previous one."""
 _RESOLVED: Final = 0.75
-"""Windows get wider as long as straight lines between rows are as accurate as cubics, within the noise, in this share
-of them."""
+"""Windows get wider as long as, in this share of the windows, linear interpolation between rows is as accurate as cubic
+interpolation, within the noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ class ShortWindows(WeakRows):
     """Windows as short as the sampling allows, for states that change one after another.
 
     Functions are interpolated by cubics between rows, and the product with the test function is integrated exactly.
-    `coarse` are the weights (W, L) of test functions and their derivatives with straight lines between rows; the
+    `coarse` are the weights (W, L) of test functions and their derivatives for linear interpolation between rows. The
     difference between both integrals counts as an error.
     """
 
@@ -106,9 +107,9 @@ class ShortWindows(WeakRows):
 def window_rows(recording: Recording, names: Sequence[str], variable: str) -> ShortWindows | None:
     """Return short windows for the equation of `variable`, a state; `names` (V,) are symbols of states and inputs.
 
-    They are as long as possible while straight lines between rows are as accurate as cubics, within the noise, in
-    enough windows. The noise is estimated by predicting rows from their neighbours. None if trajectories are too short
-    for windows.
+    Windows are as long as possible, provided that in enough windows linear interpolation between rows is as accurate as
+    cubic interpolation, within the noise. The noise is estimated by predicting rows from their neighbours. None if
+    trajectories are too short for windows.
     """
     measured = measured_rows_of(recording, names)
     noise = measured.noise.copy()
@@ -139,7 +140,7 @@ def _is_resolved(rows: ShortWindows) -> bool:
 
 
 def _short_windows(measured: MeasuredRows, target: int, half: int) -> ShortWindows | None:
-    """Return windows that each begin in the middle of the previous one; None if there are too few."""
+    """Return windows that each begin in the middle of the previous window; None if there are too few."""
     length = 2 * half + 1
     every = np.array(
         [row for start, end in measured.ranges for row in range(start, end - length + 1, half)], dtype=np.int64
@@ -246,8 +247,9 @@ def _short_sum(equation: Equation) -> Sum | None:
 def _add_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[list[Product], bool]]) -> Sum | None:
     """Return the shortest sum with up to two more products with functions, inner constants fitted.
 
-    Functions are compared on the trusted rows, as one more term of the best sum, of a constant, and of a polynomial of
-    the first degree. The best ones join a library with all products of the highest degree.
+    Functions are compared on the trusted rows: each is added as one more term to the best sum, to a constant, and to a
+    polynomial of the first degree. The best functions are then combined with a library of all products of the highest
+    degree.
     """
     rows = equation.rows
     trusted = rows.trusted

@@ -5,10 +5,10 @@ How it works. The terms that explain most of the residuals are added to a sum (o
 way. `pursue` finds candidates for trajectories: a polynomial and up to two products with functions; a few best sums are
 kept after each addition. Then terms are eliminated one after another. The polynomial is there from the beginning, so
 that a function is not chosen only because a polynomial term is still missing. A search that changes an equation at one
-node at a time reaches such laws only through worse equations.
+node at a time reaches laws with two such functions only through worse equations.
 
-Doubts. Targets are smoothed derivatives, whose errors are not known for each row. So all rows have equal weights, and
-the best sums of each length are returned, to be compared along trajectories.
+Doubts. Targets are smoothed derivatives, whose errors are not known for each row. So all rows have equal weights. The
+best sums of each length are returned and then compared along trajectories.
 
 Letters: A atoms, K terms, N rows.
 """
@@ -35,14 +35,16 @@ from atoll_core.expression.program import Program, operators_in
 _SHARES_OF_STEPS = (1.0, 0.3, 0.1)
 """Shares of a step that are tried one after another until one makes the description shorter."""
 _SMALLEST_PART = 1e-13
-"""Relative squared length of the part of a column orthogonal to the terms, below which it is a rounding error."""
+"""If the squared length of the part of a column orthogonal to the terms is below this share of the column's squared
+length, the part is a rounding error."""
 _NEARLY_ALIKE = 1e-8
-"""Pairs of columns with a smaller squared sine are not tried: rounding would decide."""
+"""Pairs of columns with a smaller squared sine of their angle are not tried, since rounding errors would decide their
+rank."""
 _RANKED_PAIRS: Final = 2000
-"""Pairs that are sorted: one pair of terms has dozens, which differ in inner constants."""
+"""Number of pairs of atoms that are sorted: one pair of shapes gives dozens of pairs with different inner constants."""
 _MOST_ATOMS: Final = SETTINGS.sparse.most_atoms // 10
-"""Size limit of dictionaries and of pairs of atoms: a matrix of their gains takes 128 MB. With all operators, a
-dictionary for two states has 1,570 atoms, for three states 3,980."""
+"""Most atoms of a dictionary, and most atoms for which pairs are tried: the matrix of the gains of all pairs takes 128
+MB. With all operators, a dictionary for two states has 1,570 atoms, for three states 3,980."""
 
 # --------------------------------------------------------------------------------------------- a sum with constants
 
@@ -92,10 +94,9 @@ def fit_inner_constants(fit: Sum) -> Sum:
 
 
 class ResidualGains:
-    """How much of the residuals of a sum other terms explain. Rows are weighted by their errors and by missing terms.
-
-    The variance of the missing terms is equal on all rows; it follows from the median residual by a normal
-    distribution.
+    """Computes which share of the squared residuals of a sum further terms explain. Rows are weighted by their errors
+    and by missing terms. The variance of the missing terms is assumed equal on all rows, and is estimated from the
+    median absolute residual as for normal residuals.
 
     Args:
         rows: the rows with the left sides.
@@ -129,8 +130,8 @@ class ResidualGains:
     def gains_of_pairs(self, columns: FloatArray) -> FloatArray:
         """Return the share (A, A) of the squared residuals that pairs of columns (A, N) explain; 0 if not i < j.
 
-        Take the parts of two columns orthogonal to the terms, of unit length, with the products a and b with the
-        residuals, and the product c with each other. Together they explain (a^2 + b^2 - 2 a b c)/(1 - c^2).
+        The parts of two columns orthogonal to the terms are scaled to unit length. With the residuals they have the
+        scalar products a and b, with each other c. Together they explain (a^2 + b^2 - 2 a b c)/(1 - c^2).
         """
         norms, along = self._norms(columns), columns @ self._basis
         products = columns @ self._left / norms
@@ -178,7 +179,8 @@ def rank_further_terms(
 # ------------------------------------------------------------------------------------- candidates for trajectories
 
 _DEGREE: Final = SETTINGS.sparse.degree - 1
-"""Highest degree of the polynomial to which functions are added; products with functions have a degree less."""
+"""Highest degree of the polynomial to which functions are added. Functions are multiplied by products of a degree that
+is one lower."""
 
 _Terms = tuple[int, ...]
 
@@ -187,14 +189,14 @@ def pursue(
     problem: Problem, columns: Sequence[int], operators: Collection[int], needed: Collection[int] = (),
     most: float = math.inf,
 ) -> list[Program]:  # fmt: skip
-    """Return the sums with the smallest residuals, a few for each number of constants, constants fitted.
+    """Return the sums with the smallest residuals, with fitted constants: a few sums for each number of constants.
 
     Args:
         problem: a target and its inputs; a subset of the rows is used.
         columns: indices of the variables that may be used.
         operators: codes of the operators that may be used.
         needed: operator codes; each sum must have at least one of them. Empty: no condition.
-        most: sums with more nats, for all terms with their constants, are dropped.
+        most: sums are dropped if the price of their terms and constants is more than this many nats.
     """
     if not {ADD, MULTIPLY} <= set(operators) or not columns:
         return []

@@ -3,25 +3,27 @@
 Input. A builder of rows (`rows`) gives left sides, columns of terms, and the covariance of the errors of both.
 A list of atoms (`atoms`) gives the terms that a sum may have.
 
-Criterion. The length of a description in nats: the misfit of the residuals by their own errors, as the rows
-assess it, and the price of each term (its structure, and 1/2 ln N for each constant). While terms are removed, weights
-of rows are held, and the misfit is n/2 ln(sum of weighted squares): that is computed for all sums on the way at once.
+Criterion. The length of a description in nats: the misfit of the residuals relative to their errors (`Rows.assess`),
+and the price of each term (its structure, and 1/2 ln N for each constant). While terms are removed, the weights of rows
+are fixed, and the misfit is n/2 ln(sum of weighted squares). One elimination gives this misfit for the sums of all
+lengths.
 
-Where the covariance of errors comes from. Rates have an error for each row and exact columns. Integrals over windows
-have errors of measurement in the sides and in the columns, propagated to first order by the derivatives of the terms;
-so the variance of a residual depends on the sum. Least squares would then make coefficients too small. So the mean of
-the products of errors is subtracted from the normal equations (Fuller 1987), and rows are weighted by the residual
-variances of the previous sum: fit and weights alternate.
+Where the covariance of errors comes from. Derivatives (rates) have an error for each row, and their columns are exact.
+Integrals over windows have errors of measurement in the left sides and in the columns, propagated to first order by the
+derivatives of the terms. So the variance of a residual depends on the sum, and ordinary least squares would make
+coefficients too small (attenuation). So the mean of the products of errors is subtracted from the normal equations
+(Fuller 1987), and rows are weighted by the residual variances of the previous sum: fit and weights alternate.
 
 How it searches. Backward elimination from a full library (Wald's test): since all terms are there from the beginning,
-no term is chosen only because another one is still missing. Elimination may remove a needed term early if it nearly
-depends on others. So single terms are added again, and the sum is eliminated again, as long as the description gets
-shorter by more than the best of equally many tries would by chance. Finally terms are removed one by one, with the
-weights of the remaining sum. Functions with a constant inside are terms like all others; `many_variables` says which
-are tried.
+no term is chosen only because another one is still missing. Elimination may remove a needed term early if this term is
+nearly a linear combination of other terms. So single terms are added again, and the sum is eliminated again, as long as
+the gain is larger than the largest gain that chance gives in this number of tries. Finally terms are removed one by
+one, with the weights of the remaining sum. Functions with a constant inside are terms like all others; `many_variables`
+chooses the functions that are tried.
 
-Doubts. Weights of a wrong sum favour that sum. The first-order variances are too small where noise is as large as the
-curvature of a term. Rates count as a fixed small number of independent numbers, which is a guess.
+Doubts. Weights that come from a wrong sum favour this sum. The first-order variances are too small where noise is as
+large as the curvature of a term. Errors of derivatives count as a fixed small number of independent numbers, which is a
+guess.
 
 Letters: K terms, M terms of a sum, N rows, V variables.
 """
@@ -42,7 +44,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program
 
 REWEIGHTINGS = 3
-"""Numerics: fits until the weights of windows settle; each uses the weights of the sum before."""
+"""Numerics: fits until the weights of windows settle; each fit uses the weights of the previous sum."""
 _SETTLED = 1e-3
 """Weights have settled when the size of the residuals changes by less than this share."""
 
@@ -52,7 +54,7 @@ _SETTLED = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """The sums on the way from all columns (K, N) to none, by least squares (Wald's test).
+    """The sums of a backward elimination from all columns (K, N) to none, by least squares (Wald's test).
 
     `order` (K,) has the columns in the order of their removal. `squares` (K + 1,) has the sums of squared residuals
     with K, K - 1, ... 0 remaining columns. `coefficients` (K, K) has the coefficients at each step.
@@ -74,7 +76,7 @@ class Elimination:
 def eliminate_columns(
     columns: FloatArray, sides: FloatArray, errors: Errors | None = None, steps: int | None = None
 ) -> Elimination:
-    """Return the elimination of `columns` (K, N) that are fitted to `sides` (N,), or its first `steps`.
+    """Return the elimination of `columns` (K, N) that are fitted to `sides` (N,), or only its first `steps` steps.
 
     `errors` are the means of error products of columns (K, K), and of columns and sides (K,). Squares never decrease
     when terms are removed.
@@ -94,10 +96,8 @@ def eliminate_columns(
 def select_forward(columns: FloatArray, side: FloatArray) -> Iterator[tuple[int, float]]:
     """Yield one column after another: its index in `columns` (K, N), and the sum of squared residuals with it.
 
-    Each time, the column that explains most of the residuals of `side` (N,) is taken.
-
-    This is orthogonal matching pursuit. It ends when no column explains anything. Sums have a fixed order, for equal
-    bits.
+    Each step selects the column that explains most of the residuals of `side` (N,): orthogonal matching pursuit. It
+    ends when no column explains anything. Numbers are added in a fixed order, so that results are equal to the bit.
     """
     sizes = np.sqrt(_dots(columns * columns, np.ones_like(side)))
     rest, left = columns / np.where(sizes > 0.0, sizes, 1.0)[:, None], side
@@ -163,8 +163,8 @@ def shortest(sums: Iterable[Sum | None]) -> Sum | None:
 
 
 def descend(best: Sum, nearby: Callable[[Sum], Iterable[Sum | None]], least_gain: float = 0.0) -> Sum:
-    """Return the end of a descent from `best` that goes to the shortest of the sums nearby while this gains more than
-    `least_gain`."""
+    """Return the end of a descent from `best`: each step goes to the shortest of the nearby sums, as long as the gain
+    is larger than `least_gain`."""
     while True:
         nearest = shortest(nearby(best))
         if nearest is None or not nearest.nats < best.nats - least_gain:
@@ -261,7 +261,7 @@ class Regression:
             yield Sum(self, tuple(places[index] for index in path.remaining(step)), path.factors(step), nats)
 
     def _best_sum(self, start: Sequence[int], weights: FloatArray, *, is_extended: bool) -> Sum:
-        """Return the sum of the shortest description that is found from the terms of `start`.
+        """Return the sum with the shortest description that an elimination from the terms of `start` finds.
 
         If it `is_extended`, single terms are added again as long as the gain is larger than by chance (Bonferroni).
         """
@@ -298,7 +298,7 @@ class Regression:
         return math.fsum(self._prices[place] for place in places)
 
     def _errors(self, weights: FloatArray, places: Sequence[int]) -> Errors | None:
-        """Return the covariances of the errors of these terms, summed over the rows; 0 of all other terms."""
+        """Return the covariances of the errors of these terms, summed over the rows; 0 for all other terms."""
         if self._gradients is None:
             return None
         chosen = list(places)

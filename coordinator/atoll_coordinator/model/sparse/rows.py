@@ -2,17 +2,17 @@
 
 - `Rows` have columns without errors: targets, bins of the steps of a process.
 - `RateRows` are estimated derivatives with a standard error for each row. These errors are systematic: they count as
-  `systematic_numbers` independent numbers, however many rows there are, and a few are a hundred times as large as
+  `systematic_numbers` independent numbers, for any number of rows. A few errors are a hundred times as large as
   estimated.
 - `WeakRows` are integrals over windows of the trajectories, so that nothing is differentiated. With a test function b
-  that vanishes at both ends of a window, dx/dt = sum c_k f_k gives, by parts,
+  that vanishes at both ends of a window, dx/dt = sum c_k f_k gives, after integration by parts,
 
       - int b' x dt = sum c_k int b f_k dt
 
-  (Messenger & Bortz 2021). If powers are replaced by Hermite polynomials with the noise variance, the expectation of
-  products of measured states is the product of the true states. The variance of a residual follows from the variance of
-  the measurements (errors in variables: Bortz, Messenger & Dukic 2023), so that a test can tell whether residuals are
-  noise. Windows here are long and use the trapezoidal rule; `many_variables` has short windows.
+  (Messenger & Bortz 2021). Powers of measured states are replaced by Hermite polynomials with the noise variance. Then
+  the expectation of a product is the product of the true states. The variance of a residual follows from the variance
+  of the measurements (errors in variables: Bortz, Messenger & Dukic 2023), so that a test can tell whether residuals
+  are noise. Windows here are long and use the trapezoidal rule; `many_variables` has short windows.
 
 Letters: K terms, N rows of a regression, W windows of L rows, R rows of all trajectories, T some of these, V variables.
 """
@@ -38,29 +38,31 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 CAUCHY = 2.385
-"""Residuals of this many standard errors get half the weight: 95 % efficient where errors are normal (Holland & Welsch
-1977)."""
+"""Residuals of this many standard errors get half the weight: the estimate is 95 % efficient for normal errors (Holland
+& Welsch 1977)."""
 NORMAL_DEVIATION = 1.4826
-"""A normal error's standard deviation over its median size."""
+"""The standard deviation of normal errors over their median absolute value."""
 _LEAST_SCALE = 1e-6
 """Guard: smaller residuals, in standard errors, are rounding errors."""
 _STRETCHES = 20
 """Number of blocks of rows that represent a larger table: a law of a hundred products needs a few hundred windows."""
 _SMOOTHNESS = 4
-"""Numerics: the power of the test functions (1 - s^2)^p; the trapezoidal rule errs by its order in the step."""
+"""Numerics: the power p of the test functions (1 - s^2)^p. It determines the order, in the time step, of the error of
+the trapezoidal rule."""
 _LEAST_HALF = 5
-"""Numerics: rows of half of the shortest window, of which nine rows count. With the noise `_LEAST_HALF_NOISE`, a share
-of the standard deviation, the errors of a left side by the trapezoidal rule are a tenth of the noise (the transform of
-(1 - s^2)^4 at one wave per row)."""
+"""Numerics: half width of the shortest window, in rows; nine rows of the window have weights. At the noise
+`_LEAST_HALF_NOISE`, a share of the standard deviation, the error of a left side by the trapezoidal rule is a tenth of
+its error by noise (from the Fourier transform of (1 - s^2)^4 at one wave per row)."""
 _LEAST_HALF_NOISE = 0.01
 
 Errors = tuple[FloatArray, FloatArray]
-"""Sums over rows of the covariances of the errors of columns: with each other (K, K), with minus the side's (K,)."""
+"""Covariances of errors, summed over rows: of columns with each other (K, K), and of columns with minus the left sides
+(K,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """The residuals of a sum compared with its own errors: the `weights` (N,) of rows, the `misfit` in nats.
+    """The residuals of a sum compared with their errors: the `weights` (N,) of rows, and the `misfit` in nats.
 
     `excess` is the ratio of the residuals to their errors; `probability` is the probability of residuals at least this
     large if all are noise (1: not known).
@@ -78,8 +80,8 @@ class Rows:
 
     `inputs` (V, R) are the variables at which atoms are evaluated, `sides` (N,) the left sides. Sums of squared
     residuals below `least` count as `least`. Fit and weights alternate, at most `reweightings` times. The residuals of
-    a law are at most `largest_excess` times as large as their errors; if rows are `is_precise`, residuals of other sums
-    are many times as large.
+    a law are at most `largest_excess` times as large as their errors. If rows are `is_precise`, the residuals of all
+    other sums are many times as large as their errors.
     """
 
     inputs: FloatArray
@@ -166,15 +168,15 @@ class RateRows(Rows):
 
     @property
     def numbers(self) -> float:
-        """The number n for which n/2 ln(scale^2) is the misfit of `assess`, ``systematic_numbers`` ln(scale)."""
+        """The number n for which n/2 ln(scale^2) equals the misfit of `assess`, ``systematic_numbers`` ln(scale)."""
         return 2.0 * SETTINGS.selection.systematic_numbers
 
     @property
     def trusted(self) -> "RateRows":
         """The share of the rows with the smallest errors.
 
-        Errors of interpolation are not normal: if a state changes too fast for the sampling, a few are a hundred times
-        as large as estimated.
+        Errors of interpolation are not normal: if a state changes too fast for the sampling interval, a few errors are
+        a hundred times as large as estimated.
         """
         count = max(int(SETTINGS.sparse.trusted_share * len(self.sides)), 1)
         rows = self.side_errors <= np.sort(self.side_errors)[count - 1]
@@ -202,7 +204,7 @@ def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> Rate
         velocities = part.slopes if recording.velocity_symbols else part.slopes[:0]
         columns.append(np.concatenate([part.smoothed, velocities, part.inputs])[places])
         values.append(part.rates[state])
-        ends = part.rate_errors[state]  # the largest of a row and its neighbours: one may be small by chance
+        ends = part.rate_errors[state]  # below, the largest of a row and its neighbours: one may be too small
         wider = ends.copy()
         wider[1:] = np.maximum(wider[1:], ends[:-1])
         wider[:-1] = np.maximum(wider[:-1], ends[1:])
@@ -228,8 +230,9 @@ class MeasuredRows:
 
     Large tables are subsampled in evenly spread blocks.
 
-    `values` (V, R) are the measured variables, with smoothed values if missing; `smoothed` (V, R) the smoothed ones;
-    `noise` (V,) the standard deviations of the errors, 0 for inputs and for interpolated states.
+    `values` (V, R) are the measured variables; missing values are replaced by smoothed values. `smoothed` (V, R) are
+    the smoothed variables. `noise` (V,) are the standard deviations of the errors, 0 for inputs and for interpolated
+    states.
     """
 
     times: FloatArray
@@ -248,9 +251,9 @@ def measured_rows_of(recording: Recording, names: Sequence[str]) -> MeasuredRows
     smoothed = np.concatenate([part.smoothed for part in parts], axis=1)
     inputs = np.concatenate([_mean_inputs(part) for part in parts], axis=1)
     noise = [_noise(parts, place, smoothing) for place, smoothing in enumerate(recording.smoothing)]
-    stretches = _stretches([len(part.times) for part in parts])
-    rows = np.concatenate([np.arange(first, end) for first, end in stretches])
-    ends = np.cumsum([end - first for first, end in stretches]).tolist()
+    block_ranges = _select_blocks([len(part.times) for part in parts])
+    rows = np.concatenate([np.arange(first, end) for first, end in block_ranges])
+    ends = np.cumsum([end - first for first, end in block_ranges]).tolist()
     return MeasuredRows(
         np.concatenate([part.times for part in parts])[rows],
         tuple(zip([0, *ends[:-1]], ends, strict=True)),
@@ -261,10 +264,11 @@ def measured_rows_of(recording: Recording, names: Sequence[str]) -> MeasuredRows
 
 
 def _mean_inputs(part: Trajectory) -> FloatArray:
-    """Return the inputs (U, R) at the rows; for step inputs the mean over the time steps before and after.
+    """Return the inputs (U, R) at the rows; for step inputs, the mean of the values in the time steps before and after
+    a row.
 
-    The mean is weighted by the lengths of the steps. With it, a trapezoidal rule integrates test functions times a step
-    input correctly.
+    The mean is weighted by the lengths of the steps. With this mean, the trapezoidal rule integrates test functions
+    times a step input correctly.
     """
     held = np.asarray(np.isnan(part.input_slopes).any(axis=1))
     if not held.any():
@@ -276,7 +280,7 @@ def _mean_inputs(part: Trajectory) -> FloatArray:
     return np.where(held[:, None], means, part.inputs)
 
 
-def _stretches(lengths: Sequence[int]) -> list[tuple[int, int]]:
+def _select_blocks(lengths: Sequence[int]) -> list[tuple[int, int]]:
     """Return first row and end of the blocks that represent trajectories with these `lengths`; whole trajectories if
     there are few rows."""
     parts = -(-sum(lengths) // SETTINGS.rows.in_sums)
@@ -292,7 +296,7 @@ def _stretches(lengths: Sequence[int]) -> list[tuple[int, int]]:
 def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> float:
     """Return the standard deviation of a state's errors: the smoother's noise, or the prediction error if smaller.
 
-    In fast passages, residuals of the smoother are no errors of measurement.
+    Where a state changes fast, the residuals of the smoother are not errors of measurement.
     """
     if smoothing.method == "interpolation" or smoothing.quantisation is not None:
         return 0.0 if smoothing.method == "interpolation" else smoothing.noise
@@ -309,10 +313,10 @@ def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> flo
 
 @dataclass(frozen=True, eq=False)
 class WeakRows(Rows):
-    """Windows along trajectories for the equation of variable `target`; `share` of them are independent.
+    """Windows along trajectories for the equation of variable `target`; a `share` of the windows is independent.
 
     `first` (W,) is the first row of each window; `bump` and `slope` (W, L) are the test functions and their
-    derivatives, times the weights of a rule of integration. Atoms are evaluated on the measured rows.
+    derivatives, multiplied by the weights of the quadrature rule. Atoms are evaluated on the measured rows.
     """
 
     measured: MeasuredRows
@@ -352,8 +356,8 @@ class WeakRows(Rows):
     def _slopes(self, atoms: Sequence[Atom], coefficients: Sequence[float], rows: Ints | slice) -> FloatArray:
         """Return the derivatives (V, T) of a sum by the variables on some rows.
 
-        Functions are differentiated by central differences over one standard deviation of the errors, which averages
-        higher orders.
+        Functions are differentiated by central differences with a step of one standard deviation of the errors, which
+        averages higher orders.
         """
         smoothed, noise = np.ascontiguousarray(self.measured.smoothed[:, rows]), self.measured.noise
         degree = max((len(atom.shape.factors) for atom in atoms), default=0)
@@ -381,7 +385,8 @@ class WeakRows(Rows):
         return products, cross
 
     def _row_weights(self, weights: FloatArray) -> Errors:
-        """Return the weights of errors of thinned rows (T,) in products of integrals, and with left sides.
+        """Return the weights (T,) of the errors of thinned rows: in products of two integrals, and in products of an
+        integral and a left side.
 
         `weights` (W,) are the weights of windows.
         """
@@ -396,7 +401,8 @@ class WeakRows(Rows):
     def variances(self, atoms: Sequence[Atom], coefficients: Sequence[float]) -> FloatArray:
         """Return the variance (W,) of the residuals of a sum.
 
-        It is of first order in the noise. Sums have a fixed order, for equal bits: these laws may end a search.
+        The variance is of first order in the noise. Numbers are added in a fixed order, so that results are equal to
+        the bit: these laws may end a search.
         """
         slopes = self._slopes(atoms, coefficients, slice(None))
         squares = self.measured.noise * self.measured.noise
@@ -410,12 +416,12 @@ class WeakRows(Rows):
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment | None:
         """Return the assessment by the log-likelihood of the residuals.
 
-        Each residual counts by its share of independent windows, and its variance depends on the sum. To first order,
-        the likelihood of the nearest true states for which the equation holds gives half of the squared residual over
-        its variance. The logarithm of the variance is left out, since the density of the measurements about these
-        states does not depend on the equation; with the logarithm, sums that vary little with the states would be
-        preferred (errors in variables, functional case: Fuller 1987, section 2.3). The number of fitted coefficients is
-        subtracted from the degrees of freedom.
+        Each residual counts by the share of independent windows, and its variance depends on the sum. The misfit is
+        minus the log-likelihood of the true states: the states nearest to the measurements for which the equation
+        holds. To first order, this is half of the squared residual over its variance. The logarithm of the variance is
+        left out, since the density of the measurements about the true states does not depend on the equation. With the
+        logarithm, sums that vary little with the states would be preferred (errors in variables, functional case:
+        Fuller 1987, section 2.3). The number of fitted coefficients is subtracted from the degrees of freedom.
         """
         from scipy import special
 
@@ -474,7 +480,8 @@ def _product(term: Product, powers: Sequence[FloatArray], without: int | None = 
 
 
 def weak_rows(measured: MeasuredRows, target: int, half: int) -> WeakRows | None:
-    """Return windows of ``2 half + 1`` rows by the trapezoidal rule; None where trajectories are too short for any."""
+    """Return windows of ``2 half + 1`` rows, with the trapezoidal rule; None if trajectories are too short for any
+    window."""
     length, step = 2 * half + 1, max(1, round(2.0 * half / SETTINGS.sparse.windows_in_width))
     first = [row for start, end in measured.ranges for row in range(start, end - length + 1, step)]
     if not first:
@@ -490,7 +497,7 @@ def weak_rows(measured: MeasuredRows, target: int, half: int) -> WeakRows | None
     order = _SMOOTHNESS
     inside = np.maximum(1.0 - place * place, 0.0)
     below = np.ones_like(inside)
-    for _ in range(order - 1):  # multiplications alone: equal bits on every machine
+    for _ in range(order - 1):  # only multiplications: equal bits on every machine
         below = below * inside
     bump, slope = below * inside, -2.0 * order * place * below / width
     share = 2.0 / SETTINGS.sparse.windows_in_width
@@ -498,11 +505,13 @@ def weak_rows(measured: MeasuredRows, target: int, half: int) -> WeakRows | None
 
 
 def half_width(measured: MeasuredRows, smoothing: Smoothing, variables: int) -> int:
-    """Return the rows of half a window: half of the smoother's span, or less if the largest library needs more windows.
+    """Return the half width of a window in rows: half of the smoother's span, or less if the largest library needs more
+    windows.
 
     In longer windows, nearly dependent terms have larger errors relative to their differences. In shorter windows,
-    errors of the trapezoidal rule are larger; the errors due to noise should be ten times as large as these. Errors of
-    the left side decrease as h^-(p + 1) with the width h (p: `_SMOOTHNESS`), errors due to noise as h^-1.5.
+    errors of the trapezoidal rule are larger; errors due to noise should be ten times as large as errors of this rule.
+    With the width h, the errors of the rule in the left side decrease as h^-(p + 1) (p: `_SMOOTHNESS`), and errors due
+    to noise as h^-1.5.
     """
     terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
     most = int(len(measured.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(measured.ranges) + 1))

@@ -1,8 +1,8 @@
 """Candidates for one equation of a process, by weighted regression on bins of steps. Pure without a deadline.
 
-`CandidateFinder.find` decides which candidates are fitted by the likelihood later. A step is linear in the drift, and a
-product of residuals is linear in the diffusion, except for higher terms of the moments of a step. These terms are
-computed from the present model and subtracted:
+`CandidateFinder.find` decides which candidates are fitted by the likelihood later. The mean of a step is linear in the
+drift, and the mean product of two residuals is linear in the diffusion, except for terms of higher order in the step.
+These terms are computed from the present model and subtracted:
 
     drift       (increment - (mean - h f)) / h              variance B_ii / h
     diffusion   (r_i r_j - (covariance_ij - h B_ij)) / h    variance in proportion to B_ii B_jj
@@ -119,8 +119,8 @@ def _make_problem(
 ) -> tuple[Problem, FloatArray]:
     """Return the regression problem of one equation over bins, and the weights of the bins.
 
-    `rates` (S, N) are the noise rates. With measurement noise, each step gets the state one row earlier as its
-    variables, so that their errors are independent of the step.
+    `rates` (S, N) are the noise rates. With measurement noise, the variables of each step are the state one row
+    earlier, so that the errors of the variables are independent of the step.
     """
     states, lengths, points = len(model.drift), steps.lengths, steps.points
     moments = model.moments(points, lengths)

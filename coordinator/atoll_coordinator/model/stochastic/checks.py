@@ -4,8 +4,8 @@ For the right law the whitened steps are independent and normal, with variance o
 tests this: correlations of neighbouring steps (Ljung & Box 1978), means and squares in bins of the states (chi-square),
 the fourth moment, products with the steps of other states, and the size of steps of states without noise of their own.
 
-Doubtful: bins are wide, so fine structure of a drift is not tested. The checks of a variance assume normal noise; jumps
-fail them even if the drift is right.
+Doubtful: bins are wide, so fine structure of a drift is not tested. The checks of a variance assume normal noise: for a
+process with jumps they fail, even if the drift is right.
 
 Letters: S states, N steps.
 """
@@ -27,11 +27,11 @@ from atoll_coordinator.model.stochastic.process_choice import ChosenProcess, is_
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Target
 
-_UNTESTED: Final = Finding("not applicable", "no steps test this equation in this way")
+_UNTESTED: Final = Finding("not applicable", "this check does not apply to this equation")
 
 
 class ProcessSteps:
-    """The whitened `residuals` (S, N) of the steps of a `model`, for its tests.
+    """The whitened `residuals` (S, N) of the steps of a `model`, for tests of the model.
 
     `has_noise`: whether at least one state has noise that counts; otherwise the process is deterministic. The output of
     a numerical method, or a table that repeats after a few rows, follows a law exactly, and no noise is left for tests.
@@ -59,7 +59,8 @@ class ProcessSteps:
         return split_into_bins(self.chosen.likelihood.steps.points, SETTINGS.effort.kept)
 
     def pattern_probability(self, values: FloatArray) -> float:
-        """Return the probability of means in bins as large as for `values` (N,), if their expected value is zero."""
+        """Return the probability of means in bins at least as large as for `values` (N,), if the expected values are
+        zero."""
         from scipy import special
 
         variance = float(np.var(values))
@@ -69,7 +70,8 @@ class ProcessSteps:
         return float(special.chdtrc(len(squares), math.fsum(squares)))
 
     def serial_probability(self, state: int) -> float:
-        """Return the probability of a correlation of neighbours as large as for this state, for independent steps."""
+        """Return the probability, for independent steps, of a correlation of neighbours at least as large as for this
+        state."""
         follows = self.chosen.likelihood.steps.follows
         pieces = np.split(self.residuals[state], np.flatnonzero(~follows)[1:])
         pattern_probability = residual_statistics(pieces, 1.0).pattern_probability
@@ -108,14 +110,14 @@ class ProcessChecks(EquationChecks):
         if self._is_untested:
             return "the steps follow this equation up to rounding"
         merit = "the residual steps are independent and without a pattern over the states"
-        return merit if self._drift is not None else f"{merit}, and their sizes are normal"
+        return merit if self._drift is not None else f"{merit}, and they are normally distributed"
 
     def check_noise(self) -> Finding:
         """Check that there is noise to test the equations."""
         if self._steps.has_noise:
             return Finding("passed", "the steps have noise")
-        reason = "no state shows noise, so that these are not the equations of a stochastic process"
-        return Finding("failed", reason, advice="leave out --stochastic to have the equations of motion judged")
+        reason = "no state shows noise, so that the process is not stochastic"
+        return Finding("failed", reason, advice="leave out --stochastic; the equations of motion are then judged")
 
     def check_pattern_of_steps(self) -> Finding:
         """Check that the steps of the state have mean zero in all bins of the states."""
@@ -140,9 +142,11 @@ class ProcessChecks(EquationChecks):
         squares = self._steps.residuals[self._drift] ** 2
         probability, size = mean_probability(squares - 1.0), math.sqrt(float(np.mean(squares)))
         fault = (
-            f"its steps are {size:.3g} times as large as the noise of other states makes them (p = {probability:.1g})"
+            f"its steps are {size:.3g} times as large as the noise of the other states predicts (p = {probability:.1g})"
         )
-        return _judge_probability(probability, fault, "its steps are as large as the noise of other states makes them")
+        return _judge_probability(
+            probability, fault, "its steps are as large as the noise of the other states predicts"
+        )
 
     def check_correlation_of_states(self) -> Finding:
         """Check that the steps of the state are independent of the steps of other states."""
@@ -186,7 +190,8 @@ class ProcessChecks(EquationChecks):
         return super().check_constants()
 
     def check_alternative_equations(self) -> Finding | None:
-        """Check that no alternative describes the steps about as well; one that contains this equation is ignored."""
+        """Check that no alternative describes the steps about as well; alternatives that contain this equation are
+        ignored."""
         if self._is_untested or self._is_zero:
             return _UNTESTED
         limit, points = SETTINGS.inference.distinct_nats, self._steps.chosen.likelihood.steps.points
@@ -210,7 +215,8 @@ def _judge_probability(probability: float, fault: str, merit: str, tests: int = 
 
 
 def mean_probability(values: FloatArray) -> float:
-    """Return the probability of a mean as far from zero as for `values` (N,), if their expected value is zero."""
+    """Return the probability of a mean at least as far from zero as for `values` (N,), if their expected value is
+    zero."""
     from scipy import special
 
     error = float(values.std()) / math.sqrt(len(values))

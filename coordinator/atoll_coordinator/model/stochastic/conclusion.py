@@ -1,8 +1,8 @@
 """From the chosen law of a process to the reported model: constants with errors, alternatives, verdicts, ensembles.
 
-`show_process` fixes the equations as they are shown: constants become simple numbers where the steps support them, and
-factors of one are written where the steps refute one. `summarize_process` then lists alternatives, grades each equation
-(`checks`), and simulates ensembles of paths.
+`show_process` fixes the equations as they are shown: constants are replaced by simple numbers if the steps support
+these numbers, and factors of one are written as constants if the steps refute the value one. `summarize_process` then
+lists alternatives, grades each equation (`checks`), and simulates ensembles of paths.
 
 Doubtful: errors of the constants come from Fisher's information and are conditional on the chosen structure.
 """
@@ -67,7 +67,7 @@ def summarize_process(
     """Return the refinement for the chosen law."""
     shown = show_process(chosen)
     steps, refined = ProcessSteps(chosen, shown.fitted.model), {}
-    for number in chosen.sought:
+    for number in chosen.searched:
         name, program, known = chosen.variables[number], shown.rounded.programs[number], shown.known[number]
         candidate_set, problem = candidates.get(name, CandidateSet()), dataset.problem(name)
         equation = Refined(
@@ -174,10 +174,10 @@ def _describe_process(chosen: ChosenProcess, shown: ShownProcess, seed: int) -> 
         interval = (sd * math.exp(-1.96 * error), sd * math.exp(1.96 * error)) if error < 50.0 else None
         noise[state] = MeasurementNoise(sd=sd, std_error=sd * error, interval=interval)
     simulator = Simulator(model.moments, np.random.default_rng(seed))
-    unseen = take_steps(process, held_out=True)
+    held_out_steps = take_steps(process, held_out=True)
     held_out = None
-    if len(unseen.lengths):
-        likelihood = ProcessLikelihood(unseen)
+    if len(held_out_steps.lengths):
+        likelihood = ProcessLikelihood(held_out_steps)
         held_out = likelihood.log_likelihood_per_step(likelihood.whiten(model).misfit)
     return Process(
         steps=len(steps.lengths),

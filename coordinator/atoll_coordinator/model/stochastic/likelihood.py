@@ -1,7 +1,7 @@
 """The likelihood of a sampled process, and the fit of its constants: independent Gaussian steps, or a Kalman smoother.
 
-`ProcessLikelihood.whiten` computes residuals of steps that are independent and have variance one for the right law; the
-likelihood, the fit (`fit`, damped Fisher scoring) and the checks use them.
+`ProcessLikelihood.whiten` computes whitened residuals of steps: for the right law they are independent and have
+variance one. The likelihood, the fit (`fit`, damped Fisher scoring) and the checks use these residuals.
 
 Without measurement errors, steps are independent given their initial states (`moments`). With measurement errors e of
 variance Q, a step is measured from y = x + e. To first order in the errors, its residual is r_k = w_k + e_k+1 - A_k
@@ -12,8 +12,9 @@ block tridiagonal covariance,
 
 This is the likelihood of the extended Kalman filter, linearised about smoothed states (Särkkä 2013, section 9.1). The
 Cholesky factor L of the covariance is banded. With the whitened residuals z = L^-1 r and the logarithms l of the
-diagonal of L, minus the log-likelihood is sum(z^2)/2 + sum(l). The information of two constants is the sum of products
-of the derivatives of z and of l by them; for the covariance part, E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2.
+diagonal of L, minus the log-likelihood is sum(z^2)/2 + sum(l). An element of the information matrix belongs to two
+constants: it is the sum of the products of the derivatives of z by both constants, plus the same sum for l. For
+constants of the covariance C, E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2.
 
 Doubtful: steps are Gaussian only if they are short against the time in which drift and diffusion change. The
 linearisation about smoothed states needs measurement errors that are small on this scale. Derivatives are central
@@ -40,7 +41,8 @@ from atoll_core.expression.program import Program, constant_places, with_constan
 from atoll_core.expression.restrictions import NONE, Restrictions
 
 _RELATIVE_DIFFERENCE = 1e-5
-"""Relative change of a constant for central differences; their relative error is about its square."""
+"""Relative change of a constant for central differences; the relative error of the differences is about the square of
+this change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +101,8 @@ class WhitenedSteps:
 
     @property
     def misfit(self) -> float:
-        """Minus the log-likelihood in nats, up to N S/2 ln 2 pi; infinite where a covariance is not positive."""
+        """Minus the log-likelihood in nats, without the constant N S/2 ln 2 pi; infinite if a covariance is not
+        positive definite."""
         with np.errstate(all="ignore"):
             total = float(0.5 * np.sum(self.residuals * self.residuals) + np.sum(self.logarithms))
         return total if math.isfinite(total) else math.inf
@@ -219,8 +222,8 @@ class ProcessLikelihood:
     ) -> FittedProcess:
         """Return `model` with the constants of the equations `free` and its noise fitted by damped Fisher scoring.
 
-        The fit ends when a step promises or gains less than `settled` nats, or when the next step does not promise a
-        misfit below `limit`.
+        The fit ends when the predicted or the actual gain of a step is less than `settled` nats, or when the predicted
+        misfit after the next step is not below `limit`.
         """
         return minimize(_LikelihoodFit(self, model, free, settled, limit))
 

@@ -3,8 +3,8 @@
 `simulate_ensemble` starts all paths in the first measured state; `simulate_stationary_density` starts them in measured
 states and simulates until the density no longer changes.
 
-Doubtful: one ensemble, from one initial state, does not test the law; it is a picture for the reader. Densities agree
-also for a wrong law with the same stationary density.
+Doubtful: one ensemble, from one initial state, does not test the law; it is only an illustration. Densities also agree
+for a wrong law with the same stationary density.
 """
 
 from typing import Final
@@ -59,18 +59,18 @@ def simulate_stationary_density(
 ) -> dict[str, Density] | None:
     """Return the stationary density of paths from measured states, and the measured density, by state.
 
-    None if the paths do not become stationary, or if there are inputs. `overlap` is the integral of the smaller of both
-    densities.
+    None if the paths do not become stationary, or if there are inputs. `overlap` is the integral of the smaller of the
+    two densities.
     """
     if process.inputs:
         return None
-    seen = steps.points[: len(process.states)]
-    chosen = simulator.random.integers(0, seen.shape[1], PATHS)
-    paths = settled_paths(simulator, seen[:, chosen], np.zeros(0), float(np.median(steps.lengths)))
+    measured_states = steps.points[: len(process.states)]
+    chosen = simulator.random.integers(0, measured_states.shape[1], PATHS)
+    paths = settled_paths(simulator, measured_states[:, chosen], np.zeros(0), float(np.median(steps.lengths)))
     if paths is None:
         return None
-    density = density_of(process.states, paths, seen)
-    measured = histograms(seen, density.edges)
+    density = density_of(process.states, paths, measured_states)
+    measured = histograms(measured_states, density.edges)
     overlap = (np.minimum(density.density, measured) * np.diff(density.edges, axis=1)).sum(axis=1)
     return {
         state: Density(

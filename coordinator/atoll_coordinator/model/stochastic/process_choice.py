@@ -5,14 +5,14 @@ log-likelihood of all steps, the prices of the programs, and half the logarithm 
 constant. `ProcessChoice.choose` starts with Brownian motion and exchanges one equation at a time: candidates come from
 regression given the present model (`candidate_regression`) and are fitted by the likelihood, while the other equations
 stay fixed. Then all equations are fitted together. This is repeated until no equation is exchanged. A covariance of two
-noises may become zero, and so may a variance: the state then has no noise of its own, and its equation is an ordinary
-differential equation.
+noises may become zero. A variance may become zero as well: the state then has no noise of its own, and its equation is
+an ordinary differential equation.
 
 At the end, the equations are also fitted to the rows as steps of the Euler-Maruyama method, by which many tables were
 computed. This discretisation is chosen if its description is shorter by a clear margin.
 
-Doubtful: exchanging one equation at a time can end in a local optimum, above all for drift and diffusion of the same
-state. The first candidates depend on the poor model at the start.
+Doubtful: exchanging one equation at a time can end in a local optimum, especially for drift and diffusion of the same
+state. The first candidates depend on the initial model, which fits badly.
 """
 
 import math
@@ -39,23 +39,23 @@ from atoll_core.expression.restrictions import Restrictions, restrictions_of
 from atoll_core.expression.writing.expansion import form_of
 
 _LINEARISATIONS: Final = 2
-"""Number of linearisations of a process about the states that it smooths. After two, its constants change by less than
-1/100 of their standard errors."""
+"""Number of linearisations of a process about its smoothed states. After two linearisations, its constants change by
+less than 1/100 of their standard errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class ChosenProcess:
     """The law of a process: `fitted`, with all constants free except in known equations.
 
-    `variables` are the names of the equations, in their order. `sought` are the indices of equations that are not
-    known. `free` are the indices of equations with constants to fit; a component of the diffusion that is zero has
-    none. Each equation has `alternatives` and obeys its `restrictions`. The description is longer by
+    `variables` are the names of the equations, in their order. `searched` are the indices of equations that are not
+    known. `free` are the indices of equations with fitted constants; a component of the diffusion that is zero has no
+    constants. Each equation has `alternatives` and obeys its `restrictions`. The description is longer by
     `discretisation_nats` with the other discretisation. `is_stopped`: the time limit ended the choice.
     """
 
     process: ProcessRecording
     variables: tuple[str, ...]
-    sought: tuple[int, ...]
+    searched: tuple[int, ...]
     free: tuple[int, ...]
     likelihood: ProcessLikelihood
     fitted: FittedProcess
@@ -80,7 +80,7 @@ class ProcessChoice:
         self._likelihood = ProcessLikelihood(self._steps, restrictions=self._restrictions)
         self._finder = CandidateFinder(self._steps, dataset.names, self._variables, config, deadline)
         known = [name for name, candidate_set in candidates.items() if candidate_set.known is not None]
-        self._sought = tuple(k for k, name in enumerate(self._variables) if name not in known)
+        self._searched = tuple(k for k, name in enumerate(self._variables) if name not in known)
         self._starts: dict[int, list[Program]] = {}
         self._alternatives: list[list[MeasuredProgram]] = [[] for _ in self._variables]
 
@@ -91,12 +91,12 @@ class ProcessChoice:
         alternatives = tuple(map(_best_of_each_form, self._alternatives))
         free = self._free_equations(fitted.model)
         return ChosenProcess(
-            self._process, self._variables, self._sought, free, self._likelihood, fitted, alternatives,
+            self._process, self._variables, self._searched, free, self._likelihood, fitted, alternatives,
             self._restrictions, difference, self._deadline.has_cut_short,
         )  # fmt: skip
 
     def _choose_discretisation(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:
-        """Return the law by the discretisation with the shorter description, and by how many nats it is shorter.
+        """Return the law by the discretisation with the shorter description, and the difference of the lengths in nats.
 
         One discretisation may need a term of the diffusion that the other does not need. So equations are exchanged for
         both, unless the likelihood of the same equations already decides.
@@ -113,8 +113,8 @@ class ProcessChoice:
         return fitted, max(-difference, 0.0)
 
     def _total_length(self, fitted: FittedProcess) -> float:
-        """Return the description length of the steps and of all equations that were sought."""
-        programs = [fitted.model.programs[number] for number in self._sought]
+        """Return the description length of the steps and of all equations that were searched."""
+        programs = [fitted.model.programs[number] for number in self._searched]
         constants = sum(
             len(constant_places(fitted.model.programs[number])) for number in self._free_equations(fitted.model)
         )
@@ -125,7 +125,7 @@ class ProcessChoice:
         length = math.inf
         for number_of_round in range(SETTINGS.effort.brief_steps):
             before = length
-            for number in self._sought:
+            for number in self._searched:
                 model, length = self._exchange_equation(
                     model, number, tries_neighbours=tries_neighbours and number_of_round == 0
                 )
@@ -143,7 +143,7 @@ class ProcessChoice:
         """
         model = replace(model, discretisation="Euler-Maruyama")
         for place, (i, j) in enumerate(model.pairs, start=len(model.drift)):
-            if i == j and place in self._sought:
+            if i == j and place in self._searched:
                 without, length = self._set_component_to_zero(model, place)
                 misfits = (self._likelihood.whiten(one).misfit for one in (without, model))
                 if math.isfinite(length) and next(misfits) < next(misfits):
@@ -151,8 +151,8 @@ class ProcessChoice:
         return self._likelihood.fit(model, self._free_equations(model))
 
     def _free_equations(self, model: ProcessModel) -> tuple[int, ...]:
-        """Return the numbers of the equations whose constants are fitted: sought equations that are not zero."""
-        return tuple(number for number in self._sought if not is_zero(model.programs[number]))
+        """Return the numbers of the equations whose constants are fitted: searched equations that are not zero."""
+        return tuple(number for number in self._searched if not is_zero(model.programs[number]))
 
     def _brownian_motion(self) -> ProcessModel:
         """Return the model of Brownian motion: constant drifts and diffusions, except for known equations."""
@@ -172,7 +172,8 @@ class ProcessChoice:
         )
 
     def _refit(self, model: ProcessModel) -> FittedProcess:
-        """Return the model with all its constants fitted; with measurement noise, about the states that it smooths."""
+        """Return the model with all its constants fitted; with measurement noise, the likelihood is linearised about
+        smoothed states."""
         fitted = self._likelihood.fit(model, self._free_equations(model))
         for _ in range(_LINEARISATIONS if any(model.noise) else 0):
             self._likelihood = ProcessLikelihood(
@@ -208,7 +209,8 @@ class ProcessChoice:
         return (without, length_without) if length_without < length else (model, length)
 
     def _measure(self, model: ProcessModel, number: int, program: Program, most: float) -> MeasuredProgram:
-        """Return `program` fitted as one equation of a model, others fixed; the length counts this equation only."""
+        """Return `program` fitted as one equation of a model, with the other equations fixed; the length counts this
+        equation only."""
         restrictions = self._restrictions[number]
         admitted = restrictions.admitted(program)
         if admitted is None:
@@ -237,7 +239,7 @@ class ProcessChoice:
         if i == j:
             for place, pair in enumerate(model.pairs):
                 without = without.with_program(states + place, _constant(0.0)) if i in pair else without
-            free = tuple(state for state in (i,) if state in self._sought)
+            free = tuple(state for state in (i,) if state in self._searched)
             without = self._likelihood.fit(without, free, SETTINGS.selection.least_gain).model
         is_kept = all(
             self._may_be_zero(component)
@@ -248,10 +250,11 @@ class ProcessChoice:
         return without, self._equation_length(misfit, without.programs[number], 0)
 
     def _may_be_zero(self, number: int) -> bool:
-        """Tell whether a component of the diffusion may become zero: it is sought, and its restrictions admit zero."""
+        """Tell whether a component of the diffusion may become zero: its equation is searched, and its restrictions
+        admit zero."""
         restrictions, zero = self._restrictions[number], _constant(0.0)
         is_within = restrictions.bounds is None or is_zero(restrictions.bounds.clipped(zero))
-        return number in self._sought and restrictions.are_kept(zero) and is_within
+        return number in self._searched and restrictions.are_kept(zero) and is_within
 
     def _is_covariance_without_noise(self, model: ProcessModel, number: int) -> bool:
         """Tell whether an equation is the covariance of two noises, and one of these noises is zero."""

@@ -17,8 +17,8 @@ from atoll_core.expression.program import Program
 
 _HALVINGS: Final = 50
 _NEAR: Final = (1e-4, 1e-5)
-"""Distances from a zero, as shares of a line: a pole grows tenfold from the first to the second, a bounded value
-hardly."""
+"""Distances from a zero, as shares of a line: from the first to the second distance, the value near a simple pole grows
+tenfold, and a bounded value hardly changes."""
 _GROWTH: Final = 10.0**0.5
 
 
@@ -47,8 +47,8 @@ def _singular_nodes(program: Program, place: int) -> Iterator[int]:
 
 
 def _factors(program: Program, place: int) -> Iterator[int]:
-    """Yield the factors of a node; at a zero of the node, one factor is zero. An even power itself does not change its
-    sign."""
+    """Yield the factors of a node; at a zero of the node, one factor is zero. Factors are used because an even power
+    does not change its sign at a zero."""
     code = int(program.operators[place])
     left, right = int(program.left[place]), int(program.right[place])
     if code == MULTIPLY:

@@ -38,8 +38,8 @@ SEARCH_SHARE: Final = 0.5
 """Largest share of the time after preparing that the search may take; refining takes about as long."""
 
 STAGNATION_GIVEN: Final = 60
-"""Epochs without improvement after which the search for a given target ends. It is high because targets given as
-columns have no trajectories with which refining could improve an approximate equation."""
+"""Epochs without improvement after which the search for a given target ends. The number is high because targets given
+as columns have no trajectories with which refining could improve an approximate equation."""
 
 STAGNATION_CLEAN: Final = 5
 """Fewest epochs without improvement after which the search for a clean target ends. The number grows with the epochs

@@ -62,7 +62,7 @@ class Breakages:
         self.total += 1
         frames = traceback.extract_tb(error.__traceback__)
         where = f"{frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno}" if frames else "nowhere"
-        sentence = f"{task} broke ({type(error).__name__}: {error})"[:1000] + f" at {where}"
+        sentence = f"{task} failed ({type(error).__name__}: {error})"[:1000] + f" at {where}"
         if config is None:
             sentence += ", which is a bug in Atoll; please report it with the log of the coordinator"
         else:
@@ -70,7 +70,7 @@ class Breakages:
         place = (task, type(error).__name__, where)
         if place not in self._places and len(self._places) < MAX_PLACES:
             self._places.add(place)
-            _LOG.error("broke", extra=fields(task=task), exc_info=error)
+            _LOG.error("internal error", extra=fields(task=task), exc_info=error)
             with contextlib.suppress(Exception):  # an error in recording this must not end the loop
                 self._note(sentence)
         return sentence

@@ -7,8 +7,8 @@ in the same authors' surplus round robin.
 
 A user's *round* is the number of quanta that the user has used up. Users in the lowest round are served first, in the
 order of their arrival. A user who was idle enters the lowest round, behind the users who are in it: idle time gives no
-credit, and an excess stays owed. The lowest round is determined only by users who want more service than they have. A
-user who already has all the service that it can use gets no credit, and owes nothing for service that no other user
+credit, and an excess remains a debt. The lowest round is determined only by users who want more service than they have.
+A user who already has all the service that it can use gets no credit, and owes nothing for service that no other user
 wanted. While such a user is served in an earlier round, the lowest round is one less, so that no user loses the rest of
 a quantum.
 

@@ -6,8 +6,8 @@ is *held*: its islands stop at a checkpoint, and it continues there at its user'
 ordered: jobs that have begun come first, then priority and age decide. A paused job keeps its position in the queue,
 but other jobs are started before it.
 
-A decision takes a time that grows with users times places, and not with the number of waiting jobs. A change of the
-queue takes O(log n) comparisons for n waiting jobs of one user.
+The time of a decision grows with the product of users and places, and not with the number of waiting jobs. A change of
+the queue takes O(log n) comparisons for n waiting jobs of one user.
 """
 
 from bisect import bisect_left, insort
@@ -112,7 +112,7 @@ class JobQueue:
         self._users[entry.user].begun[job] = entry
 
     def take_over(self, job: str) -> None:
-        """Add a job whose search had begun before a restart to the held jobs, until its turn."""
+        """Hold a job whose search had begun before a restart, until its turn."""
         self.begin(job)
         self._entries[job].stage = "held"
 

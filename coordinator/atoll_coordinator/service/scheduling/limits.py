@@ -207,7 +207,7 @@ class TaskTime:
         self._totals[worker, instance] = totals
 
     def begin_day(self, day: int) -> None:
-        """Reset the task time, if it is another day."""
+        """Reset the task time if the day has changed."""
         if day != self._day:
             self._day, self._used = day, defaultdict(float)
 

@@ -1,7 +1,8 @@
 """One archipelago as the coordinator sees it: collector, placement, checkpoints, progress of its workers. Pure.
 
 A checkpoint has three stages. Its states are gathered from the workers. When all states have arrived and the reports of
-all earlier epochs are merged, it is written. When it is durable, `mark_durable` returns the commit that is published.
+all earlier epochs are merged, the checkpoint is written. When it is durable, `mark_durable` returns the commit that is
+published.
 
 A *term* is the number of a placement. A worker of an earlier term may still send reports: they are ignored, because the
 workers of the new term compute the same epochs again from the last durable checkpoint, with the same bits. *Doubts.*
@@ -182,7 +183,8 @@ class Archipelago:
 
         Raises:
             RemoteProtocolError: Its term is unknown, its islands belong to another worker, or its contents are
-            impossible. DivergedError: It contradicts an earlier report.
+                impossible.
+            DivergedError: It contradicts an earlier report.
         """
         if self.cut is not None or self.placement is None or report.term < self.placement.term:
             return False

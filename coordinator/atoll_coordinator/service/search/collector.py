@@ -93,8 +93,8 @@ class Collector:
         `seconds` have passed since the search began.
 
         Raises:
-            DivergedError: A report differs from an earlier report. RemoteProtocolError: There is no such epoch or
-            island; the state has not changed.
+            DivergedError: A report differs from an earlier report.
+            RemoteProtocolError: There is no such epoch or island; the state has not changed.
         """
         if self.cut is not None:
             return False
@@ -119,7 +119,7 @@ class Collector:
         return self.state.epochs > before
 
     def cut_now(self, why: Why) -> None:
-        """End at the last completely reported epoch; unless cancelled, not before the first epoch is complete."""
+        """End the search at the last completely reported epoch; if it is not cancelled, at the first epoch or later."""
         if self.cut is not None:
             return
         if self.state.epochs == 0 and why != "cancelled":

@@ -21,7 +21,7 @@ _UNUSED: Final = (
 
 
 class BlobStore(OpenFile):
-    """The part of the store that holds blobs. Every method is one transaction, unless it says otherwise."""
+    """The part of the store that holds blobs. Every method is one transaction, unless its docstring says otherwise."""
 
     def has_blob(self, digest: str) -> bool:
         """Return whether the blob is stored completely."""

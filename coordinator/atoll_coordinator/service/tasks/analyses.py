@@ -1,7 +1,7 @@
 """Questions about the results of ended jobs, and their answers. Pure.
 
-An answer is a pure function of the stored result, so it need not be stored. It is kept in memory while clients ask for
-it, and computed again when a client asks later.
+An answer is a pure function of the stored result, so it need not be stored. The answer is kept in memory while clients
+ask for it, and computed again if a client asks later.
 """
 
 import hashlib

@@ -209,7 +209,7 @@ class Background:
                     former = self._store.keep_prepared(made.job, made.data, made.encoded)
                     done = replace(done, outcome=replace(made, data=b"", former=former))
                 return replace(done, result=unread)
-            except Exception as error:  # the loop raises it: a StoreError ends the coordinator, another error the job
+            except Exception as error:  # the loop raises it; any error but a StoreError ends only the job
                 return ResultRead(unread, error=error)
 
         self._act(lambda: self._post(read()))

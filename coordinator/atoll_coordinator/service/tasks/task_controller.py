@@ -47,8 +47,8 @@ HELP_AFTER_S: Final = 1.0
 """Seconds after which a running task gets helpers; the process of a helper takes about this time to start."""
 
 SETTLED_S: Final = 2.5
-"""Seconds after a lease from which heartbeats must show the task; otherwise the lease was lost. Heartbeats are sent
-once a second."""
+"""This number of seconds after a lease, heartbeats must show the task; otherwise the lease was lost. Heartbeats are
+sent once a second."""
 
 
 @dataclass(slots=True)
@@ -443,15 +443,15 @@ class TaskController:
         if task.is_analysis:
             self.analyses.fail(
                 task.id,
-                f"the analysis broke ({why}); repeat it on the saved result, and report the error with this file",
+                f"the analysis failed ({why}); repeat it on the saved result, and report the error with this file",
             )
             self._forget_unused_inputs(task.job)
             return
         to_send = ask_for_report(self._configs.pop(task.id), is_certain=failure == "error")
         if task.function == "prepare":
-            self.post(PreparationFailed(task.job, "internal", f"preparing the data broke ({why}){to_send}"))
+            self.post(PreparationFailed(task.job, "internal", f"preparing the data failed ({why}){to_send}"))
             return
-        warning = f"Refining broke ({why}); equations are as the search found them{to_send}."
+        warning = f"Refining failed ({why}); equations are as the search found them{to_send}."
         self.post(RefiningFailed(task.job, Refinement(warnings=(warning,), end="not refined")))
 
     def _end(self, task: Task) -> None:

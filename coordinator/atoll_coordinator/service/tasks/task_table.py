@@ -171,7 +171,7 @@ class TaskTable:
     def lose(self, worker: str, now: float, *, had_left: bool = False) -> list[tuple[Task, str | None]]:
         """Record that a worker is lost; return its tasks, each with the reason of its failure (None: it waits again).
 
-        A worker that `had_left` had announced its end. So no task caused the loss, and it does not count.
+        A worker that `had_left` had announced its end. So no task caused the loss, and the loss does not count.
         """
         lost: list[tuple[Task, str | None]] = []
         for task in tuple(self._tasks.values()):
@@ -287,7 +287,7 @@ def plan_leases(
     helped.sort(key=lambda task: (len(task.helpers), task.waiting_since))
     idle_slots = [slot for slot in left if slot.helps is None]
     if len(idle_slots) == 1 and len(helped) == 1 and helped[0].threads > 1 and busy_hosts[idle_slots[0].host]:
-        return made  # a second thread of the task uses this core, which needs no messages
+        return made  # a second thread uses this core: unlike a helper, it needs no messages
     while idle_slots and helped:
         for task in helped:
             if idle_slots:

@@ -229,7 +229,7 @@ class Membership:
         return available is None or available >= needed
 
     def is_lost(self, worker: str) -> bool:
-        """Return whether a worker is unknown, lost or hung, so that it does not compute its islands."""
+        """Return whether a worker is unknown, lost or hung. Such a worker does not compute its islands."""
         member = self._members.get(worker)
         return member is None or member.state in ("lost", "hung")
 

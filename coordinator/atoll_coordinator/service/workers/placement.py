@@ -244,8 +244,8 @@ def spread(
     Args:
         islands: number of islands.
         load: number of islands of each worker; a missing worker has none.
-        workers: at least one, names unique.
-        preferred: workers that come first among equally loaded ones.
+        workers: Unique names of workers, at least one.
+        preferred: Workers that come first among equally loaded workers.
     """
     order = sorted(workers, key=lambda worker: (load.get(worker, 0), worker not in preferred, worker))
     return tuple(order[island % len(order)] for island in range(islands))

@@ -124,7 +124,7 @@ def test_what_breaks_is_said_and_the_thread_goes_on(compute: ComputeThread, resu
     compute.run(task(key(8)))
     result = results.get(timeout=LIMIT_S)
     assert isinstance(result, Broken)
-    assert "island 8 of x broke in epoch 0" in result.sentence
+    assert "island 8 of x failed in epoch 0" in result.sentence
     assert "no such epoch" in result.sentence
     compute.run(task(key(0)))
     assert isinstance(results.get(timeout=LIMIT_S), EpochComputed)

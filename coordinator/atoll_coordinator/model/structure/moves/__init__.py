@@ -1,6 +1,6 @@
 """Structural moves: programs that differ from a program at a single node, simplified, each structure once.
 
-`replacement` puts an expression in the place of a node, and the other moves use it; `reductions` leave parts
-out, `neighbours` exchange one, `extensions` add a small part or, as leaps, larger ones. The constants of the
-results are not fitted yet.
+`replacement` replaces a node by an expression; the other modules use it. `reductions` remove parts, `neighbours`
+exchange a part, and `extensions` add a small part, or larger parts (leaps). All results are collected: written as sums
+of products. Their constants are not fitted yet.
 """

@@ -28,13 +28,13 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
     """Yield programs that differ from `program` by a small part at one node, collected; each structure once.
 
     A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
-    and a constant c that makes the new part small compared with n, in any units; Larger changes are n sin v and n/sin
+    and a constant c that makes the new part small compared with n, in any units. Larger changes are n sin v and n/sin
     v. Cosines are treated like sines. Only allowed `operators` (codes) are added. Constants are not fitted yet.
 
     Args:
         program: a program with as many variables as `scales`.
         scales: the size of each variable; 0 for variables that may not be used.
-        operators: codes of operators that may be brought in.
+        operators: codes of the operators that may be added.
     """
     nodes = _with_own_leaves(program.nodes())
     sizes = _sizes(nodes, scales)
@@ -44,13 +44,13 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
 def further_terms(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
     """Yield the sums of `program` and one more term, collected; each structure once, linear terms first.
 
-    With variables v and w and a constant c, a term is c v, then c, then c v w. The constant makes it small next to the
-    program, in any units.
+    With variables v and w and a constant c, a term is c v, then c, then c v w. The constant makes the term small
+    compared with the program, in any units.
 
     Args:
         program: a program with as many variables as `scales`.
         scales: the size of each variable; 0 for variables that may not be used.
-        operators: codes of operators that may be brought in.
+        operators: codes of the operators that may be added.
     """
     nodes = _with_own_leaves(program.nodes())
     root, size = len(nodes) - 1, _sizes(nodes, scales)[-1]
@@ -70,7 +70,7 @@ def _terms(node: int, scales: Sequence[float], size: float) -> Iterator[Expressi
 
 
 def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
-    """Yield the few programs, collected, that need many fit steps before they fit well; each structure once.
+    """Yield a few larger changes of a program, collected, whose fits need many steps; each structure once.
 
     A variable is replaced by its sine or cosine; a sine or cosine by the first terms of its Taylor series, with new
     constants. Only allowed `operators` (codes) are added.
@@ -152,7 +152,8 @@ def _with_own_leaves(nodes: list[Node]) -> list[Node]:
 
 
 def _leaps_at(nodes: list[Node], index: int) -> Iterator[Expression]:
-    """Yield the sine and the cosine of a variable; the beginnings of the Taylor series of a sine and of a cosine."""
+    """Yield the sine and the cosine for a variable; yield the first terms of the Taylor series for a sine or a
+    cosine."""
     code, u, *_ = nodes[index]
     if code == VARIABLE:
         yield from ((function, index) for function in (SIN, COS))

@@ -1,4 +1,5 @@
-"""Neighbours: programs with one node exchanged. A search that stops near the best description may have missed them."""
+"""Neighbours: programs with one node exchanged. A search that stops near the shortest description may have missed these
+programs."""
 
 from collections.abc import Collection, Iterator
 from typing import Final

@@ -14,9 +14,9 @@ _NEUTRAL: Final = (0.0, 1.0, -1.0)
 def reductions(program: Program) -> Iterator[Program]:
     """Yield smaller programs, collected, constants not fitted yet; each structure once, from the output down.
 
-    An operator is replaced by an argument or a constant, a constant by 0, 1 or -1; a factor that two terms share is
-    taken out of their sum; the cosine of a multiple becomes a square; a constant and a quotient become one quotient; a
-    factor c + u with a constant c is multiplied out as 1 + u.
+    An operator is replaced by an argument or a constant, a constant by 0, 1 or -1; a common factor of two terms is
+    factored out; the cosine of a multiple becomes a square; the sum of a constant and a quotient becomes one quotient;
+    a factor c + u with a constant c is multiplied out as 1 + u.
     """
     nodes = program.nodes()
     known = {structure(program)}
@@ -55,7 +55,7 @@ def _reductions_at(nodes: list[Node], index: int) -> Iterator[Expression]:
 
 
 def _expansions(nodes: list[Node], index: int, constant: int | None = None) -> Iterator[Expression]:
-    """Yield a + a u for a product a (c + u), and likewise for differences, as if the `constant` c were 1; None: any
+    """Yield a + a u for a product a (c + u), and likewise for differences: the `constant` c is set to 1. None: any
     constant."""
     _, left, right, _ = nodes[index]
     for factor, other in dict.fromkeys(((left, right), (right, left))):
@@ -69,9 +69,10 @@ def _expansions(nodes: list[Node], index: int, constant: int | None = None) -> I
 
 
 def multiply_out(program: Program, constant: int) -> Iterator[Program]:
-    """Yield programs in which a product with a sum that contains this constant is multiplied out, as if it were 1.
+    """Yield programs in which a product with a sum that contains this constant is multiplied out, with the constant set
+    to 1.
 
-    They have one constant less: b (y - x**2 y) instead of b y (c - x**2).
+    These programs have one constant less: b (y - x**2 y) instead of b y (c - x**2).
     """
     nodes = program.nodes()
     for index, (code, *_) in enumerate(nodes):
@@ -80,9 +81,8 @@ def multiply_out(program: Program, constant: int) -> Iterator[Program]:
 
 
 def _saturations(nodes: list[Node]) -> Iterator[dict[int, Expression]]:
-    """Yield replacements that make a sum with a constant k and a quotient a/(b + u) into k u/(b + u).
-
-    Likewise for a/(b - u). They are equal if k b = -a.
+    """Yield replacements of the sum of a constant k and a quotient a/(b + u) by k u/(b + u), and likewise for a/(b -
+    u). Both expressions are equal if k b = -a.
     """
     added = [
         place

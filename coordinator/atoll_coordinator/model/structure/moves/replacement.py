@@ -54,7 +54,7 @@ def replace_each(
 def cofunctions(code: int, argument: Node) -> Iterator[Expression]:
     """Yield replacements of the sine or cosine of a sum or a product: its cofunction, its negative, or a square.
 
-    For sin(u + pi/2) = cos u, sin(u + pi) = -sin u, and cos 2u = 2 cos^2 u - 1.
+    The reasons are sin(u + pi/2) = cos u, sin(u + pi) = -sin u, and cos 2u = 2 cos^2 u - 1.
     """
     kind, *parts, _ = argument
     for part in parts:

@@ -18,7 +18,7 @@ from atoll_coordinator.model.description_length import system_length
 from atoll_coordinator.model.inference import conclusion, final_model, trajectory_checks
 from atoll_coordinator.model.inference.conclusion import _odds_without_prices
 from atoll_coordinator.model.inference.final_model import _show_equations, estimate_errors
-from atoll_coordinator.model.inference.trajectory_checks import drop_elaborations, share_of_rate, standard_deviation
+from atoll_coordinator.model.inference.trajectory_checks import drop_larger_equations, share_of_rate, standard_deviation
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.model.refinement import Alternative, Refinement
@@ -197,7 +197,7 @@ def test_the_deviation_is_that_of_what_was_measured_and_counts():
 def test_an_elaboration_of_the_equation_is_no_rival():
     programs = [DECAY.parsed(text) for text in ("-0.5*x", "-0.5*x + 0.1", "-0.4*sin(x)", "-0.5*x")]
     shown, *others = (Alternative(program, 1.0, 0.9, is_shown=not rank) for rank, program in enumerate(programs))
-    assert drop_elaborations(1, [shown, *others]) == others[1:]
+    assert drop_larger_equations(1, [shown, *others]) == others[1:]
 
 
 def test_fitted_constants_have_intervals_around_them(noisy):

@@ -18,7 +18,7 @@ from atoll_coordinator.model.inference.prediction import (
     compare_predictions,
     draw_systems,
 )
-from atoll_coordinator.model.shooting.points_between import _far_apart, _latin_hypercube
+from atoll_coordinator.model.shooting.points_between import _choose_far_apart, _latin_hypercube
 from atoll_coordinator.model.shooting.system import system_of
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.shooting.made import (
@@ -484,8 +484,8 @@ def test_draws_have_the_covariance_that_they_are_given():
 
 
 def test_points_far_apart_are_as_far_from_those_before_as_any():
-    assert _far_apart(np.array([[0.0], [1.0], [10.0], [4.0]]), 3) == [0, 2, 3]
-    assert _far_apart(np.zeros((5, 2)), 3) == [0]
+    assert _choose_far_apart(np.array([[0.0], [1.0], [10.0], [4.0]]), 3) == [0, 2, 3]
+    assert _choose_far_apart(np.zeros((5, 2)), 3) == [0]
 
 
 # ------------------------------------------------------------------------------- leaving the measured range

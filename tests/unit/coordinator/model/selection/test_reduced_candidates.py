@@ -23,7 +23,7 @@ def test_a_law_is_found_in_a_longer_candidate():
     law = selection.comparison.fit_model([parsed("0.8*h**0.75 - 1.5*h*h*h")])
     long = parsed("0.9*h**0.7 - 1.45*h**3.03 - 0.01*sin(h)")
     assert selection.comparison.score.length(long) > selection.comparison.score.length_limit(selection.model, 0)
-    found = looked_again("candidates less one part", replace(selection, lists=[[long]]))
+    found = looked_again("candidates with one part removed", replace(selection, lists=[[long]]))
     assert found.model.nats == pytest.approx(law.nats, abs=1e-3)
     assert found.model.nats < selection.model.nats
 
@@ -32,4 +32,4 @@ def test_what_is_no_better_changes_nothing():
     selection = selected(POWERS, "0.8*h**0.75 - 1.5*h*h*h")
     lists = [[parsed("0.4 - 0.5*h*h + sin(h)*h**1.3 - cos(h*h)")]]
     selection = replace(selection, lists=lists)
-    assert looked_again("candidates less one part", selection) is selection
+    assert looked_again("candidates with one part removed", selection) is selection

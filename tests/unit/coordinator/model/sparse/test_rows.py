@@ -6,7 +6,7 @@ from scipy.integrate import quad
 
 from atoll_coordinator.model.sparse.atoms import product_atoms
 from atoll_coordinator.model.sparse.many_variables import _short_windows, _weights, window_rows
-from atoll_coordinator.model.sparse.rows import MeasuredRows, _stretches, rate_rows, weak_rows
+from atoll_coordinator.model.sparse.rows import MeasuredRows, _select_blocks, rate_rows, weak_rows
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.sparse.enzyme import NAMES, prepared
 
@@ -59,17 +59,17 @@ def test_the_variance_is_that_of_what_the_law_leaves():
 
 @pytest.mark.parametrize("lengths", [[100_000], [30_000, 10], [100] * 500])
 def test_stretches_spread_over_all_trajectories_stand_for_very_many_rows(lengths):
-    stretches = _stretches(lengths)
-    rows, ends = sum(end - first for first, end in stretches), np.cumsum(lengths)
+    block_ranges = _select_blocks(lengths)
+    rows, ends = sum(end - first for first, end in block_ranges), np.cumsum(lengths)
     assert SETTINGS.rows.in_sums / 2 < rows <= SETTINGS.rows.in_sums
     assert all(
-        np.searchsorted(ends, first, "right") == np.searchsorted(ends, end - 1, "right") for first, end in stretches
+        np.searchsorted(ends, first, "right") == np.searchsorted(ends, end - 1, "right") for first, end in block_ranges
     )
-    assert stretches[-1][1] > 0.9 * sum(lengths)
+    assert block_ranges[-1][1] > 0.9 * sum(lengths)
 
 
 def test_of_few_rows_trajectories_are_whole():
-    assert _stretches([5_000, 15_000]) == [(0, 5_000), (5_000, 20_000)]
+    assert _select_blocks([5_000, 15_000]) == [(0, 5_000), (5_000, 20_000)]
 
 
 def test_weights_integrate_cubics_times_the_test_function():

@@ -208,7 +208,7 @@ def test_a_broken_task_asks_for_a_report() -> None:
     (refined,) = [item for item in scene.posted if isinstance(item, RefiningFailed)]
     (warning,) = refined.refinement.warnings
     assert refined.refinement.end == "not refined"
-    assert "Refining broke (it broke, twice); equations are as the search found them" in warning
+    assert "Refining failed (it broke, twice); equations are as the search found them" in warning
     assert all(part in warning for part in (f"Atoll {VERSION}", "seed 3", "command", "to_csv"))
     assert "a bug in Atoll" in warning
     scene = Scene("w0")
@@ -216,7 +216,7 @@ def test_a_broken_task_asks_for_a_report() -> None:
     for _ in range(2):
         scene.fail("w0", failure="crash")
     (failed,) = scene.posted
-    assert "preparing the data broke (it broke, twice)" in failed.sentence
+    assert "preparing the data failed (it broke, twice)" in failed.sentence
     assert f"Atoll {VERSION}" in failed.sentence
 
 
