@@ -1,15 +1,16 @@
-"""The library for users, and the command line ``coordinator``, which is a user of it.
+"""The library for users, and the command line ``coordinator``, which uses the library.
 
-``api`` finds equations (`discover`, `submit`, `Discoverer`, `Regressor`) through ``client``; ``model`` is what users
-hold of a model that was found, ``analysis`` what its dynamics are, ``experiments`` what data it needs, ``export`` what
-other programs read of it, ``display`` its notations and pictures, ``report`` the page that shows it, ``text`` what
-terminals show; ``workers`` starts workers on clusters of Dask and Ray; ``cli`` is the command line.
+``api`` finds equations (`discover`, `submit`, `Discoverer`, `Regressor`) through ``client``. ``model`` has the model of
+a result. ``analysis`` computes its dynamics, ``experiments`` suggests measurements for it, and ``export`` writes it for
+other programs. ``display`` has notations and pictures of a model, ``report`` writes the HTML page of a result, ``text``
+writes a result as text, and ``terminal`` prints on terminals. ``tasks`` has the tasks of workers. ``workers`` starts
+workers on clusters of Dask and Ray. ``cli`` is the command line.
 
-It stands above `atoll_coordinator`, which stands above `atoll_core`. Nothing is loaded before it is first used.
+This package imports `atoll_coordinator`, which imports `atoll_core`. Nothing is loaded before its first use.
 """
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # named so, because `typing` takes its time: the command line has to meet Ctrl-C as soon as it can
+if TYPE_CHECKING:  # not from `typing`, which loads slowly: Ctrl-C must be handled soon after the start
     from atoll.api.discover import discover, submit
     from atoll.api.discoverer import Discoverer
     from atoll.api.model import Model
@@ -26,7 +27,7 @@ _PUBLIC = {
     "Discoverer": "atoll.api.discoverer",
     "Regressor": "atoll.api.regressor",
 }
-"""What users import, by the module that has it, which is imported when it is first asked for."""
+"""The module of each public name; a module is imported when one of its names is first used."""
 
 
 def __getattr__(name: str) -> object:

@@ -5,8 +5,10 @@ import signal
 
 
 def main() -> None:
-    """Run the program; Ctrl-C ends it without a traceback, as soon as it is here."""
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # raised within an import it may be lost
+    """Run the program; from here on, Ctrl-C ends it without a traceback."""
+    if (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    ):  # an exception raised during an import may be lost
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
     try:
         from atoll_core.main_program import run_program

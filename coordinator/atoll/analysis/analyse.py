@@ -46,7 +46,8 @@ def analyse(
     measured: Sequence[MeasuredTrajectory] = (),
     vary: tuple[str, tuple[float, float]] | None = None,
 ) -> Analysis:
-    """Return the dynamics of `field` in `box`. Every part has a limited number of steps and reports what it covered.
+    """Return the dynamics of `field` in `box`. Every part has a limited number of steps and reports the extent of its
+    search.
 
     The `inputs` (U,) are constant, by default 0. The model is compared with the `measured` trajectories. `vary` is the
     name of a parameter, in the form for `Coefficients.find`, and its range. Raises UsageError for more than

@@ -36,7 +36,7 @@ from atoll.terminal.output import attributes, plain
 SCHEMA: Final = 1
 
 CODES: Final[Mapping[int, str]] = {UNDECIDED: "undecided", RUNS_AWAY: "runs away", NO_VALUE: "no value"}
-"""How simulations end that reach no attractor, in the order in which they are listed."""
+"""The ends of simulations that reach no attractor, in the order of the text."""
 
 _ENDINGS: Final = {
     UNDECIDED: "reach no attractor within the simulated time",

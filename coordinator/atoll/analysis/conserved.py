@@ -42,8 +42,8 @@ _ANGLE_POINTS: Final = 16
 """Number of points at which the slopes of an angle are compared."""
 
 _FACTORS: Final = (2.0**-40, 2.0**-20, 1.0, 2.0**20, 2.0**40)
-"""Scales of the further boxes. A linear term that is a millionth of a quadratic one in one box equals it in the next
-box, and `TOLERANCE` is far below a millionth."""
+"""Scales of the further boxes. If a linear term is a millionth of a quadratic term in one box, both are equal in the
+next box; `TOLERANCE` is far below a millionth."""
 
 _LEAST_SHARE: Final = 1e-7
 """Smallest coefficient, relative to the largest one. Elimination yields smaller numbers instead of 0."""
@@ -212,7 +212,7 @@ def _null_space(derivatives: Sequence[_LieDerivatives], units: FloatArray) -> Fl
 
 
 def _refine(derivatives: Sequence[_LieDerivatives], vector: FloatArray) -> FloatArray:
-    """Return a combination whose small coefficients are as precise as its large ones: they matter in other boxes."""
+    """Return the combination with more precise small coefficients, because these matter in boxes of other sizes."""
     terms = np.flatnonzero(vector)
     parts = [replace(part, along=part.along[:, terms], sizes=part.sizes[:, terms]) for part in derivatives]
     null = _null_space(parts, np.abs(vector[terms]))
@@ -224,7 +224,7 @@ def _refine(derivatives: Sequence[_LieDerivatives], vector: FloatArray) -> Float
 
 
 def _echelon(rows: FloatArray) -> FloatArray:
-    """Return the reduced echelon form of `rows`, eliminated from the last column on: the simplest functions stay."""
+    """Return the reduced echelon form of `rows`, eliminated from the last column on, to keep the simplest functions."""
     rows = rows.copy()
     done = 0
     for column in range(rows.shape[1] - 1, -1, -1):

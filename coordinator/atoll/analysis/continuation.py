@@ -39,7 +39,7 @@ _COMPARED_POINTS: Final = 32
 """Number of points at which a term is compared with the derivative with respect to a constant."""
 
 _SAME_FUNCTION: Final = 1e-9
-"""Largest relative difference of both if they are the same function: rounding."""
+"""Largest relative difference between both if they are the same function: rounding errors."""
 
 _SHORTEST: Final = 1e-6
 """Shortest step along a curve."""
@@ -331,7 +331,7 @@ def _length(step: FloatArray) -> float:
 
 
 def _find_special_points(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
-    """Return the special points between two points, each with its kind: there a test changes its sign.
+    """Return the special points between two points, each with its kind. At a special point a test changes its sign.
 
     At a branch point the test for a fold may also change its sign, but this is not a fold.
     """

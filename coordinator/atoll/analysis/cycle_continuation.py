@@ -1,8 +1,8 @@
 """Branches of limit cycles as one parameter varies, from Hopf points and from known cycles.
 
-An orbit is the solution of a boundary value problem, found by collocation. Time runs from 0 to 1 along the orbit. A
-mesh divides it into N intervals. On each interval the orbit is a polynomial that satisfies the equations at M Gauss
-points. The error at the mesh falls with the power 2 M of the interval length (Ascher, Mattheij and Russell 1995,
+An orbit is the solution of a boundary value problem, found by collocation. Time runs from 0 to 1 along the orbit, and a
+mesh divides this range into N intervals. On each interval the orbit is a polynomial that satisfies the equations at M
+Gauss points. The error at the mesh falls with the power 2 M of the interval length (Ascher, Mattheij and Russell 1995,
 section 5.4). The linear system of a Newton step is condensed to the states at the mesh, as in AUTO (Doedel, Keller and
 Kernévez 1991). The product of the condensed matrices along the orbit is the monodromy matrix. An integral condition
 fixes the phase (ibid.).
@@ -73,7 +73,7 @@ LONGEST: Final = 0.05
 """Longest step along a branch, in ranges of the parameter, widths of the box, and shares of the period."""
 
 _LONGEST_PERIOD: Final = 100.0
-"""Longest period of a branch, in first periods of this branch: near a homoclinic orbit, periods grow without bound."""
+"""Longest period of a branch over its first period: near a homoclinic orbit, periods grow without bound."""
 
 PERIOD_DOUBLING: Final = "period doubling"
 TORUS: Final = "torus"
@@ -442,7 +442,7 @@ class _CycleCurve:
         tangent = tangent / np.sqrt(tangent @ tangent)
         if not np.isfinite(tangent).all():
             return None
-        # the tangent points in the direction of `before`: either of them as row gives the same sign of the determinant
+        # the tangent points in the direction of `before`, so the determinant has the same sign with either row
         tests = {FOLD: float(tangent[-1]), BRANCH_POINT: factors.scaled_determinant}
         tests |= _multiplier_tests(linearised.monodromy)
         return _CycleOnCurve(z, tangent, tests, self._orbit(z), float(np.exp(z[-2])), linearised)

@@ -24,14 +24,14 @@ ROWS: Final = 2000
 """Number of rows of a simulation that is compared with a measured trajectory."""
 
 _FEWEST_GAPS: Final = 2
-"""Smallest number of gaps between rises through the mean for a period: two, so that their spread is known."""
+"""Smallest number of intervals between upward crossings of the mean for a period; their spread needs two."""
 
 _ORBIT_DURATIONS: Final = 8.0
 """Duration of the simulation that finds the period of a closed orbit, in durations of the measured trajectory. If the
 trajectory is half a turn, the simulation has four turns."""
 
 _LARGEST_SPREAD: Final = 0.2
-"""Largest standard deviation of the gaps, as a share of their mean, of a regular oscillation: twice `_EQUAL`."""
+"""Largest standard deviation of these intervals, as a share of their mean, in a regular oscillation: twice `_EQUAL`."""
 
 _EQUAL: Final = 0.1
 """Relative difference up to which periods and amplitudes count as equal."""
@@ -54,8 +54,8 @@ class MeasuredTrajectory:
 class Motion:
     """The motion along a trajectory: `amplitudes` (D,) are half the ranges of the states in its second half.
 
-    `period` is the median time between rises through the mean. `phases` (D,) are the delays of the states relative to
-    the first state, as shares of a period. Both are None if the trajectory does not oscillate regularly.
+    `period` is the median time between upward crossings of the mean. `phases` (D,) are the delays of the states
+    relative to the first state, as shares of a period. Both are None if the trajectory does not oscillate regularly.
     """
 
     amplitudes: FloatArray
@@ -234,9 +234,9 @@ def motion(times: FloatArray, states: FloatArray) -> Motion:
 
 
 def _period(times: FloatArray, values: FloatArray) -> float | None:
-    """Return the median time between rises of `values` (n,) through the mean; None if they are irregular or too few.
+    """Return the median time between upward crossings of the mean by `values` (n,); None if irregular or too few.
 
-    A rise counts only if the values were well below the mean before it.
+    A crossing counts only if the values were well below the mean before it.
     """
     mean, spread = float(values.mean()), 0.3 * float(values.std())
     rises, is_low = [], False

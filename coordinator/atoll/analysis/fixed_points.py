@@ -49,7 +49,8 @@ _SINGULAR: Final = 1e-4
 """Smallest singular value of a Jacobian, as a share of the largest, below which it counts as singular."""
 
 MOST_POINTS: Final = 100
-"""Largest number of distinct points. More points belong to a curve or a surface, and this number is enough for it."""
+"""Largest number of distinct points. More points only occur on a curve or a surface, for which this number is
+enough."""
 
 _SMALLEST_DISTANCE: Final = 1e-5
 """Smallest distance of distinct points, in widths of the box."""
@@ -86,7 +87,7 @@ MOST_SETS: Final = 10
 
 _NEIGHBOUR: Final = 0.01
 """Distance, in widths, at which neighbours of a point are searched. Half the distance is searched too: a curve has
-neighbours at both."""
+neighbours at both distances."""
 
 _STEP: Final = 0.02
 """Distance of consecutive points of a curve, in widths."""
@@ -95,7 +96,7 @@ _MOST_CURVE_STEPS: Final = 400
 """Largest number of steps along a curve in each direction."""
 
 _CURVE_DISTANCE: Final = 2e-3
-"""Largest distance, in widths, of a point that belongs to a followed curve: the chords of a curve are more accurate."""
+"""Largest distance, in widths, between a followed curve and a point on it: the chords of a curve are more accurate."""
 
 _EXAMPLES: Final = 9
 """Number of points of a curve or a surface that are classified."""
@@ -142,7 +143,7 @@ class FixedSet:
 
     @property
     def is_straight(self) -> bool:
-        """Whether a curve is a line."""
+        """Whether a curve is a straight line."""
         chord = self.course[-1] - self.course[0]
         size = float(chord @ chord)
         if self.dimension > 1 or not size > 0.0:
@@ -377,7 +378,7 @@ def _eigenvalues(
     """Return the eigenvalues (D,) of the Jacobian `matrix` by descending real part, and the uncertainty of each (D,).
 
     To first order, an error E of the matrix A changes an eigenvalue by y^H E x / y^H x, with its right eigenvector x
-    and left eigenvector y. This has no bound if eigenvectors coincide, but the change is at most about
+    and left eigenvector y. This estimate has no bound if eigenvectors coincide, but the change is at most about
     |A| (|E|/|A|)^(1/D). Eigenvalues within their uncertainty become 0. For k directions `along` a set, the k smallest
     eigenvalues become 0 too.
     """

@@ -51,7 +51,7 @@ _NODES: Final = (
 _ERROR: Final = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
 
 _UNSTABLE: Final = 3.25
-"""Step times largest eigenvalue at the stability boundary of the pair (Hairer and Wanner 1996, section IV.2)."""
+"""Product of step and largest eigenvalue at the stability boundary (Hairer and Wanner 1996, section IV.2)."""
 
 _STIFF_STEPS: Final = 15
 """Number of steps at the stability boundary after which an initial state counts as stiff (ibid.)."""
@@ -320,7 +320,7 @@ class IntegrationBatch:
     def _accept(
         self, rows: np.ndarray, size: FloatArray, until: float, after: FloatArray, wrong: FloatArray, power: float
     ) -> np.ndarray:
-        """Accept the steps with small errors, and tell which these are (N,); `wrong` (N, D) is error over tolerance."""
+        """Accept the steps with small errors; return which these are (N,). `wrong` (N, D): error over tolerance."""
         with np.errstate(all="ignore"):
             error = np.sqrt(np.mean(wrong**2, axis=1))
             error = np.where(np.isfinite(error), error, 1e10)

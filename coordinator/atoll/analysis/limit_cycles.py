@@ -1,4 +1,4 @@
-"""Limit cycles from long simulations, their first near return to a Poincaré section, and Newton's method.
+"""Limit cycles by Newton's method, from the first near return of long simulations to a Poincaré section.
 
 Newton's method solves phi_T(x) = x and a phase condition for the state x and the period T; phi_T is the flow over the
 time T. The derivative of phi_T is the monodromy matrix, which solves the variational equations (Guckenheimer and Holmes
@@ -72,14 +72,14 @@ _CLOSING_ERROR: Final = 1e-8
 """Largest distance between the ends of a closed cycle, in widths of the box: ten times the integration error."""
 
 _NEUTRAL: Final = 1e-4
-"""A multiplier nearer to 1, or to the unit circle, counts as 1, or as on the circle. The error of a double multiplier
-is the square root of `_CLOSING_ERROR`."""
+"""A multiplier at a smaller distance from 1 (or from the unit circle) counts as 1 (or as on the circle). The error of a
+double multiplier is the square root of `_CLOSING_ERROR`."""
 
 _NEUTRAL_IN_PLANE: Final = 1e-7
 """The same limit for two states, where the multiplier is an integral: a hundred times the integration tolerance."""
 
 _LARGEST_ERROR: Final = 0.01
-"""Largest error of a cycle, as a share of its extent: the closing error over the contraction in a period."""
+"""Largest error of a cycle, as a share of its extent: the closing error divided by the contraction in a period."""
 
 _SMALL_EXTENT: Final = 0.01
 """Extent of an orbit, in widths of the box. Errors of smaller orbits are relative to the box, not to their extent."""
@@ -233,7 +233,8 @@ def _is_at_rest(end: FloatArray, point: FixedPoint, box: Box) -> bool:
 def _first_return(flow: Flow, start: FloatArray, box: Box, longest: float) -> float | None:
     """Return the time of the first near return to the section through `start` (D,); None without a near return.
 
-    The section is orthogonal to the flow. A return is near if its distance is about as small as the smallest one.
+    The section is orthogonal to the flow. A return is near if its distance is about as small as the smallest distance
+    of all returns.
     """
     normal = flow.rates(start) / box.widths
     if not np.isfinite(normal).all() or not np.abs(normal).max() > 0.0:

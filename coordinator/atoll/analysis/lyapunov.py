@@ -38,7 +38,8 @@ class LyapunovSpectrum:
 
     @property
     def is_chaotic(self) -> bool:
-        """Whether the largest exponent exceeds three standard errors, 1 % of the spectrum, and growth by a power.
+        """Whether the largest exponent exceeds three of its standard errors, 1 % of the largest absolute exponent, and
+        the growth rate of a power of time.
 
         Without chaos, errors can grow as a power of time. The largest power is the number of states minus one; on tori
         the power is 1. Chaotic growth must be faster than the largest power.

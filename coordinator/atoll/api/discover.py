@@ -1,4 +1,4 @@
-"""`discover` and `submit`: from data to a model, by a coordinator elsewhere or a local service.
+"""`discover` and `submit` find a model for data, by a coordinator at a given address or by a local service.
 
 A local service is a process (`atoll.api.host`) with a coordinator and workers on this machine. The first call starts
 it, later calls with the same number of workers use it again, and it ends with this interpreter. A fork of this
@@ -99,7 +99,7 @@ class LocalService:
         pipe = self._process.stdout
         if pipe is None or pipe.closed:
             return ""
-        os.set_blocking(pipe.fileno(), False)  # its workers may still hold the other end
+        os.set_blocking(pipe.fileno(), False)  # workers may still have the pipe open: do not wait
         lines = (pipe.read() or b"").splitlines()
         return str(json.loads(lines[-1]).get("error", "")) if lines else ""
 
@@ -143,7 +143,7 @@ _services: Final[dict[int, LocalService]] = {}
 
 
 def local_address(workers: int | None = None) -> str:
-    """Return the address of a local service with this number of workers, which is started if needed.
+    """Return the address of a local service with this number of workers; start the service if needed.
 
     `workers` None: any running service, else a new one with a worker for each usable core.
     """
@@ -193,7 +193,7 @@ _INSTEAD: Final = {"report": "call model.report(path) of the returned model"}
 
 
 class Job:
-    """A submitted job. Each call opens and closes its own connection, so a job needs no close."""
+    """A submitted job. Each call opens and closes its own connection, so a `Job` has no close method."""
 
     def __init__(self, id: str, address: str | Whereabouts, read_as: str = "") -> None:
         """`id` is the id of a job of the coordinator at `address`.

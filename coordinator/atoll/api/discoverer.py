@@ -118,10 +118,10 @@ class Discoverer:
     def predict(
         self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, *, group: object = None
     ) -> FloatArray | list[FloatArray]:
-        """Return the derivatives (N, D) at states (N, D), or a list of arrays for a list; results use radians.
+        """Return the derivatives (N, D) at states (N, D), or a list of arrays for a list.
 
-        Angles are read as in `fit`. `group`: the group whose constants are used; with ``per_trajectory=True``, the
-        number of a trajectory, from 1.
+        Angles in `x` are read as in `fit`; results have radians. `group`: the group whose constants are used; with
+        ``per_trajectory=True``, the number of a trajectory, from 1.
         """
         model = self._of(group)
         if isinstance(x, (list, tuple)) and np.ndim(x[0]) == 2:
@@ -155,7 +155,9 @@ class Discoverer:
         *,
         group: object = None,
     ) -> float:
-        """Return the mean R2 of the derivatives; if `x_dot` is None, they are computed as differences of `x`.
+        """Return the mean R2 of the predicted derivatives.
+
+        They are compared with `x_dot`; if it is None, with finite differences of `x`.
 
         For `group` see `predict`.
         """
@@ -181,7 +183,7 @@ class Discoverer:
 
     def _read(self, rows: FloatArray, names: Sequence[str]) -> FloatArray:
         if len(names) != rows.shape[1]:
-            return rows  # refused later, with the expected number of columns
+            return rows  # a later check refuses it and names the expected number of columns
         columns = read_columns(self._model, dict(zip(names, rows.T, strict=True)))
         return np.column_stack([np.asarray(columns[name]) for name in names])
 

@@ -1,4 +1,4 @@
-"""The program of a local service: the processes of ``coordinator run``, kept for many jobs of one interpreter.
+"""The program of a local service: the same processes as in ``coordinator run``, for many jobs of one interpreter.
 
 It prints its address on stdout as one line of JSON, and ends when its stdin is closed or its parent has ended. Its log
 is an unnamed temporary file.

@@ -75,10 +75,10 @@ if TYPE_CHECKING:
 class Model(ModelCore):
     """The result of a job that has found all equations, with methods to use it.
 
-    The exports (`to_python` and others) take the initial state `x0`, the times `t` and the inputs `u` for the file, as
-    `simulate` does. If `x0` is None, they use the recorded inputs. Inputs without a value are held at 0; functions of
-    time are refused. Each export raises UsageError if the format cannot express the model, or if the initial state or
-    the times are unknown. docs/export.md lists the programs that open each format.
+    The exports (`to_python` and others) take the same initial state `x0`, times `t` and inputs `u` as `simulate`, and
+    write them into the file. If `x0` is None, they use the recorded inputs. Inputs without a value are held at 0;
+    functions of time are refused. Each export raises UsageError if the format cannot express the model, or if the
+    initial state or the times are unknown. docs/export.md lists the programs that open each format.
     """
 
     @overload
@@ -126,8 +126,8 @@ class Model(ModelCore):
         Args:
             x0: the initial state, by name or in order, angles in radians. None: the initial state of the first measured
                 trajectory; its inputs are used unless `u` is given.
-            t: ascending times, the first is the time of `x0`. A number: the last time, and the first measured time is
-                the first. None: the times of the first trajectory.
+            t: ascending times; `x0` is the state at the first time. A number is the last time; the simulation then
+                begins at the first measured time. None: the times of the first trajectory.
             u: inputs by name: numbers, arrays (N,) at the times `t`, or functions of time; or an array (N, U), or a
                 function of time that returns U numbers. Leave out an input that is the time itself.
             has_bands: whether standard errors of the constants, if known, are propagated to 95 % bands.
@@ -174,7 +174,7 @@ class Model(ModelCore):
             x0: the initial state of all paths; None: the measured initial state.
             inputs: held values of inputs, by name; 0 by default.
             paths: the number of paths, at least 2.
-            seed: of the paths.
+            seed: random seed of the paths.
 
         Raises:
             UsageError: the arguments do not fit, or the model has no noise.
@@ -192,8 +192,8 @@ class Model(ModelCore):
 
         Args:
             x: states (N, D), or columns by name (also a frame of pandas or polars); for a regression, inputs (N, U).
-                Columns are read as in the fit, with angles in degrees if these were in degrees; arrays have angles in
-                radians.
+                Columns are read as in the fit: angles are in degrees if the fit read them in degrees. Arrays have
+                angles in radians.
             u: inputs (N, U); None if the model has no inputs, or if `x` holds them by name.
 
         Returns:
@@ -256,10 +256,10 @@ class Model(ModelCore):
     def conf_int(
         self, level: float = LEVEL, method: Literal["stderr", "profile"] = "stderr"
     ) -> dict[str, tuple[float, float] | None]:
-        """Return the confidence interval of each constant at `level`; None if it is unknown.
+        """Return the confidence interval of each constant at `level`; None for an unknown interval.
 
-        It is computed from the standard error, or from the `profile` likelihood, where an end that the data do not
-        bound is infinite.
+        `method`: "stderr" computes intervals from standard errors, "profile" from the profile likelihood. An end of a
+        profile interval is infinite if the data do not limit it.
         """
         if not 0.0 < number(level, "a level") < 1.0:
             raise UsageError(f"a level must be between 0 and 1, but {level!r} was given")
@@ -280,7 +280,7 @@ class Model(ModelCore):
         """Return fixed points, limit cycles, basins of attraction and other dynamics, compared with the data.
 
         Args:
-            box: bounds of states by name; None: the measured range and half of it more on each side.
+            box: bounds of states by name; None: the measured range, extended by half of its width on each side.
             inputs: held values of inputs, by name; 0 by default.
             vary: a parameter and its range, over which fixed points and limit cycles are followed. The parameter is a
                 constant (c1), several constants in a fixed ratio (c1,c2), the coefficient of a term (y:x*y is the
@@ -327,10 +327,10 @@ class Model(ModelCore):
         seed: int = 0,
         data: object = None,
     ) -> "Suggestions":
-        """Return the experiments that give the most information, per cost, on which candidate is right.
+        """Return the experiments that give the most information per cost about which candidate is right.
 
-        If all candidates predict the same, or there is only one candidate, the experiments determine its constants
-        best.
+        If all candidates predict the same, or there is only one candidate, the experiments give the most information
+        about the constants of the displayed equations.
 
         Args:
             bounds: bounds of initial states and constant inputs, by name; None: the range of the data.
@@ -387,7 +387,7 @@ class Model(ModelCore):
         return summary(self)
 
     def to_sympy(self) -> "dict[str, sympy.Expr]":
-        """Return the right-hand sides as sympy expressions, by left-hand side; constants keep every bit.
+        """Return the right-hand sides as sympy expressions, by left-hand side; constants are not rounded.
 
         Constants that differ between `groups` are means over them; see `of_group`.
         """

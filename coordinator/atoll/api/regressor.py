@@ -29,12 +29,12 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
     """Finds y = f(X) as an expression.
 
     After `fit`: `model_` is the `atoll.Model`, `equation_` is its right-hand side, `n_features_in_` is K, and
-    `feature_names_in_` has the column names of a frame. In expressions, features are called x0, x1, … or like the
-    columns of a frame; the target is called y. Options for prior knowledge: ``bound="c > 0"``, ``require={"y":
-    ["x0"]}``, ``unit={"x0": "m"}``.
+    `feature_names_in_` has the column names of a frame. In expressions, features are called x0, x1, …, or have the
+    names of the columns of a frame; the target is called y. Options for prior knowledge: ``bound="c > 0"``,
+    ``require={"y": ["x0"]}``, ``unit={"x0": "m"}``.
     """
 
-    def __init__(  # noqa: PLR0913  scikit-learn wants every parameter by name
+    def __init__(  # noqa: PLR0913  scikit-learn requires every parameter by name
         self,
         *,
         operators: object = None,
@@ -100,5 +100,5 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
 
 
 def _unmasked(given: object) -> object:
-    """Return masked arrays with NaN as masked values (refused like any NaN); other objects are returned unchanged."""
+    """Return a masked array with NaN for its masked values, which are then refused; other objects are unchanged."""
     return plain_array(given) if isinstance(given, np.ma.MaskedArray) else given

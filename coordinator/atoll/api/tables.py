@@ -140,7 +140,7 @@ def _cells_of(part: _Columns, config: DataConfig) -> RawTable:
 
 
 def _plain(header: str) -> str:
-    """Return the name of a column without the mark of a comment: ``%time`` and ``# t`` are times."""
+    """Return the name of a column without a comment sign: time for ``%time``, t for ``# t``."""
     name = header.lstrip("#% ").strip()
     return name if split_unit(name)[0] in TIME_NAMES else header.strip()
 
@@ -246,7 +246,7 @@ def numbers_of(given: object, name: str) -> FloatArray:
     if values.dtype.kind == "M":
         raise DataError(f"{name} holds dates or times; convert it to numbers first")
     if values.dtype.kind == "c":
-        raise DataError(f"{name} holds complex numbers; real ones are expected")
+        raise DataError(f"{name} holds complex numbers; real numbers are expected")
     if values.dtype.kind in "biuf":
         return np.ascontiguousarray(values, dtype=np.float64)
     columns = values.reshape(len(values), -1).T if values.ndim else values.reshape(1, 1)

@@ -2,7 +2,7 @@
 
 ``main`` parses the options, calls a verb and turns errors into exit codes. ``options`` has the table of verbs and the
 parser. ``verbs`` has the functions of most verbs; the larger verbs ``doctor`` and ``adapt`` have their own modules.
-``request`` describes a job as the user asked for it, ``result_files`` writes its result to files, and ``exit_codes``
+``request`` describes the job that the options define, ``result_files`` writes its result to files, and ``exit_codes``
 maps the end of a job to an exit code.
 
 The path of a command: `main.main` -> `options.parse` -> `verbs.submit.submit` -> `request.Request` ->

@@ -1,5 +1,4 @@
-"""``coordinator adapt``, and templates of batch systems: how a job with workers is submitted, listed, cancelled,
-drained.
+"""``coordinator adapt``, and templates of batch systems: the commands that submit, list, cancel and drain batch jobs.
 
 Commands may contain ``{name}`` (the common name of the jobs), ``{job}`` (the id of a job), ``{cores}`` (the number of
 cores of a job) and ``{user}``; scripts contain ``{worker}`` (the command that starts the workers of a job). To add a
@@ -49,7 +48,7 @@ class BatchError(AtollError):
 
 @dataclass(frozen=True)
 class Listing:
-    """A command that lists jobs, and how to read its output; `state`: the state of all of them, None: in the output."""
+    """A command that lists jobs, and how to read its output; None as `state`: the output has the state of each job."""
 
     words: tuple[str, ...]
     state: BatchState | None = None
@@ -84,8 +83,8 @@ class BatchSystem:
 
 _SIGNALLED: Final = """\
 #!/bin/sh
-# The system may signal every process of the job, and workers end at once on a second SIGTERM: so a shell next to them
-# waits for another signal, and then sends SIGTERM to their parent only.
+# The batch system may signal every process of the job, but workers end at once on a second SIGTERM. Therefore this
+# shell waits for another signal, and then sends one SIGTERM to the parent of the workers.
 workers= signalled=
 trap 'signalled=yes; [ -z "$workers" ] || kill -TERM "$workers" 2>/dev/null' USR1 USR2
 (trap '' USR1 USR2; exec {worker}) &

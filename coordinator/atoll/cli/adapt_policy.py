@@ -39,7 +39,7 @@ class BatchJob:
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """The coordinator's need: `workers` could have work; `others` workers were not started by our jobs.
+    """The coordinator's need: the number of `workers` that could have work, and of `others` not started by our jobs.
 
     `islands`: number of islands by batch job id, for each of our jobs from which a worker has joined.
     """

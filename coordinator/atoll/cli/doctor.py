@@ -214,7 +214,9 @@ def check_address(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Check only that the coordinator's address accepts connections."""
     text = options.connect or os.environ.get("ATOLL_CONNECT")
     if not text:
-        yield Diagnosis("address", "problem", "none was named", "give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+        yield Diagnosis(
+            "address", "problem", "no address was given", "give --connect tcp/HOST:PORT or set ATOLL_CONNECT"
+        )
         return
     try:
         addresses = addresses_in(text)

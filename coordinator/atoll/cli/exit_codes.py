@@ -31,7 +31,8 @@ def exit_code_and_reason(view: "JobView") -> tuple[int, str | None]:
     missed = [each.lhs for each in view.variables if not each.converged and each.why != "known"]
     if view.target_error is None or not missed:
         return DONE, None
-    return TARGET_MISSED, f"--target-error {view.target_error:g} was not met within the budget by {', '.join(missed)}"
+    equations = f"{'these equations' if len(missed) > 1 else 'the equation'}: {', '.join(missed)}"
+    return TARGET_MISSED, f"--target-error {view.target_error:g} was not met within the budget for {equations}"
 
 
 def end_of_cancelled(view: "JobView", kept: str) -> str:

@@ -23,7 +23,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return exit_code_of(lambda: _dispatch(words), _print_error)
     except BrokenPipeError:  # the program that reads our output has ended
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # no message when Python flushes at exit, either
+        # Python flushes stdout at exit; without a reader this would print a message
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
         if os.environ.get("ATOLL_DEBUG") == "1":

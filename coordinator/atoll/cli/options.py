@@ -64,10 +64,10 @@ def interval(text: str, option: str) -> tuple[float, float]:
     """Return the lower and the upper bound of a text such as ``0:3``."""
     lower, separator, upper = text.partition(":")
     if not separator:
-        raise UsageError(f"{option} wants LOWER:UPPER, but got {text!r}")
+        raise UsageError(f"{option} must be LOWER:UPPER, but {text!r} was given")
     low, high = finite_number(lower, option), finite_number(upper, option)
     if not low < high:
-        raise UsageError(f"{option} wants LOWER below UPPER, but got {text!r}")
+        raise UsageError(f"{option} must have LOWER below UPPER, but {text!r} was given")
     return low, high
 
 
@@ -77,7 +77,7 @@ def assignments(texts: Sequence[str], option: str, example: str) -> dict[str, st
     for text in (part for line in texts for part in line.split(",")):
         name, separator, value = (part.strip() for part in text.partition("="))
         if not separator or not name or not value:
-            raise UsageError(f"{option} wants {example}, but got {text!r}")
+            raise UsageError(f"{option} must be {example}, but {text!r} was given")
         if name in values:
             raise UsageError(f"{option} names '{name}' twice; give one value for each name")
         values[name] = value
@@ -91,7 +91,8 @@ def numbers(texts: Sequence[str], option: str, example: str) -> dict[str, float]
 
 def intervals(texts: Sequence[str], option: str) -> dict[str, tuple[float, float]]:
     """Return the bounds by name from texts such as ``x=0:3``."""
-    return {name: interval(text, f"{option} {name}") for name, text in assignments(texts, option, "x=0:3").items()}
+    values = assignments(texts, option, "NAME=LOWER:UPPER")
+    return {name: interval(text, f"{option} {name}") for name, text in values.items()}
 
 
 EXPORT_FORMATS: Final = (
@@ -193,7 +194,7 @@ _SERVICE: Final = (
         "write the addresses to connect to into this file, once they are ready; for island-worker --connect-file",
     ),
     add_tls_options,
-    _value("--roster", "FILE", 'roles by the names in certificates (TOML: lab1 = "worker")'),
+    _value("--roster", "FILE", 'roles of the names in certificates (TOML: lab1 = "worker")'),
     add_log_options,
 )  # fmt: skip
 _JOB: Final = (
@@ -255,14 +256,14 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         ),
         _switch(
             "--standby",
-            "wait while another coordinator serves the same --state; take over when it has ended or hangs",
+            "wait while another coordinator serves the same --state; take over when that coordinator ends or hangs",
         ),
         _value(
-            "--metrics", "HOST:PORT", "serve metrics for Prometheus here, such as 127.0.0.1:9464 (default: do not)",
+            "--metrics", "HOST:PORT", "serve metrics for Prometheus here, such as 127.0.0.1:9464 (default: no metrics)",
             type=_host_and_port,
         ),
         _value(
-            "--http", "HOST:PORT", "also start coordinator web here, such as 127.0.0.1:7480 (default: do not)",
+            "--http", "HOST:PORT", "also start coordinator web here, such as 127.0.0.1:7480 (default: not started)",
             type=_host_and_port,
         ),
         _value("--http-users", "FILE", "like --users of coordinator web; required for --http with --roster"),
@@ -294,7 +295,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _switch("--replace", "move an existing store aside"),
         _JSON,
     )),
-    "router": ("verbs.serve", "pass on messages: for another site, or to keep connections while serve restarts", (
+    "router": ("verbs.serve", "forward messages, for another site or to keep connections open while serve restarts", (
         _LISTEN,
         _repeatable(
             "--connect", "tcp/HOST:PORT",
@@ -302,7 +303,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         ),
         *_SERVICE,
     )),
-    "adapt": ("adapt", "start and end jobs of a batch system, with workers, as the coordinator's queue needs them", (
+    "adapt": ("adapt", "start and end batch jobs with workers, as the coordinator's queue needs them", (
         *_CONNECT,
         _value(
             "--minimum", "N", "smallest number of jobs (default: %(default)s)",
@@ -317,7 +318,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _value("--sbatch", "OPTIONS", 'more options for sbatch, such as --sbatch="--partition=idle --time=2:00:00"'),
         _value(
             "--batch-options", "OPTIONS",
-            'the same for any batch system, such as --batch pbs --batch-options="-q idle"',
+            'more options for any batch system, such as --batch pbs --batch-options="-q idle"',
         ),
         _value(
             "--worker", "COMMAND",
@@ -349,7 +350,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         ),
         _switch("--share", "make the job visible to all users of the coordinator, not only to you and admins"),
     )),
-    "ping": ("verbs.jobs", "ask whether a coordinator answers, for probes; exit code 3: it does not", (
+    "ping": ("verbs.jobs", "test whether a coordinator answers, for probes; exit code 3 if it does not", (
         *_CONNECT,
         _JSON,
         _value("--wait", "SECONDS", "how long to wait for an answer (default: %(default)g)", type=seconds, default=5.0),
@@ -380,7 +381,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _ONE_JOB,
     ),
     "pause": (
-        "verbs.jobs", "stop a job at a checkpoint until it is resumed; it keeps its place",
+        "verbs.jobs", "stop a job at a checkpoint until it is resumed; it keeps its position in the queue",
         _ONE_JOB,
     ),
     "resume": ("verbs.jobs", "continue a paused job", _ONE_JOB),
@@ -410,7 +411,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
     "uncordon": ("verbs.jobs", "place islands on a worker again (admins)", _WORKER),
     "drain": ("verbs.jobs", "move the islands of a worker to other workers, and place no more on it (admins)", _WORKER),
     "queue": ("verbs.jobs", "show how many jobs wait; pause or resume the start of jobs (admins)", (
-        _value("change", None, "pause or resume (default: only show it)", nargs="?", choices=("pause", "resume")),
+        _value("change", None, "pause or resume (default: show the queue)", nargs="?", choices=("pause", "resume")),
         *_CONNECT,
         _JSON,
     )),
@@ -437,10 +438,10 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
     "analyse": ("verbs.results", "fixed points, limit cycles, basins and bifurcations of the model of a result", (
         _RESULT,
         *_CONNECT,
-        _repeatable("--box", "x=0:3", "bounds of a state (default: the measured range, half of it more on each side)"),
+        _repeatable("--box", "x=0:3", "bounds of a state (default: the measured range and half its width per side)"),
         _GROUP,
         _HOLD,
-        _switch("--identifiability", "which constants the data determine, by profile likelihood"),
+        _switch("--identifiability", "show which constants the data determine, by profile likelihood"),
         _DATA,
         _value(
             "--parameter", "c1",
@@ -522,8 +523,8 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         (_value("file", None, "default: config", nargs="?", choices=("config", "result"), default="config"),),
     ),
     "completion": (
-        "verbs.texts", "print the lines that make a shell complete commands and options",
-        (_value("shell", None, "the shell that reads these lines", choices=SHELLS),),
+        "verbs.texts", "print shell code for the completion of commands and options",
+        (_value("shell", None, "the shell that runs this code", choices=SHELLS),),
     ),
 }  # fmt: skip
 """For each verb its module in `atoll.cli`, a line of help and its arguments, in the order of the help. The module has a

@@ -1,4 +1,7 @@
-"""Jobs as the options of ``run`` and ``submit`` describe them: read data, submit, fetch results; also saved results."""
+"""The job that the options of ``run`` or ``submit`` define: reading its data, submitting it, fetching its result.
+
+It also has functions for saved results.
+"""
 
 import argparse
 import os
@@ -68,7 +71,7 @@ class JobRequest:
         return client.hand_in(self.job, self.name, self.config, table.to_bytes(), self.priority, shared=self.shared)
 
     def after(self, seconds: float) -> "JobRequest":
-        """Return the request with `seconds` subtracted from `--max-time`; at most half of it is subtracted."""
+        """Return the request with `seconds` subtracted from `--max-time`, but at most half of `--max-time`."""
         budget = self.config.budget
         if budget.max_time is None:
             return self

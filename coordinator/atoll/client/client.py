@@ -6,7 +6,7 @@ public method is one request or a loop of requests. A repeated request has no fu
 chunk or worker: the same job id with the same contents is the same job. Every wait has a limit, and the error at its
 end names the missing answer. Large data travel in chunks, checked by SHA-256. One thread owns a client and its bus.
 
-Doubtful: a coordinator with another store has another cluster, so a client that outlives such a change gets no answers;
+Doubtful: a coordinator with another store has another cluster, so after such a change an open client gets no answers;
 its owner must open a new client (as `atoll.web.gateway` does). Changes that arrive during another request are kept in a
 queue of `MAX_CHANGES`; after an overflow the subscription asks for the lost changes again, which costs one request.
 """
@@ -163,7 +163,7 @@ class Client:
             f"{chunk_count(len(data))} parts are still missing; see its log"
         )
 
-    def hand_in(  # what a job is
+    def hand_in(
         self, job: str, name: str, config: JobConfig, data: bytes, priority: int = 0, *, shared: bool = False
     ) -> JobView:
         """Upload `data` and submit a job on it; repeat both if the table was deleted after the upload."""
@@ -172,7 +172,7 @@ class Client:
                 return self.submit(job, name, config, self.upload(data), priority, shared=shared)
         return self.submit(job, name, config, self.upload(data), priority, shared=shared)
 
-    def submit(  # what a job is
+    def submit(
         self, job: str, name: str, config: JobConfig, table: str, priority: int = 0, *, shared: bool = False
     ) -> JobView:
         """Submit a job with the id `job` on the uploaded table with digest `table`; all users see a `shared` job."""

@@ -1,4 +1,4 @@
-"""Follows a job to its end by a subscription to its changes: in order, without gaps, resumable.
+"""Follows a job to its end by a subscription, which yields its changes in order and without gaps.
 
 The coordinator sends changes to a key of this client while a lease lasts. The client takes the lease by a request with
 the number of its last change, and the answer has all later changes. So the same request renews the lease, closes gaps,

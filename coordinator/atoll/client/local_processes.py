@@ -1,9 +1,9 @@
-"""The processes of a local run: workers and a coordinator. Workers are started first, since they load for a second.
+"""The processes of a local run: workers and a coordinator. Workers are started first, since their start takes a second.
 
 One process, ``island-worker --supervise``, loads everything once, forks the workers where the system allows it,
 restarts workers that die, and ends them with itself (ADR 0062). Workers connect as soon as the router listens; they
-share one log file. The workers always end: the supervising process gets a signal and is then killed; it also watches
-this process, in case this process is killed.
+share one log file. The workers always end: the supervising process gets a signal and, after a time limit, is killed; it
+also ends if this process is killed.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ def start_in_new_session(
 ) -> "subprocess.Popen[bytes]":
     """Start a program in a new session, because only this process should handle Ctrl-C on the terminal.
 
-    Its environment is our environment with `given` and without certificates: local traffic is not encrypted.
+    It gets our environment variables and the `given` ones, but no certificates, because local traffic is not encrypted.
     """
     certificates = {variable for variable, _ in TLS_OPTIONS.values()}
     environment = {name: value for name, value in os.environ.items() if name not in certificates}

@@ -255,7 +255,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option(
             "holdout", "data.holdout", holdout, "K|run=4",
-            "hold out the last K trajectories, or those with this value, and test the model on them",
+            "hold out the last K trajectories, or the trajectories with this value, and test the model on them",
         ),
         Option(
             "weights", "data.weights", text, "w",

@@ -26,7 +26,7 @@ from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.security.credentials import credentials_of
 
 TOKEN: Final = "ATOLL_WEB_TOKEN"
-"""Environment variable with the token. ``?token=`` in an address also works, but others can read command lines."""
+"""Environment variable with the token. ``?token=`` in an address also works, but other users can read command lines."""
 
 _TOKEN_FORM: Final = re.compile(r"[A-Za-z0-9._~+/-]+=*")
 """The tokens that RFC 6750, section 2.1, allows in headers; they include base64 in both alphabets."""

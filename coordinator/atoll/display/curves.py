@@ -56,7 +56,7 @@ SHOWN: Final = 6
 _GRIDS: Final = (2_000, 8_000, 32_000)
 """Numbers of points of a simulation. The next number is used if the curve bends between the points."""
 _AGREEMENT: Final = TOLERANCE
-"""Largest difference between two equal simulations, as a share of the range of a state: invisible in a picture.
+"""Simulations with smaller differences count as equal; a share of the range of a state, invisible in a picture.
 
 Doubtful: it was measured on only eight results. Seven of them look the same for all values from 1e-4 to 1e-1. The
 eighth was fitted in two pieces, which differ by 1e-3 to 5e-3 at one row; smaller values detect both pieces.

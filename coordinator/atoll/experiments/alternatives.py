@@ -31,7 +31,7 @@ MOST_SYSTEMS: Final = 8
 _MOST_FITTED: Final = 24
 _PER_EQUATION: Final = 4
 _LEAST_WEIGHT: Final = 0.01
-"""Smallest weight, relative to the largest weight. A system with less than a hundredth of it needs no experiment."""
+"""Smallest weight, relative to the largest weight. A system with a smaller weight needs no experiment."""
 _LONGEST: Final = 10.0
 """Largest Δ description length of a candidate that is fitted again."""
 _FIRST_SHARE: Final = 0.1

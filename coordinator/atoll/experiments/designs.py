@@ -73,9 +73,9 @@ class Design:
 class DesignPrediction:
     """The prediction of a candidate for an experiment, in standard errors of the measurements.
 
-    `values` (n, O) are the predicted states. `spread` (n, O, P + D) are their derivatives: first with respect to the
-    constants, times a root of the covariance of the constants, then with respect to the initial state, times the widths
-    of its bounds. `reached` is the number of rows before the simulation diverges.
+    `values` (n, O) are the predicted states. `spread` (n, O, P + D) are their derivatives. The first P derivatives are
+    with respect to the constants, times a root of the covariance of the constants; the last D are with respect to the
+    initial state, times the widths of its bounds. `reached` is the number of rows before the simulation diverges.
     """
 
     values: FloatArray

@@ -465,7 +465,7 @@ def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -
     decided = float(np.minimum(counts * measured.share, measured.independent).sum())
     left = max(counts.sum() - best.system.values.size - best.starts.size, 1.0)
     degrees_of_freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
-    # the variance of a row in the fit, corrected for fitted values and for correlated or unlisted rows
+    # the variance of a row in the fit, corrected for the number of fitted values and for correlated or unlisted rows
     widened = np.sqrt(counts.sum() / left / measured.share)
     least = SETTINGS.smoothing.smallest_noise * measurements.scales[measurements.observed]
     sigmas = np.maximum(np.sqrt(best.squares), least) * widened

@@ -1,10 +1,11 @@
 """How well the data determine the constants of a model: profile likelihoods, and directions of joint change.
 
 For a profile, one constant is fixed at each of several values, and all other constants and all initial states are
-fitted again. The measurement errors keep their values in the best fit. The deviance is the sum of squared residuals
-over their variances, minus the same sum of the best fit. For a linear model, it is exactly the squared distance in
-standard errors (Bates & Watts 1988, chapter 6). A value lies within the interval if its deviance is at most the squared
-quantile of Student's t. For many rows this is the quantile of chi-squared with one degree of freedom.
+fitted again. All fits use the measurement errors that were estimated from the best fit. The deviance is the sum of
+squared residuals over the variances of these errors, minus the same sum of the best fit. For a linear model, it is
+exactly the squared distance in standard errors (Bates & Watts 1988, chapter 6). A value lies within the interval if its
+deviance is at most the squared quantile of Student's t. For many rows this is the quantile of chi-squared with one
+degree of freedom.
 
 The directions are eigenvectors of the curvature (Hessian) of the misfit with respect to the constants, with initial
 states eliminated. Each constant is divided by its own size, which corresponds to logarithmic coordinates (Gutenkunst et
@@ -191,7 +192,7 @@ _REFINEMENTS: Final = 14
 _END_ERROR: Final = 1e-3
 """Relative error of the root of the deviance at an end of an interval."""
 FLAT: Final = 0.01
-"""Smallest deviance of a visible change: a tenth of a standard error, squared."""
+"""Smallest deviance that counts as a change: the square of a tenth of a standard error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -462,7 +463,7 @@ MOST_CONSTANTS: Final = 60
 """Largest number of profiled constants; more would take minutes."""
 _RESTARTS: Final = 2
 _IMPROVEMENT: Final = 0.01
-"""Smallest decrease in deviance of a better fit that a profile has found."""
+"""A fit on a profile is better than the best fit if its deviance is lower by at least this amount."""
 
 _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
     (False, False): "determined",

@@ -159,7 +159,7 @@ class Suggestion:
     about constants. `worst` is the constant with the largest relative error, with this error before and after the
     experiment; it is None if the purpose is to distinguish candidates. `certainties` has a number for each candidate
     except the first one: a lower bound of the probability that the experiment correctly distinguishes this candidate
-    from the first one, if one of both is right. It is empty if the purpose is to determine constants. `remark` names
+    from the first one, if one of the two is right. It is empty if the purpose is to determine constants. `remark` names
     initial values outside of the measured range; it is "" if there are none.
     """
 
@@ -192,7 +192,7 @@ class Suggestion:
                 f"with {certainty_text_of(least)} certainty{each}"
             )
         if rest:
-            parts.append(f"may not distinguish 1 from {enumerated([*map(str, rest)])}")
+            parts.append(f"may fail to distinguish 1 from {enumerated([*map(str, rest)])}")
         return ", ".join(parts)
 
     @property
@@ -340,7 +340,7 @@ def suggest(result: Result, request: DesignRequest, table: Table | None = None) 
 
 @dataclass(frozen=True, eq=False)
 class _EvaluatedDesign:
-    """An experiment with its expected gain; `worth` ranks it by worth, then information, then evidence, per cost."""
+    """An experiment with its expected gain; it is ranked by worth, then information, then evidence, each per cost."""
 
     design: Design
     cost: float

@@ -143,7 +143,7 @@ def require_support(model: Description, language: Language) -> None:
     if not model.states and not language.regression:
         able = ", ".join([name for name, other in LANGUAGES.items() if other.regression])
         raise UsageError(
-            f"{language.name} only expresses models of dynamics, and this is a regression; {able}, latex and sympy can"
+            f"{language.name} only expresses models of dynamics, but this is a regression; use {able}, latex or sympy"
         )
     if model.tables and not language.has_tables:
         raise UsageError(

@@ -105,7 +105,7 @@ def simulate(start=START, times=TIMES, parameters=PARAMETERS, seed=0, substeps=1
                 t, normal = begin + k * h, random.standard_normal(len(x))
                 x = x + h * rates(t, x, parameters) + np.sqrt(h) * (noise(t, x, parameters) @ normal)
             if not np.isfinite(x).all():
-                raise ArithmeticError(f"the path does not go on beyond time {float(begin)!r}")
+                raise ArithmeticError(f"the path cannot be continued after time {float(begin)!r}")
             found.append(x)
     return np.array(found)
 $end
@@ -143,7 +143,7 @@ def simulate(start=START, times=TIMES, parameters=PARAMETERS, tolerance=1e-12):
             while t < end:
                 count += 1
                 if count > 1_000_000 or not np.isfinite(stages[0]).all() or t + step == t:
-                    raise ArithmeticError(f"the solution does not go on beyond time {float(t)!r}")
+                    raise ArithmeticError(f"the solution cannot be continued after time {float(t)!r}")
                 h = min(step, end - t)
                 for k in range(1, 7):
                     moved = x + h * (WEIGHTS[k, :k] @ stages[:k])
@@ -358,7 +358,7 @@ int main(int count, char **words)
     for (long k = 1; k <= steps; k++) {
         const double end = k == steps ? until : begin_time + (until - begin_time) / steps * k;
         if (!advance(&t, end, x, stages, &step, least)) {
-            fprintf(stderr, "the solution does not go on beyond time %.17g\\n", t);
+            fprintf(stderr, "the solution cannot be continued after time %.17g\\n", t);
             return 1;
         }
         print_row(t, x);
@@ -472,7 +472,7 @@ _MATLAB_WORDS: Final = (
 
 MATLAB: Final = Language(
     name="MATLAB",
-    notation=Notation(  # the plain functions would return complex numbers; the real ones raise an error
+    notation=Notation(  # log, sqrt and powers would return complex numbers; these functions raise an error
         {LOG: "reallog", SQRT: "realsqrt"}, power="realpow({0}, {1})", natural="{0}^{1}", is_call=True, cotangent="cot"
     ),
     naming=Naming(frozenset(_MATLAB_WORDS.split()), ("along_",), longest=63),

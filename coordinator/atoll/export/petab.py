@@ -226,7 +226,7 @@ def _constant_input(part: PetabTrajectory, name: str) -> float:
 
 
 def _bounds(constant: Parameter) -> tuple[float, float]:
-    """Return the bounds of a constant: the user's bounds, on open sides multiples of its standard error."""
+    """Return the bounds of a constant: the user's bounds; an open side gets a multiple of its standard error."""
     reach = _REACH * (constant.stderr or abs(constant.value) or 1.0)
     low, high = constant.bounds or (None, None)
     return constant.value - reach if low is None else low, constant.value + reach if high is None else high

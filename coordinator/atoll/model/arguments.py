@@ -231,8 +231,8 @@ class InitialConditions:
 def initial_conditions(model: "ModelCore") -> InitialConditions:
     """Return the initial conditions of the first simulated trajectory.
 
-    Without one, these are the initial conditions of the ensemble of a stochastic process, else of the first measured
-    trajectory that has a complete row.
+    If no trajectory was simulated, these are the initial conditions of the ensemble of a stochastic process, or of the
+    first measured trajectory with a complete row.
     """
     result = model.result
     for part in result.simulated:

@@ -220,7 +220,7 @@ def check_times(field: VectorField, x0: FloatArray, t: FloatArray, paths: int = 
     if x0.shape != (len(field.states),) or not np.isfinite(x0).all():
         raise UsageError(f"an initial state must have a finite number for each of {', '.join(field.states)}")
     if t.ndim != 1 or len(t) < 1 or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
-        raise UsageError("times must be finite and ascend; give at least one")
+        raise UsageError("times must be finite and ascending; give at least one time")
     if paths * len(t) * len(x0) > MOST_NUMBERS:
         what = f"{len(t)} times of {len(x0)} states" + (f" on {paths} paths" if paths > 1 else "")
         raise UsageError(f"{what} are more than {MOST_NUMBERS} numbers; take longer steps")

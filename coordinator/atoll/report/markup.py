@@ -120,7 +120,7 @@ COLORS: Final = SHOWN
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 12, 12, 44
 _TICKS: Final = 5
 _PLAIN: Final = (1e-4, 1e6)
-"""Labels of ticks have exponents if steps are smaller than the first number, or numbers larger than the second."""
+"""Labels of ticks have exponents if steps are below the first number, or if values are above the second number."""
 _FEW_DECADES: Final = 2.0
 _MARGIN: Final = 0.04
 """Margin of an axis as a share of its range."""

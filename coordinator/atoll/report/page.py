@@ -12,7 +12,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core import VERSION
 
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-"""The browser loads no resource and runs no script, whatever names the data contain."""
+"""The browser loads no resource and runs no script, even if names in the data contain markup."""
 
 
 def as_html(result: Result) -> str:

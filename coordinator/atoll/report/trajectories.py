@@ -59,7 +59,8 @@ def trajectories(findings: Findings) -> list[Element]:
 
 
 def fitted_values(findings: Findings) -> list[Element]:
-    """Return the section about a regression: a plot over its variable; for several variables, fitted over measured."""
+    """Return the section about a regression: a plot over its variable; for several variables, fitted over measured
+    values."""
     known = findings.result.regression
     if known is None:
         return []

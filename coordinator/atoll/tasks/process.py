@@ -5,11 +5,11 @@ worker, even in the middle of a task. A task may split its work into batches (`T
 context that all batches share, and an item, all encoded. This process computes batches from the front of the list.
 Other workers without a task (helpers) ask for batches through their worker and the bus, and get batches from the back.
 Results are stored by the position of their item, and each batch is a pure function of context and item, so the result
-does not depend on who computed a batch, or when. A batch that fails at a helper is computed here. If all batches are
-taken, this process also computes the oldest batch of a helper after a while; the first result is used.
+does not depend on where or when a batch was computed. A batch that fails at a helper is computed here. If all batches
+are taken, this process also computes the oldest batch of a helper after a while; the first result is used.
 
 Doubtful: the waiting time for a helper (`LATE` times the longest batch here) is a guess, so a slow helper costs a batch
-that is computed twice. `Team.workers` counts only helpers that asked recently. Light to import.
+that is computed twice. `Team.workers` counts only helpers that asked recently.
 """
 
 import contextlib
@@ -238,7 +238,7 @@ def _size(call: _Call) -> int:
 
 
 def compute(batch: TaskBatch) -> bytes | None:
-    """Return the result of a batch of another worker's task; None if it fails here, so that it is computed there."""
+    """Return the result of a batch of another worker's task; None if it fails here; that worker then computes it."""
     try:
         return _computed(batch.function, batch.context, batch.item)
     except Exception:

@@ -119,7 +119,7 @@ def constants_table(constants: Sequence[Constant]) -> list[str]:
 
 
 def _remark(constant: Constant) -> str:
-    """Return the odds of the displayed simple number, the distance of the nearest one, or why there is none."""
+    """Return the odds of the displayed simple number, the distance to the nearest one, or why the constant has none."""
     simple = constant.simple
     if constant.at_bound:
         return "at its bound"
@@ -526,7 +526,7 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
 
 
 def _written_out(equation: Equation, names: Sequence[str]) -> list[str]:
-    """Return the expression as computed if the displayed one has other numbers than its constants: 1/4 for 4."""
+    """Return the expression with its constants as numbers, if the displayed one has others, such as 1/4 for 4."""
     text = equation.expression or ""
     program = from_infix(text, names)
     as_shown = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))

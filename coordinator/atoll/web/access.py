@@ -2,7 +2,7 @@
 
 Requests about jobs need a token, unless ``--look-without-token`` lets programs of this machine read without one. The
 page uses no cookies, so that no other page can act with a browser's credentials. Requests from pages of other sites are
-refused nevertheless. This includes read-only requests, because they may take seconds of the coordinator.
+refused nevertheless. This includes read-only requests, because an answer may cost the coordinator seconds.
 """
 
 import hashlib
@@ -76,7 +76,9 @@ class Access:
             sentence = (
                 f"the header {twice} occurs twice" if twice else "content-length and transfer-encoding both occur"
             )
-            return Problem(400, sentence + ", so a proxy may read another request; send one", {"connection": "close"})
+            return Problem(
+                400, sentence + ", so a proxy may read another request; send only one", {"connection": "close"}
+            )
         host = _name(headers.get("host", ""))
         if host not in self.hosts:
             return Problem(

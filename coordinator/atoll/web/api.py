@@ -82,7 +82,7 @@ RESULT_S: Final = 1.0
 """Shortest time in seconds for which a result is reused, so that any number of pages cost one request."""
 
 SHARE: Final = 0.05
-"""Largest share of the time for fetching one result, because a job with many islands takes long."""
+"""Largest share of the time that is spent on fetching one result: fetching is slow for a job with many islands."""
 
 MAX_RESULTS: Final = 16
 """Maximum number of results that are kept for reuse."""

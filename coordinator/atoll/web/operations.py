@@ -44,7 +44,7 @@ class Body(BaseModel):
 
 @dataclass(frozen=True)
 class Operation:
-    """The declaration of a handler. `further` has schemas of answers by other statuses; None: no body."""
+    """The declaration of a handler. `further` has the schemas of answers with other statuses; None: no body."""
 
     method: str
     path: str

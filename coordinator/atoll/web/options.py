@@ -1,4 +1,4 @@
-"""Options of a job as a page sends them: the options of the command line by name. This module is light to import."""
+"""Options of a job as a page sends them: the options of the command line by name. This module loads quickly."""
 
 import json
 from collections.abc import Mapping, Sequence

@@ -81,7 +81,7 @@ def split_files(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
 
 
 class Readers:
-    """Lets forks of a process that has loaded all modules read files, a few at a time."""
+    """Reads a few files at a time, each in a fork of a process that has loaded all modules."""
 
     def __init__(self, limits: Limits | None = None) -> None:
         self.limits = limits or Limits()

@@ -100,7 +100,7 @@ def access_of(
 
 
 def _hosts(name: str) -> tuple[str, ...]:
-    """Return the forms of a name in a Host header; IPv6 addresses in brackets, as given and as browsers write it."""
+    """Return the forms of a name in a Host header; IPv6 addresses in brackets, as given and as browsers write them."""
     name = name.lower().removeprefix("[").removesuffix("]")
     try:
         address = ipaddress.ip_address(name)

@@ -96,8 +96,8 @@ def start(client: Client | str, options: ProgramOptions, processes: int | None) 
             handle.close()
         if isinstance(error, Exception) and not isinstance(error, AtollError):
             raise AtollError(
-                f"the Dask workers did not start island workers ({error}); they need the same version of Atoll as is "
-                "here"
+                f"the Dask workers did not start island workers ({error}); they need the same version of Atoll as "
+                "this machine"
             ) from error
         raise
     return handle

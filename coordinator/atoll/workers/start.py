@@ -19,7 +19,7 @@ from atoll_core.quoting import shown
 from atoll_core.wire.addresses import parse_address
 
 STOP_LIMIT_S: Final = 10.0
-"""Time limit for the end of the program in seconds, in addition to the grace; it kills workers after 5 seconds."""
+"""Time limit in seconds for the end of the program after `grace_s`; it kills its workers 5 s after `grace_s`."""
 
 ENDS: Final = {
     0: "the coordinator ended, or the workers were asked to end",
@@ -45,7 +45,7 @@ class ProgramOptions:
 
 
 def drain_limit_s(options: ProgramOptions) -> float:
-    """Return the seconds from the request to end until the program has ended; after them it is killed."""
+    """Return the time limit in seconds from the request to end the program to its end; then the program is killed."""
     return options.grace_s + STOP_LIMIT_S
 
 
@@ -107,7 +107,8 @@ class Handle(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """End all programs after they have handed over their islands. Repeatable; later machines start no program."""
+        """End all programs after they have handed over their islands. Repeatable. Machines that join later start no
+        program."""
 
     def check(self) -> None:
         """Raise AtollError if the program has ended on a machine, with the meaning of its exit code."""

@@ -105,7 +105,7 @@ def _initial_state(model: Model, text: str | None) -> FileStart:
     if Path(text).is_file():
         return start_of_file(model, Path(text))
     if "=" not in text:
-        raise UsageError(f"--initial wants numbers such as x=1,y=3 or a data file, and {text!r} is neither")
+        raise UsageError(f"--initial must be numbers such as x=1,y=3 or a data file, but {text!r} was given")
     return FileStart(numbers([text], "--initial", "NAME=NUMBER, separated by commas"))
 
 
@@ -116,7 +116,7 @@ def _chosen_times(model: Model, start: FileStart, options: argparse.Namespace) -
 
 def _held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
     """Return the inputs of ``--hold`` by symbol; raises UsageError."""
-    held, symbols = numbers(options.hold, "--hold", "u=1"), model.result.symbols
+    held, symbols = numbers(options.hold, "--hold", "NAME=NUMBER"), model.result.symbols
     unknown = next((name for name in held if symbols.get(name, name) not in model.inputs), None)
     if unknown is not None:
         raise UsageError(f"--hold names {unknown!r}; the inputs are {', '.join(model.inputs) or 'none'}")
@@ -169,7 +169,7 @@ def analyse(options: argparse.Namespace) -> int:
         present, missing = ("--parameter", "--range A:B") if options.parameter else ("--range", "--parameter c1")
         raise UsageError(f"{present} was given without {missing}; give both")
     vary = None if options.parameter is None else (options.parameter, interval(options.range, "--range"))
-    bounds, held = intervals(options.box, "--box"), numbers(options.hold, "--hold", "u=1")
+    bounds, held = intervals(options.box, "--box"), numbers(options.hold, "--hold", "NAME=NUMBER")
     if options.data is not None and not options.identifiability:
         raise UsageError("--data was given without --identifiability, but only --identifiability uses data; give both")
     form: Form = "json" if options.json else "text"
@@ -211,10 +211,10 @@ def _alternative(text: str) -> dict[str, str]:
     for equation in filter(None, (part.strip() for part in text.split(";"))):
         side, separator, right = (part.strip() for part in equation.partition("="))
         if not separator or not side or not right:
-            raise UsageError(f"--rival wants dx=EXPR, several separated by ';', but got {text!r}")
+            raise UsageError(f"--rival must be dx=EXPR, several separated by ';', but {text!r} was given")
         equations[side] = right
     if not equations:
-        raise UsageError("--rival wants dx=EXPR, but an empty text was given")
+        raise UsageError("--rival must be dx=EXPR, but an empty text was given")
     return equations
 
 
@@ -264,7 +264,7 @@ def _write_report(path: Path, options: argparse.Namespace) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"the folder {folder} cannot be made ({error.strerror}); name another") from error
+        raise UsageError(f"the folder {folder} cannot be created ({error.strerror}); name another") from error
     for name, text in page.pictures.items():
         write_text(folder / name, text)
     note(f"{len(page.pictures)} pictures in {folder}")

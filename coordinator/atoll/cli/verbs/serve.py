@@ -2,7 +2,7 @@
 
 ``serve`` runs a router, a coordinator and a store for workers and clients on any machine. ``router`` runs a router
 without a coordinator. It has two uses: the workers of a site share one connection to the central router; or connections
-stay open while the coordinator behind it (`serve --router`) is restarted.
+stay open while the coordinator behind the router (`serve --router`) is restarted.
 """
 
 import argparse
@@ -43,7 +43,7 @@ _LOCAL: Final = ("127.0.0.1", "localhost")
 
 
 def read_options(options: argparse.Namespace, router: str | None = None) -> tuple[Destination, RoleBindings | None]:
-    """Start logging; return the address to listen at or of the `router` to join, and the roles. Raises UsageError."""
+    """Start logging; return the address to listen at (or of the `router` to join) and the roles. Raises UsageError."""
     credentials = credentials_of(vars(options), os.environ, "serve" if router is None else "connect")
     at = destination(options.listen if router is None else router, credentials, listens=router is None)
     if at.others:
@@ -72,7 +72,7 @@ def warnings_of(at: Destination, role_bindings: RoleBindings | None) -> list[str
         ]
     if at.credentials is None:
         return []
-    lines = [f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {at.credentials.authority}"]
+    lines = [f"every program needs --tls-ca, --tls-cert and --tls-key; the authority is {at.credentials.authority}"]
     if role_bindings is None:
         lines.append(
             "no roster: every owner of a certificate of that authority can compute, submit and cancel (see --roster)"
@@ -89,7 +89,7 @@ def is_loopback(host: str) -> bool:
 
 
 def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
-    """Return the addresses to connect to, first for other machines; with a certificate, only hosts that it names."""
+    """Return the addresses to connect to, other machines' addresses first; with a certificate, only its host names."""
     address = at.address
     if is_behind_router or address.is_socket:
         return [str(address)]
@@ -221,7 +221,7 @@ def router_greeting(here: Destination, upstream: list[str], role_bindings: RoleB
 
 
 def _log_coordinator(bus: "ZenohBus", principal: str, stop: threading.Event) -> None:
-    """Log when a coordinator is found or lost, until `stop` is set; a router has no use without a coordinator."""
+    """Log when a coordinator is found or lost, until `stop` is set; a router without a coordinator is useless."""
     known: str | None = None
     reminded_at = -_REMIND_S
     while not stop.is_set():
@@ -278,8 +278,8 @@ def restore(options: argparse.Namespace) -> int:
     lines += [f"the old store is now {former}; remove it when you no longer need it"] if former is not None else []
     if store.aside and former is None:
         lines.append(
-            "the folder had files with the last writes of a store that is no longer there; they are now "
-            f"{', '.join(map(str, store.aside))}; to open that store, move them next to it under its name"
+            "the folder had SQLite files with the last writes of a store that is missing; these files are now "
+            f"{', '.join(map(str, store.aside))}; to open that store, move them next to it and rename them after it"
         )
     say(as_json(facts) if options.json else "\n".join(lines))
     return DONE
@@ -302,7 +302,7 @@ def serve(options: argparse.Namespace) -> int:
     limits = _limits(options)
     if options.http is not None and role_bindings is not None and options.http_users is None:
         raise UsageError(
-            "--http was given with --roster but without --http-users; give it, for the rights of users on the page"
+            "--http was given with --roster but without --http-users; give this file, which has the users of the page"
         )
     if options.standby:
         refuse_network(Path(options.state))

@@ -1,4 +1,4 @@
-"""``coordinator schema`` and ``completion``: JSON schemas of job files and result files; code for shell completion."""
+"""``coordinator schema`` prints JSON schemas of job and result files; ``completion`` prints code for shells."""
 
 import argparse
 from typing import Final
@@ -28,6 +28,6 @@ _PROGRAMS = ("coordinator", "island-worker")
 
 
 def completion(options: argparse.Namespace) -> int:
-    """Print the lines that make ``options.shell`` complete commands; return the exit code."""
+    """Print the code for the completion of commands by ``options.shell``; return the exit code."""
     say(shellcode(_PROGRAMS, shell=options.shell))
     return DONE

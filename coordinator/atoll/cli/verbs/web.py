@@ -30,7 +30,8 @@ USAGE: Final = 2
 
 
 def opening(url: str, token: str, is_terminal: bool, is_given: bool) -> str:
-    """Return the address of the page as a sentence; only a terminal shows the token, because others can read logs."""
+    """Return the address of the page as a sentence; only a terminal shows the token, because other users can read
+    logs."""
     if is_terminal:
         return f"open {url}?token={token}"
     if is_given:
@@ -111,7 +112,7 @@ def web(options: argparse.Namespace) -> int:
     at = bus_address_of(options)
     host, port = options.listen
     if (options.cert is None) != (options.key is None):
-        raise UsageError("--cert and --key belong together; give both, or none")
+        raise UsageError("--cert and --key belong together; give both or neither")
     listener = Listener(host, port, options.allow_host, options.cert, options.key)
     token = token_of()
     users = Path(options.users) if options.users is not None else None

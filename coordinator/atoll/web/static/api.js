@@ -1,7 +1,7 @@
 // Requests to the service. Addresses are relative to the page, so that it works under any path.
 
 const STORE = `atoll-token ${location.pathname}`;
-/** `answered` is called after each request with whether the service answered. */
+/** `answered(isThere)` is called after each request; `isThere` is whether the service answered. */
 export const hooks = { answered() {}, refused() {} };
 export const session = { user: null, may_write: false, version: "", connect: "tcp/HOST:7447" };
 /** Moves the token from the address, which history and screenshots would show, into the storage of this tab. */

@@ -57,7 +57,7 @@ function vanish() {
   leader = null;
 }
 
-/** Waits for the lock in the line of all visible tabs. */
+/** Waits for the lock, for which all visible tabs queue. */
 function runForLeader() {
   if (leader || waiting) return;
   const candidacy = new AbortController();
@@ -115,7 +115,7 @@ class Leader {
     if (wanted === null) this.#wishes.delete(name);
     else this.#wishes.set(name, { jobs: wanted, heard: Date.now() });
     if (isNew && name !== tab && !this.#state.connected) channel?.postMessage(this.#state);
-    this.#due ??= setTimeout(() => this.#settle(), SETTLE); // views change in steps: read after the last step
+    this.#due ??= setTimeout(() => this.#settle(), SETTLE); // views change in several steps: reads events after the last step
   }
 
   #settle() {

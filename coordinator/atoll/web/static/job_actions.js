@@ -22,11 +22,11 @@ export class Actions {
     this.level = h("input", { type: "number", min: "-10", max: "10", step: "1", value: "0" });
     this.priority = h("form", { class: "inline", onsubmit: (event) => this.#prioritize(event) }, h("label", {}, "Priority ", this.level), h("button", {}, "Set"));
     this.anew = h("a", { class: "button", href: `#/new?from=${encodeURIComponent(this.id)}` }, "Submit again with changes");
-    this.said = faultBox();
+    this.fault = faultBox();
     this.note = h("p", { class: "faint", hidden: true }, "You can only read. To change something, open the address with the token that ",
       h("code", {}, "coordinator web"), " prints.");
     this.bar = h("div", { class: "bar" }, this.pause, this.cancel, this.retry, this.priority, this.share, this.anew, this.remove);
-    this.box = h("section", { class: "actions", "aria-label": "Actions" }, this.bar, this.note, this.said);
+    this.box = h("section", { class: "actions", "aria-label": "Actions" }, this.bar, this.note, this.fault);
   }
 
   update(job, mayWrite) {
@@ -57,7 +57,7 @@ export class Actions {
   async #remove() { if ((await this.#do(() => change("DELETE", paths.job(this.id)), false)) !== undefined) location.hash = "#/jobs"; }
   /** Runs an action; after an error, shows the reason and returns undefined. */
   async #do(act, isAboutUs = true) {
-    const job = await this.said.guard(act);
+    const job = await this.fault.guard(act);
     if (job && isAboutUs) this.changed(job);
     if (job !== undefined) announce("Done.");
     return job;

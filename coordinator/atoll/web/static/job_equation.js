@@ -68,7 +68,7 @@ export class EquationCard {
   /** Shows an equation of the progress. */
   show(equation) { this.#equation = equation; this.#tell(); this.draw(); }
   get #points() { return this.#equation?.front ?? []; }
-  /** The chosen point stays chosen while the front grows. Without a choice it is the equation above, or -1 if that is not on the front. */
+  /** The index of the chosen point, which stays chosen while the front grows. Without a choice, it is the index of the equation above, or -1 if this equation is not on the front. */
   get #index() {
     const find = (isMeant) => this.#points.findIndex(isMeant);
     const chosen = this.#chosen === null ? -1 : find((point) => point.complexity === this.#chosen);
@@ -101,7 +101,7 @@ export class EquationCard {
   }
 
   #drawPicked(point) {
-    const isChosen = this.#chosen !== null && point; // otherwise it is the equation above
+    const isChosen = this.#chosen !== null && point; // otherwise the point is the equation above
     setText(this.picked, isChosen ? `chosen: complexity ${point.complexity} · error ${number(errorOf(point), 4)}` : "");
     redraw(this.pickedFormula, isChosen ? point.mathml ?? point.expression : "", () => (isChosen ? formula(point.mathml, point.expression) : []));
   }
@@ -157,7 +157,7 @@ function candidateTable(variable, candidates) {
   const rows = candidates.map((candidate) => [candidate.selected ? "shown" : candidate.nats === null ? "?" : candidate.nats.toFixed(1), candidate.r2,
     ...(isHeldOut ? [candidate.held_out_r2 ?? ""] : []), candidate.complexity, candidate.origin ?? "", h("code", {}, candidate.expression)]);
   const cell = (value, index) => h("td", { class: index < heads.length - 2 ? "number" : null }, value ?? "");
-  return [h("h4", {}, "Candidates"), h("p", { class: "faint" }, "Δ description length: the description length with another equation minus that with the equation above, in nats. Below about 3 the data hardly decide."),
+  return [h("h4", {}, "Candidates"), h("p", { class: "faint" }, "Δ description length: the description length with another equation minus the description length with the equation above, in nats. Below about 3 the data hardly decide."),
     h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Candidates of ${variable}` }, h("table", {}, h("caption", { class: "unseen" }, `Candidates of ${variable}`),
       h("thead", {}, h("tr", {}, heads.map((head, index) => h("th", { scope: "col", class: index < heads.length - 2 ? "number" : null }, head)))),
       h("tbody", {}, rows.map((row, index) => h("tr", { class: candidates[index].selected ? "chosen" : null }, row.map(cell))))))];

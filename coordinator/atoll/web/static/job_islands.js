@@ -90,7 +90,7 @@ export class Islands extends Paced {
       setText(name, `${island.island} ${worker ? worker.letter : "–"}`);
       setText(place, `epoch ${island.epoch}`);
       setText(note, mark ?? (worker ? (island.epoch > least ? "sent" : "computes") : ""));
-      setClass(cell, `${worker ? colourOf(worker.index) : "nobody"}${mark ? " fresh" : ""}`);
+      setClass(cell, `${worker ? colourOf(worker.index) : "idle"}${mark ? " fresh" : ""}`);
       cell.title = `island ${island.island} of ${variable}: ${island.worker ?? "no worker"}`;
     });
   }

@@ -64,7 +64,7 @@ class NewJob {
     for (const option of Object.values(OPTION_OF)) this.#fill(option, null); // columns of another file
     redraw(this.outline, null, () => []);
     this.name.placeholder = files[0].name;
-    setText(this.hint, `${this.#source} is read…`);
+    setText(this.hint, `Reading ${this.#source}…`);
     this.#ask();
   }
 
@@ -224,10 +224,10 @@ class NewJob {
     this.#put("states", this.#states().map(quote).join(","));
     return undefined;
   }
-  /** Returns all states if the user has made a column a state, or a state another role: then the option names them all. */
+  /** Returns the names of all states for the option, if the user has added or removed a state; otherwise no names. */
   #states() {
-    const isSaid = this.#columns.some(({ name, role }) => this.#chosen.get(name) === "state" || (this.#chosen.get(name) === "unused" && role !== null));
-    return isSaid ? this.#columns.filter(({ name, role }) => (this.#chosen.get(name) ?? role) === "state").map(({ name }) => name) : [];
+    const isChosen = this.#columns.some(({ name, role }) => this.#chosen.get(name) === "state" || (this.#chosen.get(name) === "unused" && role !== null));
+    return isChosen ? this.#columns.filter(({ name, role }) => (this.#chosen.get(name) ?? role) === "state").map(({ name }) => name) : [];
   }
 
   #collect(option, columns, say) {

@@ -107,7 +107,7 @@ function fill({ parts, serve }, worker, load) {
   fillDoing(parts.Doing, worker);
   setText(parts.Service.firstChild, isLost ? "" : worker.service);
   const kind = session.may_write && !isLost ? worker.service : "";
-  if (parts.Service.dataset.kind === kind) return; // otherwise buttons would be replaced every two seconds, during a click
+  if (parts.Service.dataset.kind === kind) return; // otherwise a button could be replaced during a click
   parts.Service.dataset.kind = kind;
   parts.Service.lastChild.replaceChildren(...(SERVICES[kind] ?? []).map(([label, wanted]) =>
     h("button", { type: "button", class: "small", "aria-label": `${label} ${worker.worker}`, onclick: () => serve(worker.worker, wanted) }, label)));

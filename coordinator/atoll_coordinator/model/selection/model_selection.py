@@ -246,10 +246,10 @@ def try_guesses(selection: SelectedModel) -> SelectedModel:
 def try_other_terms(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description with terms added or removed, see `search_terms`.
 
-    Noise may have hidden a term, or caused an unnecessary term. After each better system, the errors of measurement are estimated again
-    from its residuals. Without noise the stage does not run: no term is hidden then, and an added term could describe
-    errors of coarse integration steps. It does not run for laws by derivatives among many variables, because these were
-    chosen from all terms.
+    Noise may have hidden a term, or caused an unnecessary term. After each better system, the errors of measurement are
+    estimated again from its residuals. Without noise the stage does not run: no term is hidden then, and an added term
+    could describe errors of coarse integration steps. It does not run for laws by derivatives among many variables,
+    because these were chosen from all terms.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
     until, known_structures = comparison.estimator.work + SETTINGS.effort.work, {_structures_of(best)}
