@@ -44,7 +44,8 @@ class SmoothingSettings:
 
     degrees: tuple[int, ...] = (3, 4)
     """Degrees of loess that are tried. A parabola may fit the values as well as a cubic, but its slope has far more
-    bias: the measured derivative error was up to 2.8 times the standard error with parabolas and up to 1.9 without."""
+    bias: the measured derivative error was up to 2.8 times the standard error with parabolas, and up to 1.9 times
+    without parabolas."""
     bins: int = 40
     """Fewest bins of a span if rows are thinned: means over a fortieth of a span lose no information."""
     rows_per_outlier: int = 150

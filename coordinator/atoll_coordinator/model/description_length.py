@@ -242,7 +242,7 @@ def _structure_length(key: bytes, size: int) -> float:
 
 
 def is_function(code: int) -> bool:
-    """Tell whether an operator is a function such as a sine, neither algebra nor a leaf."""
+    """Tell whether an operator is a function such as a sine, and neither an algebraic operator nor a leaf."""
     return ARITY[code] == 1 and code not in (SQUARE, NEGATE, INVERSE)
 
 

@@ -27,7 +27,7 @@ PATHS: Final = 256
 SHARES: Final = (0.05, 0.5, 0.95)
 """Shares of the paths below `lower`, `median` and `upper`."""
 _SLACK: Final = 1e-9
-"""Share of a step by which a gap between two times may be longer because of rounding errors."""
+"""Tolerance for rounding errors: a gap between two times may be longer than its steps by this share of a step."""
 STEPS: Final = 500
 """Number of steps after which paths are assumed to be stationary, and number of further steps for their density. If the
 paths are not stationary then, the further steps are simulated once more."""

@@ -307,7 +307,7 @@ def write_refuted_factors(
     explicit: Sequence[ExplicitCoefficients], fitted: Sequence[Program], shown: Sequence[Program],
     known: Sequence[EquationConstants],
 ) -> list[Program]:  # fmt: skip
-    """Return the programs `shown`, with factors of one written as fitted constants where the data refute one.
+    """Return the programs `shown`, with factors of one written as fitted constants if the data refute the value one.
 
     `fitted` are the programs of `explicit` with fitted constants, and `known` are their constants with errors.
     """

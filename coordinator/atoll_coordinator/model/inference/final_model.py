@@ -300,7 +300,7 @@ def _show_equations(
 def _write_refuted_factors(
     task: ModellingTask, comparison: ModelComparison, shown: ShownEquations
 ) -> tuple[Program, ...] | None:
-    """Return the programs with factors of one written as constants where the data refute one; None without any."""
+    """Return the programs with refuted factors of one written as constants; None if the data refute no factor."""
     programs, errors = shown.programs, estimate_errors(comparison, shown.free)
     known = describe_constants(comparison.fixed, shown.explicit, programs, errors)
     if not any(constants.refuted_factors for constants in known):

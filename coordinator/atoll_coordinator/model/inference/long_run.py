@@ -35,7 +35,7 @@ from atoll_core.data.dataset import FloatArray
 _BLOCKS: Final = 4
 """Fewest blocks: the variance of fewer averages is not known."""
 _MOST_ROWS: Final = 4_000
-"""Most rows of the long simulation: in a longer one, each row represents several measured rows."""
+"""Most rows of the long simulation: for a longer simulation, each row represents several measured rows."""
 
 
 @dataclass(frozen=True, eq=False)

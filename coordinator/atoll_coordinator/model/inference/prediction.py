@@ -184,7 +184,8 @@ class _OtherInitialStates:
 
     @cached_property
     def _shift(self) -> FloatArray:
-        """A small shift (D,) of an initial state that keeps sums of states that are constant in the measurements."""
+        """A small shift (D,) of an initial state. Sums of states that are constant in the measurements stay
+        constant."""
         measurements, noise = self._measurements, np.zeros(len(self._measurements.smoothed))
         noise[measurements.observed] = measurements.noise
         shift = SETTINGS.common.negligible * measurements.scales

@@ -212,7 +212,8 @@ class Flux:
     """Terms of this `shape` with the same numbers inside, each in a different equation.
 
     The description gets about `nats` shorter; `saving` is the part due to writing the flux only once. `reference` is
-    the smallest factor. `ratios` has, by equation, the factors over the reference that are simple numbers.
+    the smallest factor. `ratios` has, by equation, the ratio of the factor to the reference, if this ratio is a simple
+    number.
     """
 
     shape: Shape

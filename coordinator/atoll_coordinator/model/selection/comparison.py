@@ -125,7 +125,7 @@ def differ(first: FloatArray, second: FloatArray, share: float = SETTINGS.common
 
 
 def _replace_program(near: FittedModel, equation: int, programs: Iterable[Program]) -> list[Programs]:
-    """Return the systems of `near` with each of these programs for one equation."""
+    """Return systems like `near`, each with one of these programs as one of the equations."""
     return [(*near.programs[:equation], program, *near.programs[equation + 1 :]) for program in programs]
 
 

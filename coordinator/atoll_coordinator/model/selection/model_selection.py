@@ -151,7 +151,7 @@ def propose(proposer: Proposer) -> Callable[[Choice], Choice]:
 
 
 def _law_programs(task: ModellingTask) -> dict[str, list[Program]]:
-    """Return the laws of the equations that have laws among many variables.
+    """Return the laws that were found among many variables, by equation.
 
     Empty if all equations have such laws: the system of these laws did not fit, so one of the laws is wrong.
     """
@@ -246,10 +246,10 @@ def try_guesses(selection: SelectedModel) -> SelectedModel:
 def try_other_terms(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description with terms added or removed, see `search_terms`.
 
-    Noise may have hidden a term, or caused one. After each better system, the errors of measurement are estimated again
-    from its residuals. Without noise the stage does not run: no term is hidden then, and an added term could describe
-    errors of coarse integration steps. It does not run for laws by derivatives among many variables, because these were
-    chosen from all terms.
+    Noise may have hidden a term, or caused an unnecessary term. After each better system, the errors of measurement are
+    estimated again from its residuals. Without noise the stage does not run: no term is hidden then, and an added term
+    could describe errors of coarse integration steps. It does not run for laws by derivatives among many variables,
+    because these were chosen from all terms.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
     until, known_structures = comparison.estimator.work + SETTINGS.effort.work, {_structures_of(best)}
@@ -301,7 +301,7 @@ def _may_be_reduced(choice: Choice) -> bool:
 
 
 def _may_hide_terms(choice: Choice) -> bool:
-    """Tell whether noise may have hidden a term, or caused one.
+    """Tell whether noise may have hidden a term, or caused an unnecessary term.
 
     Without noise the earlier stages have missed no term, and an added term could describe errors of coarse integration
     steps.

@@ -151,7 +151,8 @@ def polynomial_and_fourier_libraries(
 
 _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
 _BOTH_SIGNS: Final = tuple(sign * 0.1 * 2.0 ** (step / 2.0) for sign in (1.0, -1.0) for step in range(13))
-"""Grid of rates of exponentials. It is finer, because many rates fit about as well if a variable stays far from 0."""
+"""Grid of rates of exponentials. This grid is finer than `_RATES`, because many rates fit about as well if a variable
+stays far from 0."""
 _SHIFTS: Final = tuple(0.0125 * 2.0 ** (step / 2.0) for step in range(17))
 _KINKS: Final = tuple(eighth / 8.0 for eighth in range(1, 8))
 """Shares of the range of a variable at which its function has a kink."""

@@ -52,7 +52,7 @@ _CUBIC, _LINE = 3, 1
 _SMOOTHNESS: Final = 2
 """The power p of the test functions (1 - s^2)^p: the smallest power for which the slope vanishes at both ends."""
 _WIDER: Final = 1.5
-"""Ratio of each half width tried to the previous one."""
+"""Ratio of each half width that is tried to the previous half width."""
 _RESOLVED: Final = 0.75
 """Windows get wider as long as, in this share of the windows, linear interpolation between rows is as accurate as cubic
 interpolation, within the noise."""

@@ -237,7 +237,7 @@ class _Pursuit:
         needed_prices = [price for shape, price in self._prices.items() if self._is_needed(shape)]
         needed_price = min(needed_prices, default=math.inf) if needed else 0.0
         self._most = most + needed_price
-        """Price of the longest sum that may be short enough after elimination of one of its terms."""
+        """Largest price of a sum: after elimination of a term, such a sum may be short enough."""
         self._tried = [
             shape
             for shape, price in self._prices.items()

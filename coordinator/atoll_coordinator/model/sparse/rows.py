@@ -377,7 +377,8 @@ class WeakRows(Rows):
         return slopes
 
     def errors(self, gradients: FloatArray, weights: FloatArray) -> Errors:
-        """Return the covariances of the errors of integrals of terms with these gradients (K, V, T), summed."""
+        """Return the covariances, summed over windows, of the errors of the integrals of terms with these gradients (K,
+        V, T)."""
         squares, halves = self._row_weights(weights * weights)
         products, cross = np.zeros((len(gradients), len(gradients))), np.zeros(len(gradients))
         variances = self.measured.noise * self.measured.noise
