@@ -88,7 +88,7 @@ _API: Final = (
     ("class", "atoll.model.core.ModelCore"),
     ("class", "atoll.model.equations.DisplayedEquation"),
     ("class", "atoll.model.equations.Parameter"),
-    ("class", "atoll.model.simulation.Simulation"),
+    ("class", "atoll.model.simulation.SimulationResult"),
     ("class", "atoll.analysis.analysis.Analysis"),
     ("function", "atoll.workers.start.start_on"),
     ("class", "atoll.workers.start.Handle"),

@@ -115,7 +115,7 @@ def parse_unit(text: str) -> Unit:
             raise _fault(text)
         tokens.append((match.lastgroup, match[match.lastgroup]))
         place = match.end()
-    parser = _Parser(text, [*tokens, _END])
+    parser = _UnitParser(text, [*tokens, _END])
     unit = parser.product()
     parser.expect(_END)
     return unit
@@ -126,7 +126,7 @@ def _fault(text: str) -> UsageError:
     return UsageError(f"{shown!r} is no unit; write a product of powers such as m/s^2 or mol/(L h)")
 
 
-class _Parser:
+class _UnitParser:
     """Reads a product from left to right; a slash divides by the factors up to the next sign or bracket."""
 
     def __init__(self, text: str, tokens: list[tuple[str, str]]) -> None:

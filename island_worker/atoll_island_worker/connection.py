@@ -50,7 +50,7 @@ class PendingRequest:
     question: str
     subject: str = ""
     index: int = 0
-    pull: io.Ask | None = None
+    pull: io.SendPull | None = None
 
 
 class Requests:
@@ -88,7 +88,7 @@ class Requests:
         match action:
             case io.SendReport():
                 self.publish("report", action.report)
-            case io.Ask():
+            case io.SendPull():
                 key, timeout_s = topics.states(self.cluster, action.body.job), FETCH_TIMEOUT_S
                 if action.peer is not None:
                     key, timeout_s = topics.worker(self.cluster, action.peer, "pull"), MIGRANTS_TIMEOUT_S

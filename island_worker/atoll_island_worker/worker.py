@@ -228,7 +228,7 @@ class Worker:
                     self._fetch()
             case PendingRequest("batch"):
                 self._tasks.batch_came(request.subject, payload)
-            case PendingRequest("pull", pull=io.Ask() as asked):
+            case PendingRequest("pull", pull=io.SendPull() as asked):
                 body: object = None  # without an answer the request is repeated
                 try:
                     body = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None

@@ -1,6 +1,7 @@
 """The project as a whole: what is packaged, what the documents promise, what is imported beside it."""
 
 import argparse
+import ast
 import pkgutil
 import subprocess
 import sys
@@ -59,6 +60,16 @@ def test_every_source_root_holds_its_packages_and_nothing_else(project: dict[str
         missing = [folder for folder in folders if not (folder / "__init__.py").exists()]
         assert not missing, "without __init__.py a folder is not shipped as a package"
         assert all((ROOT / root / package / "py.typed").exists() for package in packages)
+
+
+def test_a_class_name_is_defined_once_in_the_product() -> None:
+    modules: dict[str, list[str]] = {}
+    for file in (file for root in PACKAGES for file in sorted((ROOT / root).rglob("*.py"))):
+        for node in ast.parse(file.read_text("utf-8")).body:
+            if isinstance(node, ast.ClassDef):
+                modules.setdefault(node.name, []).append(str(file.relative_to(ROOT)))
+    twice = [f"{name} in {' and '.join(files)}" for name, files in modules.items() if len(files) > 1]
+    assert not twice, f"a class name means one thing; rename all but one of {'; '.join(twice)}"
 
 
 def test_atoll_is_imported_beside_a_users_own_common_and_coordinator(tmp_path: Path) -> None:

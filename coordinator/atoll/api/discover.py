@@ -192,8 +192,8 @@ _TLS: Final = ("ca", "cert", "key")
 _INSTEAD: Final = {"report": "call model.report(path) of the returned model"}
 
 
-class Job:
-    """A submitted job. Each call opens and closes its own connection, so a `Job` has no close method."""
+class SubmittedJob:
+    """A submitted job. Each call opens and closes its own connection, so a `SubmittedJob` has no close method."""
 
     def __init__(self, id: str, address: str | Whereabouts, read_as: str = "") -> None:
         """`id` is the id of a job of the coordinator at `address`.
@@ -305,7 +305,7 @@ def submit(
     workers: int | None = None,
     priority: int = 0,
     **options: object,
-) -> Job:
+) -> SubmittedJob:
     """Submit `data` as a job and return it at once; for the arguments see `discover`."""
     if isinstance(priority, bool) or not isinstance(priority, int) or priority not in range(-10, 11):
         raise UsageError(f"priority must be a whole number from -10 to 10, but {shown(priority)} was given")
@@ -314,7 +314,7 @@ def submit(
         check_sheet(files_of(data), config.data.sheet)
         table = table_of(data, config.data)
         address = _address(connect, tls, workers)
-    job = Job(f"py-{uuid.uuid4().hex[:12]}", address, table.read_as)
+    job = SubmittedJob(f"py-{uuid.uuid4().hex[:12]}", address, table.read_as)
     with python_words(), connected(address, CONNECT_LIMIT_S) as client:
         try:
             client.hand_in(job.id, table.files[0] if table.files else NAME, config, table.to_bytes(), priority)

@@ -44,7 +44,7 @@ from atoll.model.simulation import (
     EarlyEndWarning,
     ExtrapolationWarning,
     Inputs,
-    Simulation,
+    SimulationResult,
     SimulationWarning,
     density_of_process,
     ensemble_of,
@@ -92,7 +92,7 @@ class Model(ModelCore):
         group: object = None,
         paths: None = None,
         seed: int = 0,
-    ) -> Simulation: ...
+    ) -> SimulationResult: ...
 
     @overload
     def simulate(
@@ -117,7 +117,7 @@ class Model(ModelCore):
         group: object = None,
         paths: int | None = None,
         seed: int = 0,
-    ) -> Simulation | Ensemble:
+    ) -> SimulationResult | Ensemble:
         """Integrate from an initial state. The `status` of the simulation says how it ended: a blow-up is not an error.
 
         A simulation that ends early has only the times that were reached, and gives an `EarlyEndWarning`. If `x0` is

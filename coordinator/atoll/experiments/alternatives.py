@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.experiments.fits import EquationSet, FitData, FittedEquations, fit_equations
+from atoll.experiments.fits import EquationSet, EquationSetFit, FitData, fit_equations
 from atoll_coordinator.model.description_length import constant_nats_of, system_length
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
@@ -50,7 +50,7 @@ class WeightedSystem:
     jobs choose equations by their description length.
     """
 
-    fitted: FittedEquations
+    fitted: EquationSetFit
     origin: str
     nats: float
     weight: float
@@ -58,7 +58,7 @@ class WeightedSystem:
 
 
 def alternatives_of(
-    result: Result, displayed: FittedEquations, given: Sequence[Mapping[str, str]]
+    result: Result, displayed: EquationSetFit, given: Sequence[Mapping[str, str]]
 ) -> tuple[WeightedSystem, ...]:
     """Return the `displayed` system and the systems that fit about as well, the best first.
 
@@ -67,7 +67,7 @@ def alternatives_of(
     simulated.
     """
     measured = displayed.measured
-    fits: list[tuple[FittedEquations, str]] = [(displayed, "shown")]
+    fits: list[tuple[EquationSetFit, str]] = [(displayed, "shown")]
     for texts in given:
         equations = _replace_equations(displayed.equations, texts)
         fitted = fit_equations(measured, equations)
@@ -82,10 +82,10 @@ def alternatives_of(
     return _weigh(fits)
 
 
-def _weigh(fits: Sequence[tuple[FittedEquations, str]]) -> tuple[WeightedSystem, ...]:
+def _weigh(fits: Sequence[tuple[EquationSetFit, str]]) -> tuple[WeightedSystem, ...]:
     lengths = [_half_akaike(fitted) for fitted, _ in fits]
     least = min(lengths)
-    kept: list[tuple[float, FittedEquations, str]] = []
+    kept: list[tuple[float, EquationSetFit, str]] = []
     ordered = sorted(zip(lengths, fits, strict=True), key=lambda entry: (entry[1][1] not in _ALWAYS_KEPT, entry[0]))
     for nats, (fitted, origin) in ordered:
         is_plausible = nats - least <= -math.log(_LEAST_WEIGHT) and len(kept) < MOST_SYSTEMS
@@ -103,7 +103,7 @@ def _weigh(fits: Sequence[tuple[FittedEquations, str]]) -> tuple[WeightedSystem,
     return tuple(rivals)
 
 
-def weigh_pair(first: FittedEquations, second: FittedEquations) -> tuple[float, float]:
+def weigh_pair(first: EquationSetFit, second: EquationSetFit) -> tuple[float, float]:
     """Return the log odds for the first of two systems, and the Δ description length (second minus first), in nats.
 
     Both systems are fitted to the same data. The odds use only the fit; description lengths also count the equations.
@@ -118,7 +118,7 @@ def half_akaike(misfit: float, count: int, numbers: float) -> float:
     return misfit + count + count * (count + 1.0) / max(numbers - count - 1.0, 1.0)
 
 
-def _half_akaike(fitted: FittedEquations) -> float:
+def _half_akaike(fitted: EquationSetFit) -> float:
     count = len(fitted.values) + fitted.fit.starts.size
     return half_akaike(fitted.misfit, count, float(fitted.measured.independent.sum()))
 
@@ -209,7 +209,7 @@ def _with_denominator(program: Program, index: int, divisor: int, constant: floa
     return builder.program(new[-1])
 
 
-def _has_pole(fitted: FittedEquations) -> bool:
+def _has_pole(fitted: EquationSetFit) -> bool:
     """Tell whether the fit gave a constant in a denominator the other sign, so that the denominator can be 0."""
     programs = fitted.fit.system.programs[-len(fitted.equations.programs) :]
     for before, after in zip(fitted.equations.explicit, programs, strict=True):

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from atoll.experiments.alternatives import half_akaike, weigh_pair
-from atoll.experiments.fits import FittedEquations, equations_of, fit_displayed, fit_equations, measured_of
+from atoll.experiments.fits import EquationSetFit, equations_of, fit_displayed, fit_equations, measured_of
 from atoll.experiments.suggestion import equations_text, which_of_two
 from atoll.model.core import ModelCore
 from atoll.model.equations import Parameter
@@ -223,7 +223,7 @@ def _require_columns(holder: Result, other: Result) -> None:
             )
 
 
-def _side(result: Result, fitted: FittedEquations) -> ComparedModel:
+def _side(result: Result, fitted: EquationSetFit) -> ComparedModel:
     measurements = fitted.measured.measurements
     observed = [measurements.variables[place] for place in measurements.observed.tolist()]
     shares = np.sqrt(fitted.fit.squares) / measurements.scales[measurements.observed]

@@ -32,11 +32,11 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from atoll.analysis.flow import Box
-from atoll.experiments.fits import FitData, FittedEquations
+from atoll.experiments.fits import EquationSetFit, FitData
 from atoll_coordinator.model.shooting.integration import STEPS_PER_ROW
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, integrate_segments
-from atoll_coordinator.model.shooting.measurements import BLOW_UP_WIDTHS, Measurements
+from atoll_coordinator.model.shooting.measurements import BLOW_UP_WIDTHS, TrajectoryMeasurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
@@ -91,7 +91,7 @@ class DesignPredictor:
     `sigmas` (O,) are the standard errors of a measurement.
     """
 
-    fitted: FittedEquations
+    fitted: EquationSetFit
     widths: FloatArray
     limits: FloatArray
     sigmas: FloatArray
@@ -223,7 +223,7 @@ def certainties(distances: FloatArray, weights: Sequence[float]) -> tuple[float,
 
 
 def distance_after(
-    ahead: FittedEquations, fitted: FittedEquations, design: Design, prediction: DesignPrediction, sigmas: FloatArray
+    ahead: EquationSetFit, fitted: EquationSetFit, design: Design, prediction: DesignPrediction, sigmas: FloatArray
 ) -> float:
     """Return the Bhattacharyya distance of two candidates after an experiment with the outcome `prediction`.
 
@@ -248,7 +248,7 @@ def distance_after(
     return min(max(estimator.cost(fit) - before.estimator.cost(before), 0.0) / 8.0, FARTHEST)
 
 
-def with_trajectory(measurements: Measurements, design: Design, values: FloatArray) -> Measurements:
+def with_trajectory(measurements: TrajectoryMeasurements, design: Design, values: FloatArray) -> TrajectoryMeasurements:
     """Return the measurements with one more trajectory, whose measured values are `values` (O, n)."""
     rows, count = len(design.times), measurements.rows
     states = np.repeat(design.initial[:, None], rows, axis=1)

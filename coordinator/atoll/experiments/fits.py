@@ -20,13 +20,13 @@ from typing import Final, get_args
 import numpy as np
 
 from atoll.model.equations import differing_groups, match_constants, program_of
-from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
+from atoll_coordinator.data.recording import Method, Recording, StateSmoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, bounded_covariance
-from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
-from atoll_coordinator.model.shooting.system import System, system_of, variable_program
+from atoll_coordinator.model.shooting.system import OdeSystem, system_of, variable_program
 from atoll_coordinator.result.base import Curve
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.findings import Errors, Noise
@@ -55,7 +55,7 @@ class FitData:
     """
 
     recording: Recording
-    measurements: Measurements
+    measurements: TrajectoryMeasurements
     modelled: Sequence[int]
     rows: int
     independent: FloatArray
@@ -129,7 +129,7 @@ def _listed_recording(result: Result) -> Recording:
     for name in states:
         noise = result.noise.get(name, Noise())
         method: Method = next((method for method in get_args(Method) if method == noise.method), "interpolation")
-        smoothing.append(Smoothing(name, method, noise.sd or 0.0, noise.relative or 0.0))
+        smoothing.append(StateSmoothing(name, method, noise.sd or 0.0, noise.relative or 0.0))
     smoothed = {part.name: part for part in result.smoothed}
     return Recording(
         states,
@@ -310,7 +310,7 @@ class EquationSet:
         programs = (*self.programs[:place], program, *self.programs[place + 1 :])
         return replace(self, programs=programs, bounds=bounds, are_as_written=False)
 
-    def system(self, measurements: Measurements, order: int) -> System:
+    def system(self, measurements: TrajectoryMeasurements, order: int) -> OdeSystem:
         """Return the system of the explicit programs; for order 2, the rates of the positions are the velocities."""
         programs = [explicit.program for explicit in self.explicit]
         count = len(programs) if order == 2 else 0
@@ -373,7 +373,7 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
 
 
 @dataclass(frozen=True, eq=False)
-class FittedEquations:
+class EquationSetFit:
     """Equations fitted to whole measured trajectories, or to pieces of them.
 
     `errors` are the measurement errors, estimated from the residuals and corrected for the number of fitted values;
@@ -408,7 +408,7 @@ class FittedEquations:
         """Return the sum of squared residuals over the variances of `errors`, minus the same sum of this fit."""
         return self.fit.estimator.cost(fit) - self.fit.estimator.cost(self.fit)
 
-    def refit(self, system: System, starts: FloatArray) -> TrajectoryFit | None:
+    def refit(self, system: OdeSystem, starts: FloatArray) -> TrajectoryFit | None:
         """Fit a system to the same trajectories with the same errors; None if it cannot be simulated.
 
         `starts` (G, D) are the initial states at which the fit begins.
@@ -417,9 +417,7 @@ class FittedEquations:
         return self.fit.estimator.fit(system, None, steps, starts, self.errors, is_stiff=is_stiff)
 
 
-def fit_equations(
-    measured: FitData, equations: EquationSet, starts: FloatArray | None = None
-) -> FittedEquations | None:
+def fit_equations(measured: FitData, equations: EquationSet, starts: FloatArray | None = None) -> EquationSetFit | None:
     """Fit the equations with all their constants free; None if they cannot be simulated.
 
     If the fit with unwritten coefficients of 1 as constants fails, the equations are fitted as written.
@@ -428,7 +426,7 @@ def fit_equations(
     return _fit(measured, equations, starts) or _fit(measured, written, starts)
 
 
-def fit_displayed(measured: FitData, result: Result) -> FittedEquations:
+def fit_displayed(measured: FitData, result: Result) -> EquationSetFit:
     """Fit the equations of a result again; raises AtollError if they cannot be simulated.
 
     If the residuals of whole trajectories exceed the noise, the equations are fitted to shorter pieces.
@@ -450,7 +448,7 @@ def fit_displayed(measured: FitData, result: Result) -> FittedEquations:
     return first
 
 
-def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -> FittedEquations | None:
+def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -> EquationSetFit | None:
     measurements = measured.measurements
     precise = _TOLERANCE_OF_NOISE * float(measurements.relative_noise.min())
     estimator = MultipleShooting(measurements, min(max(precise, _FINEST), _COARSEST * 0.1))
@@ -473,7 +471,7 @@ def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -
     held = estimator.fit(best.system, None, SETTINGS.effort.steps, best.starts, errors, is_stiff=best.is_stiff)
     if held is None:
         return None
-    return FittedEquations(equations, measured, held, errors, degrees_of_freedom, _misfit(measured, best))
+    return EquationSetFit(equations, measured, held, errors, degrees_of_freedom, _misfit(measured, best))
 
 
 def _misfit(measured: FitData, fit: TrajectoryFit) -> float:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from atoll.experiments.fits import FittedEquations, FreeConstant, constants_of, equations_of, fit_displayed, measured_of
+from atoll.experiments.fits import EquationSetFit, FreeConstant, constants_of, equations_of, fit_displayed, measured_of
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, covariance
@@ -232,7 +232,7 @@ class _ProfilePoint:
     fit: TrajectoryFit
 
 
-def profile(fitted: FittedEquations, index: int, quantile: float) -> ConstantProfile:
+def profile(fitted: EquationSetFit, index: int, quantile: float) -> ConstantProfile:
     """Return the profile of constant `index`: on each side up to the value whose root of the deviance is `quantile`."""
     best = float(fitted.values[index])
     start = _ProfilePoint(best, 0.0, fitted.fit)
@@ -252,7 +252,7 @@ def profile(fitted: FittedEquations, index: int, quantile: float) -> ConstantPro
 class _ProfileSide:
     """One side of a profile: the fit at each value begins at the extrapolation of the last two fits."""
 
-    def __init__(self, fitted: FittedEquations, index: int, quantile: float, direction: float) -> None:
+    def __init__(self, fitted: EquationSetFit, index: int, quantile: float, direction: float) -> None:
         self._fitted, self._index, self._quantile, self._direction = fitted, index, quantile, direction
         self._size = abs(float(fitted.values[index])) or self._spread or 1.0
         system = fitted.fit.system
@@ -355,7 +355,7 @@ _LEAST_CURVATURE: Final = 1e-11
 """Smallest curvature that is not a rounding error, as a share of the largest eigenvalue."""
 
 
-def directions(fitted: FittedEquations, profiles: Sequence[ConstantProfile], names: Sequence[str], signs: FloatArray,
+def directions(fitted: EquationSetFit, profiles: Sequence[ConstantProfile], names: Sequence[str], signs: FloatArray,
                quantile: float) -> tuple[Direction, ...]:  # fmt: skip
     """Return the directions, the least determined direction first.
 
@@ -517,7 +517,7 @@ def identify(
     )
 
 
-def _reading_order(constant: FreeConstant, fitted: FittedEquations) -> tuple[int, bool, int, str]:
+def _reading_order(constant: FreeConstant, fitted: EquationSetFit) -> tuple[int, bool, int, str]:
     """Return the sort key of a constant: by equation, then in the order of the text, unwritten coefficients last."""
     number = int(constant.name[1:]) if constant.name[:1] == "c" and constant.name[1:].isdigit() else 0
     return fitted.equations.variables.index(constant.variable), not constant.is_written, number, constant.name
@@ -548,7 +548,7 @@ class _Profiler:
     `restarts` are the constants (P,) from which the result was fitted again, in this order.
     """
 
-    fitted: FittedEquations
+    fitted: EquationSetFit
     quantile: float
     result: Result
     table: Table | None
@@ -578,7 +578,7 @@ _PROFILE: Final = BatchFunction(
 )
 
 
-def _profile_all(profiler: _Profiler, count: int, spread: Spread) -> tuple[FittedEquations, list[ConstantProfile]]:
+def _profile_all(profiler: _Profiler, count: int, spread: Spread) -> tuple[EquationSetFit, list[ConstantProfile]]:
     """Return the fit and the profiles of all constants; if a profile finds a better fit, all are repeated from it."""
     for _ in range(_RESTARTS + 1):
         mapped = spread.map(_PROFILE, profiler.itself, range(count), parts=profiler.parts)

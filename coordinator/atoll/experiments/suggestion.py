@@ -37,7 +37,7 @@ from atoll.experiments.designs import (
     space_of,
     useful_evidence,
 )
-from atoll.experiments.fits import FittedEquations, constants_of, fit_displayed, measured_of
+from atoll.experiments.fits import EquationSetFit, constants_of, fit_displayed, measured_of
 from atoll.model.equations import outside_sentence
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.result.result import Result
@@ -399,7 +399,7 @@ class _Suggester:
         result: Result,
         request: DesignRequest,
         space: DesignSpace,
-        displayed: FittedEquations,
+        displayed: EquationSetFit,
         systems: Sequence[WeightedSystem],
     ) -> None:
         self._result, self._request, self._space = result, request, space

@@ -89,7 +89,7 @@ class ExtrapolationWarning(SimulationWarning):
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
+class SimulationResult:
     """A simulation of a model from an initial state.
 
     `t` (N,) are the times that were reached: fewer than requested if the simulation ended early. `x` (N, D) are the
@@ -175,7 +175,7 @@ def simulate(
     inputs: Inputs | None = None,
     bands: tuple[JointErrors, float] | None = None,
     most: int = MOST_EVALUATIONS,
-) -> Simulation:
+) -> SimulationResult:
     """Integrate from the state `x0` (D,) at the first of the ascending times `t` (N,).
 
     LSODA takes implicit steps where the system is stiff. `bands` are the errors of the constants and the half width of
@@ -198,9 +198,9 @@ def simulate(
     sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
     sentence += _ROUGH_REMARK if course.is_rough else ""
     if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], course, t)) is None:
-        return Simulation(field.states, t[:count], states, status, sentence)
+        return SimulationResult(field.states, t[:count], states, status, sentence)
     half = bands[1] * spread
-    return Simulation(field.states, t, states, status, sentence, spread, states - half, states + half)
+    return SimulationResult(field.states, t, states, status, sentence, spread, states - half, states + half)
 
 
 def state_sizes(

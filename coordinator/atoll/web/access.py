@@ -19,7 +19,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from atoll.client.over_http import TOKEN, check_token
 from atoll.web.gateway import Gateway
-from atoll.web.problems import Problem
+from atoll.web.problems import ProblemDetails
 from atoll_core.errors import UsageError
 
 SAFE: Final = ("GET", "HEAD")
@@ -69,23 +69,25 @@ class Access:
         found = [gateway for known, gateway in self.gateways.items() if hmac.compare_digest(known, digest)]
         return found[0] if found else None
 
-    def problem(self, method: str, path: str, headers: Headers) -> Problem | None:
+    def problem(self, method: str, path: str, headers: Headers) -> ProblemDetails | None:
         """Return the reason to refuse a request, or None if it is allowed."""
         twice = next((name for name in _ONCE if len(headers.getlist(name)) > 1), None)
         if twice is not None or ("transfer-encoding" in headers and "content-length" in headers):
             sentence = (
                 f"the header {twice} occurs twice" if twice else "content-length and transfer-encoding both occur"
             )
-            return Problem(
+            return ProblemDetails(
                 400, sentence + ", so a proxy may read another request; send only one", {"connection": "close"}
             )
         host = _name(headers.get("host", ""))
         if host not in self.hosts:
-            return Problem(
+            return ProblemDetails(
                 421, f"the host name {host!r} is not allowed; start coordinator web with --allow-host {host or 'NAME'}"
             )
         if (method not in SAFE or path.startswith("/api")) and _is_foreign(headers):
-            return Problem(403, "requests from a page of another origin are refused; open the page at its own address")
+            return ProblemDetails(
+                403, "requests from a page of another origin are refused; open the page at its own address"
+            )
         authorization = headers.get("authorization")
         if authorization is not None and self.gateway_of(authorization) is None:
             return _unauthorized_problem("the token is unknown; open the address that coordinator web has printed")
@@ -166,5 +168,5 @@ def _is_foreign(headers: Headers) -> bool:
     return origin is not None and _name(origin.partition("://")[2]) != _name(headers.get("host", ""))
 
 
-def _unauthorized_problem(sentence: str) -> Problem:
-    return Problem(401, sentence, {"www-authenticate": "Bearer"})
+def _unauthorized_problem(sentence: str) -> ProblemDetails:
+    return ProblemDetails(401, sentence, {"www-authenticate": "Bearer"})

@@ -44,7 +44,7 @@ from atoll.web.access import gateway_of
 from atoll.web.connections import most_connections
 from atoll.web.feed import MAX_LISTENERS, Feed
 from atoll.web.gateway import BusyError, Gateway
-from atoll.web.operations import Body, Operation, Query, operation, receive
+from atoll.web.operations import Body, Operation, QueryParameters, operation, receive
 from atoll.web.options import options_by_heading, read_options, sizes_by_name
 from atoll.web.pictures import progress, simulation_of
 from atoll.web.reading import PREFIX, Readers, locked, split_files
@@ -108,14 +108,14 @@ _PICK: Final = "use other equations: VARIABLE=NUMBER of a member of its front, f
 _OPTIONS: Final = "options of the command line by name, as a JSON object: texts, true, or lists of texts"
 
 
-class JobsQuery(Query):
+class JobsQuery(QueryParameters):
     limit: int = Field(50, ge=1, le=MAX_PAGE_JOBS, description="maximum number of jobs")
     cursor: int | None = Field(None, ge=0, lt=2**63, description="`next` of the previous page")
     prefix: str = Field("", description="the beginning of their ids")
     state: JobState | None = Field(None, description="only jobs in this state")
 
 
-class FileQuery(Query):
+class FileQuery(QueryParameters):
     filename: list[str] = Field(
         [], description="name of each file, whose ending gives the format; together they are one table"
     )
@@ -131,28 +131,28 @@ class SubmitQuery(FileQuery):
     shared: Flag = Field(False, description="let all users see the job")
 
 
-class RetryQuery(Query):
+class RetryQuery(QueryParameters):
     id: Id | None = Field(None, description="the new job's id")
 
 
-class LogQuery(Query):
+class LogQuery(QueryParameters):
     after: int = Field(0, ge=0, lt=2**63, description="the number of an event")
     limit: int = Field(200, ge=1, le=1000, description="maximum number of events")
     of_workers: Flag = Field(False, description="only log lines of workers")
 
 
-class StreamQuery(Query):
+class StreamQuery(QueryParameters):
     jobs: list[Id] = Field(["all"], max_length=MAX_WATCHED, description="ids of jobs, or all")
     after: int | None = Field(
         None, ge=0, lt=2**63, description="number of the last event, like the header Last-Event-ID"
     )
 
 
-class ResultQuery(Query):
+class ResultQuery(QueryParameters):
     download: Flag = Field(False, description="whether to answer with a file to save")
 
 
-class PickQuery(Query):
+class PickQuery(QueryParameters):
     pick: list[str] = Field([], description=_PICK)
 
 
@@ -160,7 +160,7 @@ class ExportQuery(ResultQuery, PickQuery):
     pass
 
 
-class WorkersQuery(Query):
+class WorkersQuery(QueryParameters):
     prefix: str = Field("", description="the beginning of their names")
 
 

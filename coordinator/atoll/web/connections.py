@@ -11,7 +11,7 @@ from typing import ClassVar, Final
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from atoll.web.problems import Problem
+from atoll.web.problems import ProblemDetails
 
 WAIT_S: Final = 30.0
 """Time limit for all headers of a request, in seconds, on a new or a reused connection."""
@@ -22,11 +22,11 @@ STALLED_S: Final = 30.0
 MOST: Final = 4_096
 """Maximum number of connections; a browser opens six for a page."""
 
-_LATE: Final = Problem(
+_LATE: Final = ProblemDetails(
     408, f"the request did not arrive within {WAIT_S:.0f} s; send it without pauses", {"connection": "close"}
 )
-_INVALID: Final = Problem(400, "this is not an HTTP/1.1 request", {"connection": "close"})
-_FULL: Final = Problem(
+_INVALID: Final = ProblemDetails(400, "this is not an HTTP/1.1 request", {"connection": "close"})
+_FULL: Final = ProblemDetails(
     503, "too many connections are busy; try again later", {"connection": "close", "retry-after": "5"}
 )
 
@@ -114,7 +114,7 @@ class LimitedConnection(H11Protocol):
         """Close the connection; if a request has begun, answer it first."""
         self._refuse(_LATE if self.conn.trailing_data[0] else None)
 
-    def _refuse(self, problem: Problem | None) -> None:
+    def _refuse(self, problem: ProblemDetails | None) -> None:
         self._wait_no_more()
         if problem is not None and not self.transport.is_closing():
             head = "".join(f"{name.decode()}: {value.decode()}\r\n" for name, value in problem.raw_headers)

@@ -30,7 +30,7 @@ MAX_JSON: Final = 64 * 1024
 JSON: Final = "application/json"
 
 
-class Query(BaseModel):
+class QueryParameters(BaseModel):
     """Query parameters; unknown parameters are ignored."""
 
     model_config = ConfigDict(frozen=True)

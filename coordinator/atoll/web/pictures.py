@@ -12,7 +12,7 @@ from atoll.display.curves import choose_trajectories, curves_of, label
 from atoll.display.notation import equation_mathml
 from atoll.model.arguments import initial_conditions
 from atoll.model.equations import r2_text, rounded
-from atoll.model.simulation import Simulation
+from atoll.model.simulation import SimulationResult
 from atoll.text.conclusion import conclusion
 from atoll.text.render import constants_line
 from atoll_coordinator.result.base import Number
@@ -178,7 +178,7 @@ def simulation_of(result: Result) -> dict[str, Any]:
     return answer
 
 
-def _simulated(model: Model, simulation: Simulation) -> Simulated:
+def _simulated(model: Model, simulation: SimulationResult) -> Simulated:
     """Return the simulation of a picked equation from the first measured state, in the form of a result."""
     beginning, names = initial_conditions(model), model.result.columns_by_symbol
     recorded = next((part for part in model.result.recorded if part.name == beginning.name), None)

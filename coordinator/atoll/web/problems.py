@@ -16,8 +16,8 @@ _STATUS: Final[Mapping[type[AtollError], int]] = {
 }  # fmt: skip
 
 
-class Problem(JSONResponse):
-    """An error as the answer to a request."""
+class ProblemDetails(JSONResponse):
+    """An error as the answer to a request (RFC 9457)."""
 
     media_type = "application/problem+json"
 
@@ -43,9 +43,11 @@ def problem_of(request: Request, error: Exception) -> Response:
     """Return the answer to a request that raised an error; the application's handler of all exceptions."""
     if isinstance(error, HTTPException):
         members = {"columns": list(error.columns)} if isinstance(error, UnreadableError) and error.columns else {}
-        return Problem(error.status_code, error.detail, error.headers, **members)
+        return ProblemDetails(error.status_code, error.detail, error.headers, **members)
     if isinstance(error, AtollError):
         status = status_of(error)
-        return Problem(status, str(error), {"retry-after": "1"} if status == 503 else None)
+        return ProblemDetails(status, str(error), {"retry-after": "1"} if status == 503 else None)
     assert isinstance(error, BusyError)
-    return Problem(503, "too many requests are waiting; send this request again in a second", {"retry-after": "1"})
+    return ProblemDetails(
+        503, "too many requests are waiting; send this request again in a second", {"retry-after": "1"}
+    )

@@ -21,7 +21,7 @@ from typing import Final, Literal
 from starlette.exceptions import HTTPException
 
 from atoll.web.problems import UnreadableError
-from atoll.web.reading_task import READERS, REFUSED, Limits, Reading
+from atoll.web.reading_task import READERS, REFUSED, Reading, ReadingLimits
 
 PREFIX: Final = "atoll-web-"
 _LOCK: Final = "lock"
@@ -83,8 +83,8 @@ def split_files(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
 class Readers:
     """Reads a few files at a time, each in a fork of a process that has loaded all modules."""
 
-    def __init__(self, limits: Limits | None = None) -> None:
-        self.limits = limits or Limits()
+    def __init__(self, limits: ReadingLimits | None = None) -> None:
+        self.limits = limits or ReadingLimits()
         self._slots = asyncio.Semaphore(READERS)
 
     async def read(

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.web.problems import status_of
-from atoll.web.reading_task import REFUSED, Limits, Reading
+from atoll.web.reading_task import REFUSED, Reading, ReadingLimits
 from atoll.web.submission import Submission
 from atoll_core.errors import AtollError
 from atoll_core.wire.messages.limits import MAX_UPLOAD
@@ -89,7 +89,7 @@ def answer(task: Reading) -> int:
     return code
 
 
-def _refusal(error: BaseException, name: str, limits: Limits) -> tuple[int, str]:
+def _refusal(error: BaseException, name: str, limits: ReadingLimits) -> tuple[int, str]:
     causes, cause = [error], error
     while (cause := cause.__cause__ or cause.__context__) is not None and len(causes) < 10:  # type: ignore[assignment]
         causes.append(cause)

@@ -23,7 +23,7 @@ LATE: Final = -int(signal.SIGALRM)
 """Exit code of a reader that exceeded the limit `total_s`."""
 
 
-class Limits(BaseModel):
+class ReadingLimits(BaseModel):
     """Limits on reading one file.
 
     `memory` is in bytes: reading CSV takes 16 times its size (measured: 4.3 GB for 262 MB), and all readers together
@@ -62,4 +62,4 @@ class Reading(BaseModel):
     wanted: Literal["table", "outline", "preview"]
     options: str
     media_type: str
-    limits: Limits
+    limits: ReadingLimits

@@ -32,7 +32,15 @@ from atoll_coordinator.data.differentiation.inputs import (
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.increments import assemble_process
 from atoll_coordinator.data.prior_knowledge import resolve_equations
-from atoll_coordinator.data.recording import InputKind, Method, Preparation, Recording, Smoothing, Source, Trajectory
+from atoll_coordinator.data.recording import (
+    InputKind,
+    Method,
+    Preparation,
+    Recording,
+    Source,
+    StateSmoothing,
+    Trajectory,
+)
 from atoll_coordinator.data.roles.roles import assign_symbols
 from atoll_coordinator.data.selected_rows import (
     SelectedRows,
@@ -196,7 +204,7 @@ def _recording(
         smoother = estimate.smoother
         method: Method = "loess" if estimate.outliers is None else "robust loess"
         smoothing.append(
-            Smoothing(
+            StateSmoothing(
                 state,
                 "interpolation" if smoother is None else method,
                 estimate.noise,

@@ -27,7 +27,7 @@ kernels."""
 
 
 @dataclass(frozen=True)
-class Quantisation:
+class StateQuantisation:
     """How a state was rounded: the `kind`, the `step` (for the largest values, if it varies), the `error`.
 
     Values may be rounded to a decimal place, to significant digits, to float32, or to multiples of a step, as an
@@ -83,7 +83,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
-class Smoothing:
+class StateSmoothing:
     """How one state was smoothed.
 
     `noise` is the estimated standard deviation of its measurement errors, in its unit and in rows of weight 1. For an
@@ -107,7 +107,7 @@ class Smoothing:
     excluded_rows: tuple[ExcludedRow, ...] = ()
     narrower_noise: float = 0.0
     narrower_span: int = 0
-    quantisation: Quantisation | None = None
+    quantisation: StateQuantisation | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ class Recording:
     input_symbols: tuple[str, ...]
     order: Literal[1, 2]
     offset: float
-    smoothing: tuple[Smoothing, ...]
+    smoothing: tuple[StateSmoothing, ...]
     trajectories: tuple[Trajectory, ...]
     offsets: tuple[str, ...] = ()
     groups: tuple[str, ...] = ()

@@ -27,7 +27,7 @@ from atoll_coordinator.model.inference.conclusion import conclude
 from atoll_coordinator.model.inference.remarks import warn_of_random_walk, warn_of_residual_pattern
 from atoll_coordinator.model.inference.target_checks import TargetChecks
 from atoll_coordinator.model.inference.verdict import judge
-from atoll_coordinator.model.pools import LawsByGroup, Member, Pools
+from atoll_coordinator.model.pools import FrontMember, LawsByGroup, Pools
 from atoll_coordinator.model.refinement import Refined, Refinement
 from atoll_coordinator.model.regression.equation import WeightedRows, fit_equation
 from atoll_coordinator.model.regression.errors import measure_errors
@@ -173,7 +173,7 @@ def _fit_laws(task: ModellingTask, names: Sequence[str]) -> dict[str, Refined]:
     for name in names:
         problem, loss = task.dataset.problem(name), task.config.evolution.loss
         members = [
-            Member(law.program, *measure_errors(problem, law.program, loss))
+            FrontMember(law.program, *measure_errors(problem, law.program, loss))
             for law in laws_at_noise_level(task, name)[:1]
         ]
         equation = fit_equation(problem, task.config, members, deadline=task.deadline)

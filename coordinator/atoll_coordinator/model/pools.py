@@ -55,7 +55,7 @@ LawsByGroup = Sequence[Mapping[str, tuple[Law, ...]]]
 
 
 @dataclass(frozen=True, eq=False)
-class Member:
+class FrontMember:
     """A member of a front: its program, and its loss and mean squared error on all rows."""
 
     program: Program
@@ -63,9 +63,9 @@ class Member:
     mse: float
 
 
-def decode_members(entries: Sequence[FrontEntry], inputs: int) -> tuple[Member, ...]:
+def decode_members(entries: Sequence[FrontEntry], inputs: int) -> tuple[FrontMember, ...]:
     """Return the decoded members of a front; `inputs` is the number of variables."""
-    return tuple(Member(Program.from_bytes(entry.program, inputs), entry.error, entry.mse) for entry in entries)
+    return tuple(FrontMember(Program.from_bytes(entry.program, inputs), entry.error, entry.mse) for entry in entries)
 
 
 def may_be_shown(program: Program, largest: int | None) -> bool:

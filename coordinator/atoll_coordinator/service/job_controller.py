@@ -73,7 +73,7 @@ from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks import background
-from atoll_coordinator.service.tasks.analyses import Analysis
+from atoll_coordinator.service.tasks.analyses import RequestedAnalysis
 from atoll_coordinator.service.tasks.task_controller import TaskController
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.worker_controller import WorkerController
@@ -320,7 +320,7 @@ class JobController:
             raise RefusedError(f"job {job_id} has ended and cannot be {what}; coordinator retry submits it again")
         return job
 
-    def analyse(self, asked: AskAnalysis, user: str | None, now: float) -> Analysis:
+    def analyse(self, asked: AskAnalysis, user: str | None, now: float) -> RequestedAnalysis:
         """Return a question about the result of a job, with its answer if there is one. A new question becomes a task.
 
         Raises:
@@ -545,10 +545,10 @@ class JobController:
         served = [one for one in map(self._find_turn, running) if one is not None]
         return self._turns.order_tasks([*map(_turn, ready)], [*map(_turn, served)])
 
-    def _find_turn(self, turn: str) -> Job | Analysis | None:
+    def _find_turn(self, turn: str) -> Job | RequestedAnalysis | None:
         return self.jobs.get(turn) or self.tasks.analyses.get(turn)
 
-    def _may_run(self, turn: Job | Analysis) -> bool:
+    def _may_run(self, turn: Job | RequestedAnalysis) -> bool:
         """Return whether waiting tasks of a job, or of a question, may be leased. Running tasks are not affected."""
         is_paused = isinstance(turn, Job) and turn.is_paused
         return not (is_paused or self.queue.has_no_time(turn.submitter))
@@ -919,7 +919,7 @@ def _broken(job: Job | None, sentence: str) -> Ending | None:
     return None
 
 
-def _turn(one: Job | Analysis) -> Turn:
+def _turn(one: Job | RequestedAnalysis) -> Turn:
     return Turn(one.id, one.submitter, one.priority, one.submitted_at)
 
 

@@ -82,7 +82,7 @@ class PullAsked:
 class PullEnded:
     """A pull of this worker, `asked`, has ended with an answer, or without an answer (None)."""
 
-    asked: "Ask"
+    asked: "SendPull"
     body: epochs.Migrants | epochs.States | None
 
 
@@ -196,7 +196,7 @@ class SendReport:
 
 
 @dataclass(frozen=True, slots=True)
-class Ask:
+class SendPull:
     """Pull migrants from worker `peer`, or states of a checkpoint from the coordinator (None). A PullEnded follows."""
 
     peer: str | None
@@ -211,7 +211,7 @@ class Respond:
     body: epochs.Migrants | epochs.Reports | epochs.States | epochs.NotYet
 
 
-Outgoing = SendReport | Ask | Respond
+Outgoing = SendReport | SendPull | Respond
 """The messages that are sent on the bus."""
 
 Action = RunTask | StopAt | Discard | SendHeartbeat | Outgoing

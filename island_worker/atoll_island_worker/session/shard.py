@@ -260,30 +260,30 @@ class Shard:
         self._held[pull] = handle  # replaces the same pull, which has timed out
         return self._answers()
 
-    def early_pulls(self, epoch: int) -> list[io.Ask]:
+    def early_pulls(self, epoch: int) -> list[io.SendPull]:
         """Return pulls of all emigrants of an epoch that begins here; each is returned once."""
         if epoch <= self._pulled or epoch + 1 >= self.placement.epochs or epoch > self.schedule.limit:
             return []
         self._pulled = epoch
         return self._pulls(epoch, range(len(self.placement.workers)), self.islands)
 
-    def due_pulls(self) -> list[io.Ask]:
+    def due_pulls(self) -> list[io.SendPull]:
         """Return pulls of missing states and migrants, except pulls that are under way."""
-        pulls: list[io.Ask] = []
+        pulls: list[io.SendPull] = []
         first, wanted = self.placement.epoch, self._states.wanted
         if wanted and (None, first) not in self._under_way and self.stop_epoch >= first:
             self._under_way.add((None, first))
             states = epochs.PullStates(**self._names, epoch=first, islands=wanted, offset=self._states.offset)
-            pulls.append(io.Ask(None, states))
+            pulls.append(io.SendPull(None, states))
         return pulls + [pull for local in self.islands.values() for pull in self._missing(local)]
 
-    def _missing(self, local: LocalIsland) -> list[io.Ask]:
+    def _missing(self, local: LocalIsland) -> list[io.SendPull]:
         """Return pulls of the migrants that an island waits for, except pulls that are under way."""
         if local.state != "waiting":
             return []
         return self._pulls(local.epoch - 1, sorted(local.needs - local.arrived.keys()), (local.index,))
 
-    def _pulls(self, epoch: int, sources: Iterable[int], destinations: Iterable[int]) -> list[io.Ask]:
+    def _pulls(self, epoch: int, sources: Iterable[int], destinations: Iterable[int]) -> list[io.SendPull]:
         """Return one pull for each other worker with some of these sources, except pulls that are under way."""
         by_worker: dict[str, list[int]] = {}
         for source in sources:
@@ -291,7 +291,7 @@ class Shard:
         peers = [peer for peer in by_worker if peer != self.worker and (peer, epoch) not in self._under_way]
         self._under_way.update((peer, epoch) for peer in peers)
         return [
-            io.Ask(
+            io.SendPull(
                 peer,
                 epochs.PullMigrants(
                     **self._names, epoch=epoch, sources=tuple(by_worker[peer]), destinations=tuple(destinations)
@@ -300,7 +300,7 @@ class Shard:
             for peer in peers
         ]
 
-    def pull_ended(self, asked: io.Ask, body: epochs.Migrants | epochs.States | None) -> list[io.Ask]:
+    def pull_ended(self, asked: io.SendPull, body: epochs.Migrants | epochs.States | None) -> list[io.SendPull]:
         """Process the answer to a pull; if it contained only a part, return pulls for the rest.
 
         Raises:

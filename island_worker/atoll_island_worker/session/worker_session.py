@@ -126,7 +126,7 @@ class Session:
                 if shard is None or pull.term != shard.placement.term:
                     return [io.Respond(handle, epochs.NotYet())]
                 return [*shard.pull_asked(handle, pull)]
-            case io.PullEnded(asked=io.Ask(body=pull)):
+            case io.PullEnded(asked=io.SendPull(body=pull)):
                 shard = self._shards.get((pull.job, pull.variable))
                 if shard is not None and shard.placement.term == pull.term:
                     return [*shard.pull_ended(event.asked, event.body)]

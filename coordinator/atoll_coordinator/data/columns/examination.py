@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.columns.examined_columns import ExaminedColumns, Finding
+from atoll_coordinator.data.columns.examined_columns import ColumnFinding, ExaminedColumns
 from atoll_coordinator.data.columns.motion import check_map, check_second_order
 from atoll_coordinator.data.columns.values import (
     check_clipping,
@@ -22,7 +22,7 @@ from atoll_coordinator.data.trajectories.measurements import Measurements, take_
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.data.table import Table
 
-CHECKS: Final[Sequence[Callable[[ExaminedColumns], Iterable[Finding]]]] = (
+CHECKS: Final[Sequence[Callable[[ExaminedColumns], Iterable[ColumnFinding]]]] = (
     check_clipping,
     check_few_levels,
     check_held_inputs,
@@ -41,7 +41,7 @@ class Examination:
     roles: Roles
     options: DataConfig
     measurements: Measurements
-    findings: tuple[Finding, ...]
+    findings: tuple[ColumnFinding, ...]
 
 
 def examine(table: Table, config: JobConfig) -> Examination:

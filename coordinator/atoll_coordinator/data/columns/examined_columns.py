@@ -20,7 +20,7 @@ Parts = Sequence[FloatArray]
 
 
 @dataclass(frozen=True)
-class Finding:
+class ColumnFinding:
     """A result of a check: the text `found` and the `advice`, both without a full stop.
 
     `left_out` are states whose equations are not searched. `missing` has pairs of a column and a value; in this column,

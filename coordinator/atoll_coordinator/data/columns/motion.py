@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.columns.examined_columns import (
+    ColumnFinding,
     ExaminedColumns,
-    Finding,
     Parts,
     dot,
     mean,
@@ -48,7 +48,7 @@ _ROOT_70: Final = math.sqrt(70.0)
 # --------------------------------------------------------------------------------------------------------- the checks
 
 
-def check_second_order(columns: ExaminedColumns) -> Iterator[Finding]:
+def check_second_order(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     """Yield a finding if the states do not determine velocities, but states and velocities determine accelerations."""
     roles = columns.roles
     is_first = columns.is_in_time and roles.order == 1 and not columns.config.data.stochastic
@@ -64,20 +64,20 @@ def check_second_order(columns: ExaminedColumns) -> Iterator[Finding]:
     passes, its = ("passes", "its acceleration follows") if len(roles.states) == 1 else (
         "pass", "their accelerations follow"
     )  # fmt: skip
-    yield Finding(
+    yield ColumnFinding(
         f"{quoted(roles.states)} {passes} the same values with different velocities, and {its} from both",
         "to search for equations of second order, add --order 2",
     )
 
 
-def check_map(columns: ExaminedColumns) -> Iterator[Finding]:
+def check_map(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     """Yield a finding if states jump from row to row, but each row determines the next: x(n + 1) = f(x(n))."""
     states = columns.roles.states
     if not columns.is_in_time or columns.config.data.stochastic or not 0 < len(states) <= _MOST_POSITIONS:
         return
     is_jumping = all(roughness(columns.values[name]) > _JUMPS for name in states)
     if is_jumping and all(_determines_next(columns, name) for name in states):
-        yield Finding(
+        yield ColumnFinding(
             f"{quoted(states)} jump{'s' if len(states) == 1 else ''} from row to row, but each row determines the "
             "next, as in steps of a map x(n + 1) = f(x(n)) or where a period has few rows",
             "sample more often, or, if it is a map, write the next row's value into each row, as "

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.columns.examined_columns import (
+    ColumnFinding,
     ExaminedColumns,
-    Finding,
     Parts,
     dot,
     listed,
@@ -47,13 +47,13 @@ _ROUNDING: Final = 1e-12
 # -------------------------------------------------------------------------------------------------------- fill values
 
 
-def check_fill_values(columns: ExaminedColumns) -> Iterator[Finding]:
+def check_fill_values(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     """Yield a finding for each value that seems to mean a missing measurement, such as -9999."""
     for name, value in fill_values(columns).items():
         values = columns.finite(name)
         others, count = values[values != value], int(np.count_nonzero(values == value))
         rows = "1 row holds" if count == 1 else f"{count} rows hold"
-        yield Finding(
+        yield ColumnFinding(
             f"{rows} {value:.15g} in '{name}', whose other values lie between {float(np.min(others)):.4g} and "
             f"{float(np.max(others)):.4g}",
             f"if it stands for a missing value, add --missing-value {value:.15g}",
@@ -91,7 +91,7 @@ def _fill_value(values: FloatArray) -> float | None:
 # ----------------------------------------------------------------------------------------------------------- clipping
 
 
-def check_clipping(columns: ExaminedColumns) -> Iterator[Finding]:
+def check_clipping(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     """Yield a finding for each clipped state: its sensor was at the end of its range for several rows."""
     if not columns.is_in_time or columns.config.data.stochastic:
         return
@@ -103,7 +103,7 @@ def check_clipping(columns: ExaminedColumns) -> Iterator[Finding]:
         if not clipped or len(columns.finite(name)) - rows < rows // _MOST_CLIPPED:
             continue
         bounds = " and ".join(f"{value:.6g}" for value in clipped)
-        yield Finding(
+        yield ColumnFinding(
             f"{rows} values of '{name}' are exactly {bounds}, like values of a sensor at the end of its range",
             "they are treated as missing values, since the true values may lie beyond the range",
             missing=tuple((name, value) for value in clipped),
@@ -139,7 +139,7 @@ def _clipped(parts: Parts) -> list[float]:
 # ----------------------------------------------------------------------------------------------------------- counters
 
 
-def check_counters(columns: ExaminedColumns) -> Iterator[Finding]:
+def check_counters(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     """Yield a finding for the states that count the rows.
 
     Their equations are not searched unless no other state is left.
@@ -153,7 +153,7 @@ def check_counters(columns: ExaminedColumns) -> Iterator[Finding]:
     )
     if counters and len(counters) < len(states):
         counts, them, are = ("counts", "it", "is") if len(counters) == 1 else ("count", "them", "are")
-        yield Finding(
+        yield ColumnFinding(
             f"{quoted(counters)} {counts} the rows and {are} no quantity of the system",
             f"no equation is searched for {them} (--states {listed(states)} keeps {them})",
             left_out=counters,
@@ -163,7 +163,7 @@ def check_counters(columns: ExaminedColumns) -> Iterator[Finding]:
 # ------------------------------------------------------------------------------------------- few levels and held inputs
 
 
-def check_held_inputs(columns: ExaminedColumns) -> Iterator[Finding]:
+def check_held_inputs(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     """Yield a finding for inputs that seem to be held between rows; all other inputs are smooth curves between rows."""
     data = columns.config.data
     if not columns.is_in_time or data.stochastic:
@@ -176,13 +176,13 @@ def check_held_inputs(columns: ExaminedColumns) -> Iterator[Finding]:
     ]
     if held:
         jump = "jumps, like an input that is" if len(held) == 1 else "jump, like inputs that are"
-        yield Finding(
+        yield ColumnFinding(
             f"{quoted(held)} {jump} constant from each row to the next",
             f"if so, add --hold {listed((*data.hold, *held))}, otherwise inputs are smooth curves between rows",
         )
 
 
-def check_few_levels(columns: ExaminedColumns) -> Iterator[Finding]:
+def check_few_levels(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     """Yield a finding for each state with only a few values: it was rounded, or it is switched."""
     if not columns.is_in_time:
         return
@@ -193,13 +193,13 @@ def check_few_levels(columns: ExaminedColumns) -> Iterator[Finding]:
             levels = np.unique(values)
             error = float(np.min(np.diff(levels))) / math.sqrt(12.0)
             share = error / math.sqrt(variance(values))
-            yield Finding(
+            yield ColumnFinding(
                 f"'{name}' takes {len(levels)} values only; if it was rounded to them, its errors are {error:.2g} at "
                 f"least ({100.0 * share:.2g} % of its standard deviation)",
                 f"record it in finer steps, or, if it is switched, {as_input}",
             )
         elif is_held(columns.values[name]):
-            yield Finding(
+            yield ColumnFinding(
                 f"'{name}' keeps its value for several rows and then jumps, so it has no derivative",
                 f"if it acts on the other states from outside, {as_input}",
             )
@@ -315,7 +315,7 @@ class Relation:
         return (*self.coefficients, self.name)
 
 
-def check_relations(columns: ExaminedColumns) -> Iterator[Finding]:
+def check_relations(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     """Yield a finding for each column that other columns determine.
 
     If a state is a multiple or a sum of others up to rounding, its equation is not searched: no information is lost. If
@@ -332,7 +332,7 @@ def check_relations(columns: ExaminedColumns) -> Iterator[Finding]:
         is_redundant = relation.is_exact and total.constant == 0.0
         if is_redundant and columns.may_leave_out(total.name) and len(states) - len(left_out) > 1:
             left_out.append(total.name)
-            yield Finding(
+            yield ColumnFinding(
                 f"'{total.name}' is {_sum(total.coefficients, total.is_exact)} in every row, so that it only adds "
                 "other ways to write each equation",
                 f"no equation is searched for it (--states {listed(states)} keeps it)",
@@ -477,7 +477,7 @@ def _step(values: FloatArray) -> float:
     return max(min(10.0**place, largest), by_digits, 4.0 * float(np.spacing(largest)))
 
 
-def _remark(relation: Relation, states: Sequence[str], left_out: Sequence[str]) -> Finding:
+def _remark(relation: Relation, states: Sequence[str], left_out: Sequence[str]) -> ColumnFinding:
     how = "in every row" if relation.is_exact else f"up to noise ({100.0 * relation.residual:.2g} % of {relation.name})"
     if relation.constant:
         ones = {name: -value for name, value in relation.coefficients.items()} | {relation.name: 1.0}
@@ -491,8 +491,8 @@ def _remark(relation: Relation, states: Sequence[str], left_out: Sequence[str]) 
     others = [name for name in states if name not in left_out and name != relation.name]
     found = f"{what}, so that each equation can be written in several ways"
     if relation.name in states and others:
-        return Finding(found, f"to do without '{relation.name}', add --states {listed(others)}")
-    return Finding(found, f"leave '{relation.name}' out of --inputs if it is not wanted")
+        return ColumnFinding(found, f"to do without '{relation.name}', add --states {listed(others)}")
+    return ColumnFinding(found, f"leave '{relation.name}' out of --inputs if it is not wanted")
 
 
 def _sum(coefficients: Mapping[str, float], is_exact: bool) -> str:

@@ -39,7 +39,7 @@ from atoll_coordinator.data.differentiation.smoothing import (
     smooth,
     weigh_by,
 )
-from atoll_coordinator.data.recording import STENCIL_ROWS, Quantisation
+from atoll_coordinator.data.recording import STENCIL_ROWS, StateQuantisation
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.data.trajectories.usable_rows import SMALLEST, check_size
 from atoll_coordinator.settings import SETTINGS
@@ -89,7 +89,7 @@ class StateEstimate:
     has_heavy_tails: bool = False
     narrower_noise: float = 0.0
     narrower_span: int = 0
-    quantisation: Quantisation | None = None
+    quantisation: StateQuantisation | None = None
     points: FloatArray | None = None
 
     @property

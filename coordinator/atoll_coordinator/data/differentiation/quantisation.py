@@ -14,7 +14,7 @@ import numpy as np
 from atoll_coordinator.data.columns.values import has_few_levels, repeats_in_step
 from atoll_coordinator.data.differentiation.interpolation import predict_left_out
 from atoll_coordinator.data.differentiation.smoothing import Signal
-from atoll_coordinator.data.recording import Quantisation
+from atoll_coordinator.data.recording import StateQuantisation
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
@@ -26,7 +26,7 @@ _SHARES_OF_LEAST: Final = (1, 2, 3)
 """The step is the least difference of two values divided by one of these numbers."""
 
 
-def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
+def find_quantisation(parts: Sequence[FloatArray]) -> StateQuantisation | None:
     """Return the coarsest rounding that all values of a state share; None if this is only the rounding of doubles.
 
     `parts` are the values along each trajectory, NaN where they are missing.
@@ -43,7 +43,7 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
         least = float(np.diff(unique).min())
         multiples = (unique - unique[0]) / least
         is_even = float(np.abs(multiples - np.round(multiples)).max()) <= SETTINGS.common.negligible
-        return Quantisation("steps", least, least / _ROOT_12) if is_even else _decimal_rounding(unique)
+        return StateQuantisation("steps", least, least / _ROOT_12) if is_even else _decimal_rounding(unique)
     decimal, binary = _decimal_rounding(unique), _binary_rounding(unique)
     step = _common_step(unique, max(decimal.step, 0.0 if binary is None else binary.step))
     roundings = [decimal, *(rounding for rounding in (binary, step) if rounding is not None)]
@@ -52,7 +52,7 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     return coarsest if coarsest.error > SETTINGS.smoothing.smallest_noise * spread else None
 
 
-def is_refuted(quantisation: Quantisation, signals: Sequence[Signal]) -> bool:
+def is_refuted(quantisation: StateQuantisation, signals: Sequence[Signal]) -> bool:
     """Tell whether a state is exact: it follows a smooth curve more closely, in every row, than rounded values could.
 
     Squares of whole numbers, or a line with even steps, show a step but have no rounding error. If values were rounded,
@@ -64,7 +64,7 @@ def is_refuted(quantisation: Quantisation, signals: Sequence[Signal]) -> bool:
     return bool(np.any(largest < SETTINGS.common.negligible * quantisation.error))
 
 
-def _decimal_rounding(values: FloatArray) -> Quantisation:
+def _decimal_rounding(values: FloatArray) -> StateQuantisation:
     """Return the decimal rounding: to a decimal place, or to significant digits if that is coarser."""
     numbers = [Decimal(repr(value)).normalize() for value in values.tolist() if value != 0.0]
     digits = max(len(number.as_tuple().digits) for number in numbers)
@@ -73,20 +73,20 @@ def _decimal_rounding(values: FloatArray) -> Quantisation:
     by_digits = math.sqrt(sum(step * step for step in steps) / len(steps)) / _ROOT_12
     by_place = 10.0**place / _ROOT_12
     if by_digits > by_place:
-        return Quantisation("digits", max(steps), by_digits)
-    return Quantisation("decimals", 10.0**place, by_place)
+        return StateQuantisation("digits", max(steps), by_digits)
+    return StateQuantisation("decimals", 10.0**place, by_place)
 
 
-def _binary_rounding(values: FloatArray) -> Quantisation | None:
+def _binary_rounding(values: FloatArray) -> StateQuantisation | None:
     largest = float(np.finfo(np.float32).max)
     if not (np.abs(values) < largest).all() or not (values.astype(np.float32).astype(np.float64) == values).all():
         return None
     steps = np.spacing(np.abs(values).astype(np.float32)).astype(np.float64)
     square = math.fsum((steps * steps).tolist()) / len(steps)
-    return Quantisation("single precision", float(steps.max()), math.sqrt(square) / _ROOT_12)
+    return StateQuantisation("single precision", float(steps.max()), math.sqrt(square) / _ROOT_12)
 
 
-def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
+def _common_step(values: FloatArray, finest: float) -> StateQuantisation | None:
     """Return the step of which all differences of the ascending `values` are multiples, if there is such a step.
 
     The step is the least difference divided by a small whole number. Larger and larger differences then refine it. All
@@ -113,5 +113,5 @@ def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
         away = float(np.abs(multiples - np.round(multiples)).max())
         probability = (2.0 * away) ** (len(offsets) - 2) * len(_SHARES_OF_LEAST)
         if step > _WRITTEN_STEPS * finest and away * step <= written and probability < LIMITS.improbable:
-            return Quantisation("steps", step, step / _ROOT_12)
+            return StateQuantisation("steps", step, step / _ROOT_12)
     return None

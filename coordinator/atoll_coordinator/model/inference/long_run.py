@@ -26,7 +26,7 @@ from atoll_coordinator.model.inference.trajectory_simulation import compute_r2
 from atoll_coordinator.model.selection.shortcut import predictable_rows
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, growth_rate, speed_growth
 from atoll_coordinator.model.shooting.integration import Unsimulated
-from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.result.findings import Chaos
 from atoll_coordinator.settings import SETTINGS
@@ -141,7 +141,7 @@ def _fits_in_whole(final: FinalModel) -> bool | None:
     return True
 
 
-def may_be_chaotic(measurements: Measurements) -> bool:
+def may_be_chaotic(measurements: TrajectoryMeasurements) -> bool:
     """Tell whether a model of these measurements can be chaotic at all.
 
     A bounded trajectory of fewer than three states without inputs is, or approaches, a fixed point or a cycle
@@ -194,7 +194,7 @@ def _simulate_long_run(
 
 
 def make_simulator(
-    measurements: Measurements, times: FloatArray, tolerance: float, measured_rows: int, owner: int = 0
+    measurements: TrajectoryMeasurements, times: FloatArray, tolerance: float, measured_rows: int, owner: int = 0
 ) -> MultipleShooting:  # fmt: skip
     """Return an estimator that simulates systems without inputs at these `times` (N,), without measurements.
 

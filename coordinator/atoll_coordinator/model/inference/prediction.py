@@ -28,10 +28,10 @@ import numpy.typing as npt
 
 from atoll_coordinator.model.inference.long_run import make_simulator
 from atoll_coordinator.model.shooting.integration import Unsimulated
-from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between, remove_conserved_directions
-from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.result.equations import Prediction
 from atoll_coordinator.settings import SETTINGS
@@ -47,15 +47,15 @@ class AlternativeSystem:
     `odds_of_data` are the odds without the price of structures.
     """
 
-    system: System
+    system: OdeSystem
     group: int
     odds: float
     odds_of_data: float
 
 
 def compare_predictions(
-    measurements: Measurements, model: System, alternatives: Sequence[AlternativeSystem], tolerance: float,
-    drawn: Iterable[System] = (), *, is_near: bool = False,
+    measurements: TrajectoryMeasurements, model: OdeSystem, alternatives: Sequence[AlternativeSystem], tolerance: float,
+    drawn: Iterable[OdeSystem] = (), *, is_near: bool = False,
 ) -> list[Prediction]:  # fmt: skip
     """Return how well each measured state can be predicted; states without an equation have their smoothed values.
 
@@ -140,7 +140,7 @@ class _OtherInitialStates:
     after the measured state nearest to its initial state.
     """
 
-    def __init__(self, measurements: Measurements, tolerance: float, *, is_near: bool) -> None:
+    def __init__(self, measurements: TrajectoryMeasurements, tolerance: float, *, is_near: bool) -> None:
         self._measurements = measurements
         low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
         self._low, self._width = low, np.maximum(high - low, 1e-300)
@@ -191,7 +191,7 @@ class _OtherInitialStates:
         shift = SETTINGS.common.negligible * measurements.scales
         return np.asarray(remove_conserved_directions(shift[None], measurements.smoothed, noise)[0])
 
-    def simulate_model(self, model: System) -> list[Course]:
+    def simulate_model(self, model: OdeSystem) -> list[Course]:
         """Return the model's simulations from all initial states, and store the numbers of rows for simulations of
         other systems."""
         courses = []
@@ -202,11 +202,11 @@ class _OtherInitialStates:
             courses.append(self._select_rows(simulated, why, self._rows.get(place)))
         return courses
 
-    def simulate(self, system: System, places: Sequence[int]) -> list[Course]:
+    def simulate(self, system: OdeSystem, places: Sequence[int]) -> list[Course]:
         """Return the simulations of a system from the initial states `places`, by index."""
         return [self._simulate(system, place, self.starts[place], self._rows.get(place)) for place in places]
 
-    def horizon(self, model: System, own: Sequence[Course]) -> int:
+    def horizon(self, model: OdeSystem, own: Sequence[Course]) -> int:
         """Return the number of rows over which slightly shifted initial states give about the same values; chaos limits
         this number."""
         moved = self.starts + self._shift
@@ -262,7 +262,7 @@ class _OtherInitialStates:
         """Return the estimator that simulates systems from one of the initial states."""
         return self._estimators[place % len(self._estimators)]
 
-    def _simulate(self, system: System, place: int, start: FloatArray, rows: int | None = None) -> Course:
+    def _simulate(self, system: OdeSystem, place: int, start: FloatArray, rows: int | None = None) -> Course:
         return self._select_rows(*self._estimator(place).simulate_until_blow_up(system, start), rows)
 
     def _select_rows(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
@@ -295,7 +295,7 @@ class _OtherInitialStates:
         return np.flatnonzero(np.append(owners[1:] != owners[:-1], True))
 
 
-def _estimators(measurements: Measurements, tolerance: float) -> list[MultipleShooting]:
+def _estimators(measurements: TrajectoryMeasurements, tolerance: float) -> list[MultipleShooting]:
     """Return the estimators that simulate systems; initial states use them in turn.
 
     Without inputs, a simulation lasts as long as the longest trajectory. With inputs, it follows one of a few measured
@@ -320,7 +320,7 @@ def _estimators(measurements: Measurements, tolerance: float) -> list[MultipleSh
     return [make_simulator(measurements, times, tolerance, rows, owner) for owner in owners.tolist()]
 
 
-def _join_pieces(measurements: Measurements, owner: int) -> Measurements:
+def _join_pieces(measurements: TrajectoryMeasurements, owner: int) -> TrajectoryMeasurements:
     """Return the first rows of one trajectory as a single piece, simulated without a break."""
     rows = min(measurements.rows, SETTINGS.rows.most)
     beginning = measurements.pieces([(0, rows, owner)])
@@ -401,7 +401,7 @@ def _r2(predicted: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArr
     return np.asarray(1.0 - errors / np.maximum(spread, 1e-300))
 
 
-def draw_systems(system: System, covariance: FloatArray) -> Iterator[System]:
+def draw_systems(system: OdeSystem, covariance: FloatArray) -> Iterator[OdeSystem]:
     """Yield endlessly `system` with constants drawn from their joint normal distribution; yield nothing without
     constants.
 

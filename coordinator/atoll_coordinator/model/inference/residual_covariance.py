@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
-from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
@@ -33,7 +33,7 @@ _INDEPENDENT: Final = 1e-9
 value."""
 
 
-def residual_covariances(measurements: Measurements, fit: TrajectoryFit) -> list[FloatArray] | None:
+def residual_covariances(measurements: TrajectoryMeasurements, fit: TrajectoryFit) -> list[FloatArray] | None:
     """Return the covariance (n, n) of the residuals of each state in units of the variance of its errors.
 
     The matrices are blocks of I - H, with the projection H on the derivatives by constants and initial states. None if
@@ -46,7 +46,7 @@ def residual_covariances(measurements: Measurements, fit: TrajectoryFit) -> list
     return [np.eye(len(rows)) - rows @ rows.T for rows in np.split(orthonormal_basis(columns), ends[:-1])]
 
 
-def scaled_derivatives(measurements: Measurements, fit: TrajectoryFit) -> FloatArray | None:
+def scaled_derivatives(measurements: TrajectoryMeasurements, fit: TrajectoryFit) -> FloatArray | None:
     """Return the derivatives (M, P + L G) of the measured numbers, in units of their errors, by the fitted numbers.
 
     Rows are ordered state by state; the columns of constants come first. None if there are too many numbers.
@@ -81,7 +81,7 @@ correction, intervals contained the truth in 74 % of the tables."""
 
 
 def estimate_variance_inflation(
-    measurements: Measurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]
+    measurements: TrajectoryMeasurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]
 ) -> float:
     """Return the variances of constants averaged over possible correlations, divided by the variances for independent
     errors.

@@ -35,7 +35,7 @@ from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.inference.trajectory_simulation import squares_about_mean
 from atoll_coordinator.model.refinement import Alternative, JobKind, Refined
 from atoll_coordinator.model.shooting.error_model import ErrorModel
-from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.residual_noise import ROUGHNESS_VARIANCE, roughness
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.result.equations import Prediction
@@ -541,13 +541,13 @@ def drop_larger_equations(most: int, alternatives: Sequence[Alternative]) -> lis
     ]
 
 
-def standard_deviation(measurements: Measurements, index: int) -> float:
+def standard_deviation(measurements: TrajectoryMeasurements, index: int) -> float:
     """Return the standard deviation of the measured values of a state in rows that count, scaled to weight 1."""
     squares, count = squares_about_mean(measurements, index, slice(None))
     return max(math.sqrt(squares / max(count, 1)), 1e-300)
 
 
-def _split_into_pieces(residuals: FloatArray, measurements: Measurements, index: int) -> list[FloatArray]:
+def _split_into_pieces(residuals: FloatArray, measurements: TrajectoryMeasurements, index: int) -> list[FloatArray]:
     """Return the residuals of a state along each piece, on measured rows that count, scaled to weight 1."""
     own = residuals[index]
     if measurements.inverse_variances is not None:

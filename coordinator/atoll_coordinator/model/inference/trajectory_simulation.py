@@ -18,7 +18,7 @@ import numpy as np
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
-from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.thinning import curve, curves, spread_places
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.settings import SETTINGS
@@ -41,7 +41,7 @@ def fit_initial_states(
 
 
 def simulated_states(
-    measurements: Measurements, fit: TrajectoryFit, states: Sequence[str]
+    measurements: TrajectoryMeasurements, fit: TrajectoryFit, states: Sequence[str]
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Return the simulated values (O, N) of measured states, offsets included, and the offsets (N,) by state."""
     values, offsets = fit.simulated[measurements.observed], dict[str, FloatArray]()
@@ -53,7 +53,7 @@ def simulated_states(
     return values, offsets
 
 
-def rows_by_trajectory(measurements: Measurements) -> list[tuple[str, IntArray]]:
+def rows_by_trajectory(measurements: TrajectoryMeasurements) -> list[tuple[str, IntArray]]:
     """Return the name and the rows of each trajectory that has rows."""
     ranges = [np.arange(*bound) for bound in measurements.bounds.tolist()]
     named_rows = []
@@ -65,7 +65,7 @@ def rows_by_trajectory(measurements: Measurements) -> list[tuple[str, IntArray]]
 
 
 def list_trajectories(
-    measurements: Measurements, fit: TrajectoryFit | None, errors: FloatArray | None, states: Sequence[str],
+    measurements: TrajectoryMeasurements, fit: TrajectoryFit | None, errors: FloatArray | None, states: Sequence[str],
     preparation: Preparation, quantile: float,
 ) -> list[Simulated]:  # fmt: skip
     """Return the simulations for a result: thinned, at the times of the user's file, with the measurements.
@@ -119,7 +119,7 @@ def list_trajectories(
     return listed
 
 
-def compute_r2(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice) -> list[float | None]:
+def compute_r2(measurements: TrajectoryMeasurements, fit: TrajectoryFit, rows: IntArray | slice) -> list[float | None]:
     """Return R2 of the simulation along these rows for each measured state; None if the state does not vary."""
     shares: list[float | None] = []
     for state in range(len(measurements.observed)):
@@ -129,7 +129,7 @@ def compute_r2(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | 
     return shares
 
 
-def squares_about_mean(measurements: Measurements, state: int, rows: IntArray | slice) -> tuple[float, int]:
+def squares_about_mean(measurements: TrajectoryMeasurements, state: int, rows: IntArray | slice) -> tuple[float, int]:
     """Return the sum of squares of a measured state about its mean, scaled to weight 1, and the number of rows that
     count."""
     counts = measurements.weights[state, rows] > 0.0
@@ -142,7 +142,7 @@ def squares_about_mean(measurements: Measurements, state: int, rows: IntArray | 
 
 
 def simulated_standard_errors(
-    measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float
+    measurements: TrajectoryMeasurements, fit: TrajectoryFit, spread: FloatArray, scale: float
 ) -> FloatArray:
     """Return the standard errors (O, N) of the simulated states, from constants and initial states together.
 

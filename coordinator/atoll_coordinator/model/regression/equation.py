@@ -25,7 +25,7 @@ from atoll_coordinator.model.constants.standard_errors import (
 )
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.description_length import RegressionCriterion
-from atoll_coordinator.model.pools import Member, may_be_shown
+from atoll_coordinator.model.pools import FrontMember, may_be_shown
 from atoll_coordinator.model.refinement import Alternative, Refined
 from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_coordinator.model.regression.fit import FittedProgram, LeastSquares
@@ -88,7 +88,7 @@ def make_target_shortening(
 
 
 def fit_equation(
-    problem: Problem, config: JobConfig, front: Sequence[Member], counted: WeightedRows | None = None,
+    problem: Problem, config: JobConfig, front: Sequence[FrontMember], counted: WeightedRows | None = None,
     deadline: Deadline | None = None, *, has_intervals: bool = False,
 ) -> Refined | None:  # fmt: skip
     """Return the equation with the shortest description near `front`; None if no equation replaces the front's member.

@@ -140,7 +140,7 @@ def describe_noise(recording: Recording | None, errors: Mapping[str, Errors]) ->
 
 
 def _describe_noise_of_state(
-    recording: Recording, index: int, known: recordings.Smoothing, errors: Errors | None
+    recording: Recording, index: int, known: recordings.StateSmoothing, errors: Errors | None
 ) -> Noise:
     longest = max((len(part.times) for part in recording.trajectories), default=None)
     rms, largest = _measure_residuals(recording, index)

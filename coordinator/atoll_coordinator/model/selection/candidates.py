@@ -17,7 +17,7 @@ from typing import Final
 
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.batches import BatchFunction
-from atoll_coordinator.model.pools import Member, Origin, Pools, decode_members
+from atoll_coordinator.model.pools import FrontMember, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
@@ -37,7 +37,7 @@ class CandidateSet:
     with which the search begins; `known` is an equation that the user has fixed.
     """
 
-    front: tuple[Member, ...] = ()
+    front: tuple[FrontMember, ...] = ()
     runners_up: tuple[Program, ...] = ()
     guesses: tuple[Program, ...] = ()
     known: Program | None = None

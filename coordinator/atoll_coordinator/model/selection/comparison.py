@@ -1,12 +1,12 @@
 """Comparison of systems: each is fitted to the trajectories, and the shortest description wins (Rissanen 1978).
 
-How it works. A `ModelComparison` has measurements, constraints and one `Score`. It builds a `System` from one program
-for each equation, fits constants and initial states by multiple shooting (`fit_model`: in stages of growing segments;
-`fit_from`: whole pieces from the initial states of a similar system), and returns a `FittedModel` with its nats. Many
-systems are fitted in threads or on workers; a worker returns a small `FitSummary`, and one integration here restores
-the complete fit when it is needed. `narrow_down` is a tournament: many programs with few steps, then fewer programs
-with more steps. `calibrate` returns a new comparison whose errors come from the residuals of a model. Lengths of two
-comparisons must not be compared.
+How it works. A `ModelComparison` has measurements, constraints and one `Score`. It builds an `OdeSystem` from one
+program for each equation, fits constants and initial states by multiple shooting (`fit_model`: in stages of growing
+segments; `fit_from`: whole pieces from the initial states of a similar system), and returns a `FittedModel` with its
+nats. Many systems are fitted in threads or on workers; a worker returns a small `FitSummary`, and one integration here
+restores the complete fit when it is needed. `narrow_down` is a tournament: many programs with few steps, then fewer
+programs with more steps. `calibrate` returns a new comparison whose errors come from the residuals of a model. Lengths
+of two comparisons must not be compared.
 
 Trajectories decide, and not derivatives: smoothing errors are large and correlated, so a wrong equation often has a
 smaller error of the derivative than the true equation. It hardly ever has a smaller misfit to the measured states.
@@ -30,10 +30,10 @@ from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.score import FittedModel, Score, SummarizedFit
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
-from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.points_between import points_in_boxes
-from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
+from atoll_coordinator.model.shooting.system import OdeSystem, Place, SharedNumber, system_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
@@ -57,7 +57,7 @@ class FitStart:
     starts: FloatArray
     errors: ErrorModel
     is_stiff: bool
-    system: System | None = None
+    system: OdeSystem | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ class ComparisonParts:
     """The parts of a `ModelComparison` that are sent to workers; `roughness`, `rows` and `errors` belong to its
     score."""
 
-    measurements: Measurements
+    measurements: TrajectoryMeasurements
     tolerance: float
     measured_rows: int
     names: tuple[str, ...]
@@ -323,9 +323,9 @@ class ModelComparison:
         )
 
     def system(
-        self, programs: Sequence[Program], fixed_nodes: Sequence[Iterable[int]] = (), near: System | None = None,
+        self, programs: Sequence[Program], fixed_nodes: Sequence[Iterable[int]] = (), near: OdeSystem | None = None,
         shared: Collection[SharedNumber] = (),
-    ) -> System:  # fmt: skip
+    ) -> OdeSystem:  # fmt: skip
         """Return the system of `programs`.
 
         Args:
@@ -353,7 +353,7 @@ class ModelComparison:
             lower, upper = system.sharing.ranges(lower, upper)
         return replace(system, lower=lower, upper=upper)
 
-    def places(self, system: System) -> list[Place]:
+    def places(self, system: OdeSystem) -> list[Place]:
         """Return equation and node of each fitted constant of a system of this comparison."""
         firsts = [0, *(system.outputs + 1).tolist()]
         pairs = zip(system.places.tolist(), system.owners.tolist(), strict=True)

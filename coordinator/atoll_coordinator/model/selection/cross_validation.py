@@ -15,7 +15,7 @@ from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.selection.comparison import ComparisonParts, ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.error_model import ErrorModel
-from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
@@ -83,7 +83,7 @@ def squared_errors(comparison: ModelComparison, fold: Fold) -> FloatArray:
     return unknown if predicted is None else (rest.measurements.weights * predicted.residuals**2).sum(axis=1)
 
 
-def _make_estimator(whole: MultipleShooting, measurements: Measurements) -> MultipleShooting:
+def _make_estimator(whole: MultipleShooting, measurements: TrajectoryMeasurements) -> MultipleShooting:
     return MultipleShooting(measurements, whole.tolerance, whole.deadline)
 
 
@@ -93,7 +93,7 @@ FOLDS: Final[BatchFunction[ModelComparison, Fold, FloatArray]] = BatchFunction(
 """Systems fitted without some trajectories, and their residuals on these."""
 
 
-def _total_squares(measurements: Measurements) -> FloatArray:
+def _total_squares(measurements: TrajectoryMeasurements) -> FloatArray:
     """Return the sums of squared deviations (O,) from the mean along these trajectories."""
     known = measurements.weights > 0.0
     values = np.where(known, measurements.measured, 0.0)

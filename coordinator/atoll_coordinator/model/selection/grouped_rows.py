@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
 from atoll_core.expression.program import Program, constant_places, structure
@@ -49,7 +49,7 @@ class GroupedRows:
         return {}
 
     def constants(
-        self, system: System, leading: int, fixed: Sequence[Collection[int]], near: System | None
+        self, system: OdeSystem, leading: int, fixed: Sequence[Collection[int]], near: OdeSystem | None
     ) -> FloatArray:
         """Return the constants (G, N) of each group's nodes with which a fit of `system` begins.
 
@@ -63,7 +63,7 @@ class GroupedRows:
         return own
 
     def _start_constants(
-        self, index: int, program: Program, fixed: Collection[int], near: System | None, part: slice, leading: int
+        self, index: int, program: Program, fixed: Collection[int], near: OdeSystem | None, part: slice, leading: int
     ) -> FloatArray:
         """Return the constants (G, N) of one equation with which its fit begins."""
         if near is not None and near.sharing is not None:

@@ -31,7 +31,7 @@ from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, bounded_covariance
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.residual_noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
-from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places
@@ -197,15 +197,15 @@ class Score:
         noise = self._independent_noise(roughness(self.estimator.measurements, residuals), free)
         return replace(self, roughness=noise, rows=free)
 
-    def _add_prices(self, misfit: float, system: System) -> float:
+    def _add_prices(self, misfit: float, system: OdeSystem) -> float:
         """Return the nats of a system with this misfit."""
         return system_length(misfit, system.programs[self.leading :], 1, self._constants_length(system))
 
-    def _misfit_of(self, system: System) -> TrajectoryMisfit:
+    def _misfit_of(self, system: OdeSystem) -> TrajectoryMisfit:
         """Return the misfit function for systems with as many fitted numbers as this system."""
         return self.misfit.with_fitted(self._fitted_numbers(system))
 
-    def _fitted_numbers(self, system: System) -> float:
+    def _fitted_numbers(self, system: OdeSystem) -> float:
         """Return the number of fitted numbers per measured state: constants, including temporarily fixed constants, and
         initial states."""
         programs = system.programs[self.leading :]
@@ -213,7 +213,7 @@ class Score:
         constants = max(system.count, sum(len(constant_places(program)) for program in searched))
         return (constants + self._initial_values) / len(self.counts)
 
-    def _constants_length(self, system: System) -> float:
+    def _constants_length(self, system: OdeSystem) -> float:
         """Return the nats of all fitted constants; a constant of one group is determined by the rows of this group
         only."""
         own = 0 if system.sharing is None else system.sharing.own_numbers

@@ -18,13 +18,13 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.recording import Recording, Smoothing
+from atoll_coordinator.data.recording import Recording, StateSmoothing
 from atoll_coordinator.model.constants.rounding import Estimates
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.integration import STEPS_PER_ROW
-from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
-from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements, measurements_of
+from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import NUMPY, function_of
@@ -73,7 +73,7 @@ class _Reproduction:
     """The constants with which a solver reproduces the rows, as a system, and the residuals of each state (S,)."""
 
     solver: Solver
-    system: System
+    system: OdeSystem
     residuals: FloatArray
 
 
@@ -99,7 +99,9 @@ def _times(recording: Recording) -> Iterator[FloatArray]:
     return (part.times for part in recording.trajectories if not part.held_out)
 
 
-def _reproduce_rows(task: ModellingTask, whole: Measurements, solver: Solver, system: System) -> _Reproduction | None:
+def _reproduce_rows(
+    task: ModellingTask, whole: TrajectoryMeasurements, solver: Solver, system: OdeSystem
+) -> _Reproduction | None:
     """Return the constants with which the solver reproduces all rows; None if there are none.
 
     Along chaotic trajectories the last digits of the constants matter. So simple numbers, which are known exactly, are
@@ -129,8 +131,8 @@ def _reproduce_rows(task: ModellingTask, whole: Measurements, solver: Solver, sy
 
 
 def _fit_constants(
-    task: ModellingTask, part: Measurements, solver: Solver, system: System, runs: Sequence[_Run]
-) -> tuple[System, FloatArray, float]:
+    task: ModellingTask, part: TrajectoryMeasurements, solver: Solver, system: OdeSystem, runs: Sequence[_Run]
+) -> tuple[OdeSystem, FloatArray, float]:
     """Return the constants with the smallest residuals of a solver on the first rows, and two sizes of these residuals.
 
     The sizes are: for each state (S,), the residuals over its standard deviation; for all states together, the
@@ -163,7 +165,7 @@ def _fit_constants(
     return best, found, share
 
 
-def _round_to_simple_numbers(system: System) -> System:
+def _round_to_simple_numbers(system: OdeSystem) -> OdeSystem:
     """Return the system with constants rounded to simple numbers within the errors of an exact model."""
     values = system.values.copy()
     simple = Estimates(values, np.diag((SETTINGS.inference.exact * values) ** 2)).accepted_numbers
@@ -171,7 +173,7 @@ def _round_to_simple_numbers(system: System) -> System:
     return system.with_values(values)
 
 
-def _step_constants(system: System, slopes: FloatArray, residuals: FloatArray) -> System:
+def _step_constants(system: OdeSystem, slopes: FloatArray, residuals: FloatArray) -> OdeSystem:
     """Return the system after a least-squares step for `residuals` (M,) with the sensitivities `slopes` (M, P).
 
     In directions that the rows hardly determine, constants keep their values before the step.
@@ -184,7 +186,7 @@ def _step_constants(system: System, slopes: FloatArray, residuals: FloatArray) -
 
 
 def _solve_rows(
-    task: ModellingTask, solver: Solver, system: System, part: Measurements, runs: Sequence[_Run]
+    task: ModellingTask, solver: Solver, system: OdeSystem, part: TrajectoryMeasurements, runs: Sequence[_Run]
 ) -> FloatArray | None:
     """Return the states (S, N) that the solver computes at the first rows of all runs; None if it fails."""
     from scipy import integrate
@@ -247,7 +249,7 @@ def _correct_task(task: ModellingTask, found: _Reproduction) -> ModellingTask | 
     return replace(task, recording=recording, solver=found.solver.name)
 
 
-def _remove_noise(smoothing: Smoothing, left: float) -> Smoothing:
+def _remove_noise(smoothing: StateSmoothing, left: float) -> StateSmoothing:
     """Return the smoothing of a state whose errors are a share `left` of its standard deviation."""
     deviation = smoothing.noise / smoothing.relative_noise if smoothing.relative_noise > 0.0 else 0.0
     return replace(

@@ -15,7 +15,7 @@ from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import Constraints, ModelComparison
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.score import FittedModel
-from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import variable_program
 from atoll_coordinator.settings import SETTINGS
@@ -120,7 +120,7 @@ class ModellingTask:
                 return shortest(refined.program)
         return None
 
-    def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> Measurements:
+    def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> TrajectoryMeasurements:
         """Return the measurements of a system for these variables."""
         states = [self.recording.states.index(name) for name in variables]
         return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
@@ -131,7 +131,7 @@ class ModellingTask:
         return max(len(part.times) for part in self.recording.trajectories if not part.held_out)
 
     @cached_property
-    def compared_measurements(self) -> Measurements:
+    def compared_measurements(self) -> TrajectoryMeasurements:
         """The measurements of all variables, thinned to the rows on which systems with this many states are
         compared."""
         settings = SETTINGS.selection
@@ -164,7 +164,7 @@ class ModellingTask:
         return task
 
     def make_comparison(
-        self, measurements: Measurements, variables: Sequence[str], *, is_precise: bool = False,
+        self, measurements: TrajectoryMeasurements, variables: Sequence[str], *, is_precise: bool = False,
         has_noise: bool = True, measured_rows: int = 0,
     ) -> ModelComparison:  # fmt: skip
         """Return a comparison over these measurements, which may represent more `measured_rows` of the same time span.

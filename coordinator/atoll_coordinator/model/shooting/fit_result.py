@@ -12,7 +12,7 @@ import numpy as np
 
 from atoll_coordinator.model.constants.standard_errors import Flags, estimate_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
-from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
@@ -50,7 +50,7 @@ class TrajectoryFit:
         gradient: the derivative (P,) of the log-likelihood by the constants: zero, except for constants on bounds.
     """
 
-    system: System
+    system: OdeSystem
     segments: Ints
     starts: FloatArray
     simulated: FloatArray

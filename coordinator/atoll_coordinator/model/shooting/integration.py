@@ -16,8 +16,8 @@ import numpy as np
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
 from atoll_coordinator.model.shooting.kernels.rates import Table
-from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
+from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
@@ -73,7 +73,7 @@ class Integration:
 class Integrator:
     """Integrates systems along the segments of `measurements`."""
 
-    def __init__(self, measurements: Measurements, tolerance: float, measured_rows: int = 0) -> None:
+    def __init__(self, measurements: TrajectoryMeasurements, tolerance: float, measured_rows: int = 0) -> None:
         """`tolerance` is the error of a step over a state's standard deviation.
 
         The number of allowed steps is proportional to the rows, or to `measured_rows` if the rows represent more
@@ -93,7 +93,7 @@ class Integrator:
         )
 
     def integrate(
-        self, method: Method, system: System, segments: Ints, starts: FloatArray, *, has_sensitivities: bool = True
+        self, method: Method, system: OdeSystem, segments: Ints, starts: FloatArray, *, has_sensitivities: bool = True
     ) -> Integration:
         """Integrate `segments` (G, 2) from their `starts` (G, L)."""
         measurements = self.measurements
@@ -111,7 +111,7 @@ class Integrator:
         return Integration(done, steps, simulated, sensitivities)
 
     def _integrate(
-        self, method: Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
+        self, method: Method, system: OdeSystem, segments: Ints, starts: FloatArray, simulated: FloatArray,
         sensitivities: FloatArray,
     ) -> tuple[int, int]:  # fmt: skip
         """Write states and sensitivities in place; return the result of `integrate_segments` and the number of
@@ -127,7 +127,7 @@ class Integrator:
         return done, int(taken[0])
 
     def _integrate_groups(
-        self, method: Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
+        self, method: Method, system: OdeSystem, segments: Ints, starts: FloatArray, simulated: FloatArray,
         sensitivities: FloatArray,
     ) -> tuple[int, int]:  # fmt: skip
         """Integrate each segment with the constants of its group, which are multiples of fitted numbers; see
@@ -154,7 +154,7 @@ class Integrator:
         sensitivities[:, :, system.count : system.count + states] = own_sensitivities[:, :, places:]
         return all_done, all_steps
 
-    def steepest(self, sensitivities: FloatArray, system: System) -> float:
+    def steepest(self, sensitivities: FloatArray, system: OdeSystem) -> float:
         """Return the largest absolute sensitivity of (N, D, P + L), in units of state scales and constant sizes."""
         scales, sizes = self.measurements.scales, np.abs(system.values)
         offsets = sensitivities.shape[2] - len(sizes) - len(scales)
@@ -162,7 +162,7 @@ class Integrator:
         steepest = np.maximum(sensitivities.max(axis=0, initial=0.0), -sensitivities.min(axis=0, initial=0.0))
         return float(np.max(steepest / scales[:, None] * units, initial=0.0))
 
-    def simulate(self, system: System, segments: Ints, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
+    def simulate(self, system: OdeSystem, segments: Ints, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
         """Return the states (D, N) of segments that all begin at `start` (D,), and why integration ended early.
 
         States are NaN after an early end; the reason is None if there was no early end. If the explicit method takes

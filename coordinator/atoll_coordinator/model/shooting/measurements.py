@@ -33,7 +33,7 @@ limit, errors outside of the reach would matter. For weights that reach to six m
 
 
 @dataclass(frozen=True, eq=False)
-class Measurements:
+class TrajectoryMeasurements:
     """Rows of trajectories for a system of D equations.
 
     Attributes:
@@ -136,7 +136,7 @@ class Measurements:
             ranges += _cut_range(first, end, count)
         return np.array(ranges, dtype=np.int64)
 
-    def thin(self, most: int) -> "Measurements":
+    def thin(self, most: int) -> "TrajectoryMeasurements":
         """Return pieces of the trajectories with about `most` rows in total; both early and late pieces are selected.
 
         If groups have their own constants, the number of pieces follows from the rows of the pieces themselves. Then
@@ -154,22 +154,22 @@ class Measurements:
         count = min(max(1, most * len(pieces) // rows), len(pieces))
         return self.pieces([pieces[place] for place in _choose_spread([owner for *_, owner in pieces], count)])
 
-    def part(self, owners: Collection[int]) -> "Measurements":
+    def part(self, owners: Collection[int]) -> "TrajectoryMeasurements":
         """Return the pieces of these trajectories (indices of `names`)."""
         bounds = zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
         return self.pieces([(first, end, owner) for (first, end), owner in bounds if owner in owners])
 
-    def pieces(self, kept: Sequence[tuple[int, int, int]]) -> "Measurements":
+    def pieces(self, kept: Sequence[tuple[int, int, int]]) -> "TrajectoryMeasurements":
         """Return the measurements of the pieces `kept`: (first row, end, owner)."""
         return self._take_rows([np.arange(first, end) for first, end, _ in kept], [owner for *_, owner in kept])
 
-    def strided(self, stride: int) -> "Measurements":
+    def strided(self, stride: int) -> "TrajectoryMeasurements":
         """Return every `stride`-th row of each piece."""
         if stride == 1:
             return self
         return self._take_rows([np.arange(first, end, stride) for first, end in self.bounds], self.owners.tolist())
 
-    def _take_rows(self, rows_by_piece: Sequence[Ints], owners: Sequence[int]) -> "Measurements":
+    def _take_rows(self, rows_by_piece: Sequence[Ints], owners: Sequence[int]) -> "TrajectoryMeasurements":
         rows, lengths = np.concatenate(rows_by_piece), np.array([len(rows) for rows in rows_by_piece])
         ends = np.cumsum(lengths)
         by_row = ("measured", "weights", "inverse_variances", "smoothed", "inputs", "input_slopes", "resting")
@@ -186,7 +186,7 @@ class Measurements:
 
 def measurements_of(
     recording: Recording, modelled: Sequence[int], *, held_out: bool = False, piece: int = SETTINGS.shooting.piece
-) -> Measurements:
+) -> TrajectoryMeasurements:
     """Return the measurements for a system with equations for the `modelled` states (indices).
 
     The smoothed values of the other states are inputs, after the inputs of the recording; rows without these values are
@@ -219,7 +219,7 @@ def measurements_of(
     )
     bounds, owners = _pieces([len(part.times) for part in parts], piece)
     resting = np.concatenate([_resting(part, chosen, recording.order) for part in parts], axis=1)
-    whole = Measurements(
+    whole = TrajectoryMeasurements(
         bounds=bounds,
         owners=owners,
         times=np.concatenate([part.times for part in parts]),
@@ -255,7 +255,9 @@ def _rounding(recording: Recording, chosen: Sequence[int], variances: Sequence[V
     return np.array([error * variance.scale for error, variance in zip(errors, variances, strict=True)])
 
 
-def _keep_rows_with_inputs(whole: Measurements, parts: Sequence[Trajectory], others: Sequence[int]) -> Measurements:
+def _keep_rows_with_inputs(
+    whole: TrajectoryMeasurements, parts: Sequence[Trajectory], others: Sequence[int]
+) -> TrajectoryMeasurements:
     """Return the parts of all pieces along which all smoothed states that serve as inputs are known."""
     if not others or all(part.is_known is None for part in parts):
         return whole

@@ -48,8 +48,8 @@ from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.integration import OVERHEAD_NUMBERS, STEEPEST, Integrator, Method, Unsimulated
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
-from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
+from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
@@ -75,7 +75,7 @@ class _Point:
     """A point of the fit: system with constants, initial states (G, L), errors, cost, simulated states and normal
     equations."""
 
-    system: System
+    system: OdeSystem
     starts: FloatArray
     errors: ErrorModel
     cost: float
@@ -95,7 +95,11 @@ class MultipleShooting:
     """
 
     def __init__(
-        self, measurements: Measurements, tolerance: float, deadline: Deadline | None = None, measured_rows: int = 0
+        self,
+        measurements: TrajectoryMeasurements,
+        tolerance: float,
+        deadline: Deadline | None = None,
+        measured_rows: int = 0,
     ) -> None:
         """After the `deadline` a fit takes no more steps. See `Integrator` for the other arguments."""
         self.integrator: Final = Integrator(measurements, tolerance, measured_rows)
@@ -118,7 +122,7 @@ class MultipleShooting:
     # -------------------------------------------------------------------------------------------------- fits
 
     def fit(
-        self, system: System, length: int | None, steps: int, starts: FloatArray | None = None,
+        self, system: OdeSystem, length: int | None, steps: int, starts: FloatArray | None = None,
         errors: ErrorModel | None = None, *, is_stiff: bool = False,
     ) -> TrajectoryFit | None:  # fmt: skip
         """Return `system` fitted to segments of about `length` rows; None if it cannot be integrated from `starts`.
@@ -150,7 +154,7 @@ class MultipleShooting:
         return getattr(self._of_thread, "counted", 0)
 
     def complete(
-        self, system: System, length: int | None, starts: FloatArray, errors: ErrorModel, *, is_stiff: bool
+        self, system: OdeSystem, length: int | None, starts: FloatArray, errors: ErrorModel, *, is_stiff: bool
     ) -> TrajectoryFit:
         """Return the complete fit with these constants, initial states and errors, equal to the bit; counts no work."""
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=is_stiff)
@@ -160,7 +164,7 @@ class MultipleShooting:
         assert fit is not None, "a fitted system can be integrated"
         return fit
 
-    def join(self, fit: TrajectoryFit, before: int | None, after: int | None) -> tuple[System, FloatArray] | None:
+    def join(self, fit: TrajectoryFit, before: int | None, after: int | None) -> tuple[OdeSystem, FloatArray] | None:
         """Return the system and initial states (G, D) of longer segments that make the segments of a fit continuous.
 
         In a chaotic trajectory, the end of a long segment cannot be predicted from its beginning. So Gauss-Newton steps
@@ -205,7 +209,7 @@ class MultipleShooting:
         return None
 
     def _integrate_to_next(
-        self, method: Method, system: System, segments: Ints, starts: FloatArray, last: Ints
+        self, method: Method, system: OdeSystem, segments: Ints, starts: FloatArray, last: Ints
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
         """Return states (D, N), sensitivities (N, D, P + D), and the sensitivities and states at the ends of segments.
 
@@ -319,13 +323,13 @@ class MultipleShooting:
 
     # --------------------------------------------------------------------------------------------------- simulations
 
-    def simulate(self, system: System, start: FloatArray) -> FloatArray | Unsimulated:
+    def simulate(self, system: OdeSystem, start: FloatArray) -> FloatArray | Unsimulated:
         """Return the states (D, N) of whole trajectories from one initial state (D,), or why the simulation ended
         early."""
         simulated, why = self.simulate_until_blow_up(system, start)
         return simulated if why is None else why
 
-    def simulate_until_blow_up(self, system: System, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
+    def simulate_until_blow_up(self, system: OdeSystem, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
         """Return `Integrator.simulate` of whole trajectories."""
         return self.integrator.simulate(system, self.layout(None).segments, start)
 
@@ -339,7 +343,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     """The fit of one system to segments of one length; `work` is its work so far."""
 
     def __init__(
-        self, estimator: MultipleShooting, system: System, length: int | None, starts: FloatArray | None,
+        self, estimator: MultipleShooting, system: OdeSystem, length: int | None, starts: FloatArray | None,
         errors: ErrorModel | None, *, may_be_stiff: bool,
     ) -> None:  # fmt: skip
         self._estimator, self._measurements = estimator, estimator.measurements
@@ -431,7 +435,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         )  # fmt: skip
 
     def point(
-        self, system: System, starts: FloatArray, errors: ErrorModel, below: float = math.inf
+        self, system: OdeSystem, starts: FloatArray, errors: ErrorModel, below: float = math.inf
     ) -> tuple[_Point | None, bool]:
         """Return the point of a system and its initial states, and whether the method took too many steps.
 
@@ -549,7 +553,7 @@ def _condense(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints)
     return _Blocks(normal, coupling, own, gradient, own_gradient), moves
 
 
-def relative_steps(measurements: Measurements) -> FloatArray:
+def relative_steps(measurements: TrajectoryMeasurements) -> FloatArray:
     """Return the time step (N,) from the previous row to each row, over the median step; 1 for evenly spaced rows."""
     steps = np.diff(measurements.times, prepend=measurements.times[0]) / measurements.step
     steps[measurements.bounds[:, 0]] = 1.0
@@ -558,7 +562,7 @@ def relative_steps(measurements: Measurements) -> FloatArray:
 
 
 def fit_in_stages(
-    estimator: MultipleShooting, system: System, lengths: Sequence[int | None], steps: int
+    estimator: MultipleShooting, system: OdeSystem, lengths: Sequence[int | None], steps: int
 ) -> TrajectoryFit | None:
     """Return `system` fitted to segments of growing `lengths`; each fit starts from the end of the previous one."""
     fit: TrajectoryFit | None = None
@@ -578,7 +582,7 @@ def fit_in_stages(
     return fit
 
 
-def _intermediate_lengths(lengths: Sequence[int | None], measurements: Measurements) -> Iterator[int | None]:
+def _intermediate_lengths(lengths: Sequence[int | None], measurements: TrajectoryMeasurements) -> Iterator[int | None]:
     """Yield `lengths`, and intermediate lengths if the ratio of two successive lengths is too large.
 
     Errors may grow so much along a trajectory that a fit of long segments fails if it starts from the fit of much

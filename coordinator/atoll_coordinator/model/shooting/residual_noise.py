@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_core.data.dataset import FloatArray
 
 ROUGHNESS_VARIANCE: Final = 35.0 / 9.0
@@ -23,7 +23,7 @@ _ROUNDING: Final = 1e-9
 """Guard: upper limit of the relative rounding error of sums of squares by Fourier transforms, for 1e9 rows."""
 
 
-def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
+def roughness(measurements: TrajectoryMeasurements, residuals: FloatArray) -> FloatArray:
     """Return the standard deviation (O,) of the independent part of `residuals` (O, N), from their second differences.
 
     Slow errors have nearly no second differences.
@@ -41,7 +41,9 @@ def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
     return deviations
 
 
-def slow_shares(measurements: Measurements, residuals: FloatArray, pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
+def slow_shares(
+    measurements: TrajectoryMeasurements, residuals: FloatArray, pieces: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the share of the residuals' squares (O,) that slow cosines explain, and its expected value for independent
     errors.
 
@@ -68,7 +70,7 @@ def slow_shares(measurements: Measurements, residuals: FloatArray, pieces: Float
     return shares, expected
 
 
-def count_pieces(measurements: Measurements) -> FloatArray:
+def count_pieces(measurements: TrajectoryMeasurements) -> FloatArray:
     """Return the number of independent numbers (O,) in errors that vary as slowly as the derivatives of the states.
 
     This is the number of rows over their correlation length. The correlation length is the lag at which the
@@ -99,7 +101,7 @@ def _correlation_length(parts: Sequence[FloatArray]) -> int:
     return max(len(sums), 1)
 
 
-def _ranges_without_gaps(measurements: Measurements) -> Iterator[slice]:
+def _ranges_without_gaps(measurements: TrajectoryMeasurements) -> Iterator[slice]:
     """Yield ranges of rows without a gap between them, regardless of the pieces of simulations."""
     times = measurements.times
     steps = np.diff(times)

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.recording import Recording, Smoothing
+from atoll_coordinator.data.recording import Recording, StateSmoothing
 from atoll_coordinator.model.loess_matrix import residual_shares
 from atoll_core.data.dataset import FloatArray
 
@@ -91,7 +91,7 @@ def _estimate_state(recording: Recording, state: int) -> tuple[VarianceModel, fl
     return models[best], evidence
 
 
-def _residual_shares(smoothing: Smoothing, rows: int) -> FloatArray:
+def _residual_shares(smoothing: StateSmoothing, rows: int) -> FloatArray:
     """Return the variance of the residual of each row (R,) over the variance of its error."""
     if smoothing.span is None or smoothing.degree is None:
         return np.ones(rows)

@@ -66,7 +66,7 @@ class Sharing:
 
 
 @dataclass(frozen=True, eq=False)
-class System:
+class OdeSystem:
     """D equations on one tape, see `kernels.rates.Tape`; `equations` are their programs.
 
     `parameters` (N,) has the index of each fitted constant, -1 for other nodes; `places` (P,) are their nodes, `owners`
@@ -112,7 +112,7 @@ class System:
         """The fitted numbers (Q,)."""
         return self.constants[self.places] if self.sharing is None else self.sharing.numbers(self.places)
 
-    def with_values(self, values: FloatArray) -> "System":
+    def with_values(self, values: FloatArray) -> "OdeSystem":
         """Return the system with other values (Q,) of the fitted numbers, within their bounds."""
         if self.lower is not None and self.upper is not None:
             values = np.clip(values, self.lower, self.upper)
@@ -125,7 +125,7 @@ class System:
         constants[self.places] = own[:, self.places].mean(axis=0)
         return replace(self, constants=constants, sharing=replace(self.sharing, constants=own))
 
-    def sharing_numbers(self, constants: FloatArray, shared: Collection[SharedNumber], leading: int = 0) -> "System":
+    def sharing_numbers(self, constants: FloatArray, shared: Collection[SharedNumber], leading: int = 0) -> "OdeSystem":
         """Return the system with one fitted number for each group and constant, except for the `shared` numbers.
 
         The start value of a shared number is the mean of its constants over their multiples.
@@ -173,7 +173,7 @@ class System:
         values = self.values
         return np.asarray((values <= self.lower) | (values >= self.upper))
 
-    def with_fixed_constants(self) -> "System":
+    def with_fixed_constants(self) -> "OdeSystem":
         """Return the system with all constants fixed at their values."""
         none = np.zeros(0, dtype=np.int64)
         sharing = self.sharing
@@ -193,7 +193,7 @@ class System:
             return numbers[None]
         return np.asarray(numbers[self.sharing.columns] * self.sharing.multiples**power)
 
-    def of_group(self, group: int) -> "System":
+    def of_group(self, group: int) -> "OdeSystem":
         """Return the system with the constants of one group, without bounds; itself if there are no groups."""
         if self.sharing is None:
             return self
@@ -209,7 +209,7 @@ class System:
 
 def system_of(
     programs: Sequence[Program], names: Sequence[str], variables: Sequence[str], fixed: Sequence[Collection[int]] = ()
-) -> System:
+) -> OdeSystem:
     """Return the system of `programs`, one for each equation.
 
     Args:
@@ -237,7 +237,7 @@ def system_of(
     parameters[places] = np.arange(len(places))
     constants = np.concatenate([program.constants for program in programs])
     outputs = np.cumsum(lengths) - 1
-    return System(tuple(programs), code, left, right, constants, outputs, parameters, equations[places], places)
+    return OdeSystem(tuple(programs), code, left, right, constants, outputs, parameters, equations[places], places)
 
 
 def variable_program(index: int) -> Program:

@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
-from atoll_coordinator.model.shooting.system import System, system_of
+from atoll_coordinator.model.shooting.system import OdeSystem, system_of
 from atoll_core.expression.operators import ADD, CONSTANT, MULTIPLY, VARIABLE
 from atoll_core.expression.program import Program
 
@@ -29,7 +29,7 @@ def warm_up() -> None:
         fit_in_stages(MultipleShooting(measurements, tolerance), system, (3, None), 2)
 
 
-def _small_system() -> System:
+def _small_system() -> OdeSystem:
     """Return dx/dt = -0.4 x + u."""
     codes = [VARIABLE, CONSTANT, MULTIPLY, VARIABLE, ADD]
     columns = np.array([[0, 0, 1, 1, 2], [0, 0, 0, 0, 3]], np.int16)
@@ -37,11 +37,11 @@ def _small_system() -> System:
     return system_of([program], ("x", "u"), ("x", "u"))
 
 
-def _small_measurements() -> Measurements:
+def _small_measurements() -> TrajectoryMeasurements:
     """Return a few rows of one state and one input."""
     times = 0.1 * np.arange(float(_ROWS))
     states, inputs = (1.0 - 0.3 * times)[None], (0.1 + 0.05 * times)[None]
-    return Measurements(
+    return TrajectoryMeasurements(
         bounds=np.array([[0, _ROWS]], dtype=np.int64),
         owners=np.zeros(1, dtype=np.int64),
         times=times,

@@ -33,16 +33,16 @@ from atoll_coordinator.model.sparse.atoms import (
     program_atom,
     values_of_products,
 )
-from atoll_coordinator.model.sparse.many_variables import Equation, find_short_laws, window_rows
+from atoll_coordinator.model.sparse.many_variables import UnknownEquation, find_short_laws, window_rows
 from atoll_coordinator.model.sparse.regression import (
-    Regression,
+    SparseRegression,
     eliminate_columns,
     select_forward,
 )
 from atoll_coordinator.model.sparse.rows import (
     MeasuredRows,
     RateRows,
-    Rows,
+    RegressionRows,
     half_width,
     measured_rows_of,
     rate_rows,
@@ -228,10 +228,10 @@ def _find_laws_without_noise(problem: Problem, columns: Sequence[int]) -> Iterat
 
     Without such a sum, yield the smallest sum whose errors are about as large as the limit of convergence.
     """
-    rows, limit = Rows(problem.inputs, problem.target.values), problem.target.convergence_error()
+    rows, limit = RegressionRows(problem.inputs, problem.target.values), problem.target.convergence_error()
     ways = []
     for terms, is_tested in polynomial_libraries(columns, len(rows.sides), _DEGREES):
-        regression = Regression(rows, product_atoms(problem.inputs, terms))
+        regression = SparseRegression(rows, product_atoms(problem.inputs, terms))
         if not regression.is_finite:
             break
         ways.append(([*regression.elimination_path(range(len(terms)), np.ones(len(rows.sides)))], is_tested))
@@ -258,14 +258,14 @@ class _Windows:
     half: int
     largest: tuple[Product, ...]
 
-    def regression(self) -> Regression:
+    def regression(self) -> SparseRegression:
         """Return the regression with all terms of the largest library."""
         rows = weak_rows(self.measured, self.target, self.half)
         assert rows is not None, "there are windows"
-        return Regression(rows, product_atoms(self.measured.values, self.largest))
+        return SparseRegression(rows, product_atoms(self.measured.values, self.largest))
 
 
-def _search_law(regression: Regression, terms: tuple[Product, ...]) -> tuple[Law, ...]:
+def _search_law(regression: SparseRegression, terms: tuple[Product, ...]) -> tuple[Law, ...]:
     """Return the law that a search from the sum of these products finds; empty without one."""
     places = {atom.shape.factors: place for place, atom in enumerate(regression.atoms)}
     found = regression.select_terms([places[term] for term in terms])
@@ -278,7 +278,7 @@ _Description = tuple[tuple[Product, ...] | None, float]
 """The products of a program, None if it is no sum of products; and the nats of the program."""
 
 
-def _describe(regression: Regression, program: Program) -> _Description:
+def _describe(regression: SparseRegression, program: Program) -> _Description:
     """Return the products or the nats of a program by the criterion of sums; infinite nats if it cannot be fitted.
 
     The constants of the program were fitted to derivatives that smoothing has flattened. So a factor of the whole
@@ -290,7 +290,7 @@ def _describe(regression: Regression, program: Program) -> _Description:
         return tuple(terms), math.inf
     if not may_be_shown(written, None):
         return None, math.inf
-    alone = Regression(rows, [program_atom(written, rows.inputs)])
+    alone = SparseRegression(rows, [program_atom(written, rows.inputs)])
     fit = alone.refit([0], np.ones(len(rows.sides))) if alone.is_solvable else None
     if fit is None or fit.assessment is None:
         return None, math.inf
@@ -298,10 +298,10 @@ def _describe(regression: Regression, program: Program) -> _Description:
     return None, fit.assessment.misfit + structure_length(written) + constants * constant_nats_of(rows.independent)
 
 
-_SUMS: Final[BatchFunction[Regression, tuple[Product, ...], tuple[Law, ...]]] = BatchFunction(
+_SUMS: Final[BatchFunction[SparseRegression, tuple[Product, ...], tuple[Law, ...]]] = BatchFunction(
     "sums of products", _Windows, tuple[Product, ...], tuple[Law, ...], _search_law, _Windows.regression
 )
-_OTHERS: Final[BatchFunction[Regression, Program, _Description]] = BatchFunction(
+_OTHERS: Final[BatchFunction[SparseRegression, Program, _Description]] = BatchFunction(
     "alternatives to laws", _Windows, Program, _Description, _describe, _Windows.regression
 )
 
@@ -350,12 +350,12 @@ def _find_laws_among_many(part: Preparation, config: JobConfig) -> dict[str, tup
     if recording.order == 2 and not is_interpolated:
         return {}
     build = rate_rows if is_interpolated else window_rows
-    equations: dict[str, Equation] = {}
+    equations: dict[str, UnknownEquation] = {}
     for name, space in _spaces(dataset, config).items():
         rows = build(recording, dataset.names, name) if _makes_sums(*space) else None
         if rows is not None:
             columns = screen_columns(rows, space[0]) if isinstance(rows, RateRows) else space[0]
-            equations[name] = Equation(rows, columns, space[1])
+            equations[name] = UnknownEquation(rows, columns, space[1])
     return find_short_laws(equations)
 
 

@@ -26,13 +26,13 @@ from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.sparse.atoms import Atom, Product, dictionary, polynomial_libraries, product_atoms
 from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum, make_grid, rank_further_terms
-from atoll_coordinator.model.sparse.regression import Regression, Sum, shortest
+from atoll_coordinator.model.sparse.regression import SparseRegression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
     CAUCHY,
     NORMAL_DEVIATION,
     Assessment,
     MeasuredRows,
-    Rows,
+    RegressionRows,
     WeakRows,
     measured_rows_of,
     window_integrals,
@@ -193,10 +193,10 @@ def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
 
 
 @dataclass(frozen=True, eq=False)
-class Equation:
+class UnknownEquation:
     """The rows of one equation, and its allowed variables (indices) and operators (codes)."""
 
-    rows: Rows
+    rows: RegressionRows
     columns: Sequence[int]
     operators: Collection[int]
 
@@ -211,7 +211,7 @@ class Equation:
         return found is not None and found.excess <= self.rows.largest_excess
 
 
-def find_short_laws(equations: Mapping[str, Equation]) -> dict[str, tuple[Law, ...]]:
+def find_short_laws(equations: Mapping[str, UnknownEquation]) -> dict[str, tuple[Law, ...]]:
     """Return the law of each state; empty if no short sum has residuals as small as their errors."""
     sums = {name: _short_sum(equation) for name, equation in equations.items()}
     functions = {
@@ -231,7 +231,7 @@ def find_short_laws(equations: Mapping[str, Equation]) -> dict[str, tuple[Law, .
     return laws
 
 
-def _short_sum(equation: Equation) -> Sum | None:
+def _short_sum(equation: UnknownEquation) -> Sum | None:
     """Return the shortest sum of a polynomial and up to two products with functions; None if none is found.
 
     Polynomials have the first and second degree. If rows are precise, the search ends with the first law, since wrong
@@ -245,14 +245,16 @@ def _short_sum(equation: Equation) -> Sum | None:
             best = _add_functions(equation, best, sizes[:place])
             if equation.is_law(best):
                 return best
-        regression = Regression(rows, product_atoms(rows.inputs, terms))
+        regression = SparseRegression(rows, product_atoms(rows.inputs, terms))
         best = shortest([best, regression.select_terms(range(len(terms)), 1.0 / rows.side_errors)])
         if rows.is_precise and equation.is_law(best):
             return best
     return _add_functions(equation, best, sizes) if len(sizes) <= len(_DEGREES[:2]) else best
 
 
-def _add_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[list[Product], bool]]) -> Sum | None:
+def _add_functions(
+    equation: UnknownEquation, best: Sum | None, sizes: Sequence[tuple[list[Product], bool]]
+) -> Sum | None:
     """Return the shortest sum with up to two more products with functions, inner constants fitted.
 
     Functions are compared on the trusted rows: each is added as one more term to the best sum, to a constant, and to a
@@ -291,7 +293,7 @@ def _add_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[l
 
 
 def _search_sum(
-    rows: Rows, library: Sequence[Atom], start: Sequence[Atom], shared: frozenset[Atom] = frozenset()
+    rows: RegressionRows, library: Sequence[Atom], start: Sequence[Atom], shared: frozenset[Atom] = frozenset()
 ) -> Sum | None:
     """Return the shortest sum of the products of a library and the functions of `start`, inner constants fitted.
 
@@ -302,7 +304,7 @@ def _search_sum(
     functions = [atom for atom in start if atom.shape.function is not None]
     factors = {atom.shape.factors for atom in start if atom.shape.function is None}
     while True:
-        regression = Regression(rows, (*library, *functions), shared)
+        regression = SparseRegression(rows, (*library, *functions), shared)
         inside = [*range(len(library), len(regression.atoms))]
         starts = [[place for place, atom in enumerate(library) if atom.shape.factors in factors]]
         orders = [len(atom.shape.factors) for atom in library]
@@ -318,7 +320,7 @@ def _search_sum(
             return best
 
 
-def _add_functions_of_other_laws(equation: Equation, best: Sum | None, functions: Sequence[Atom]) -> Sum | None:
+def _add_functions_of_other_laws(equation: UnknownEquation, best: Sum | None, functions: Sequence[Atom]) -> Sum | None:
     """Return the shortest sum with functions of other states' laws as further terms, inner constants unchanged."""
     rows = equation.rows
     for function in functions:

@@ -24,8 +24,8 @@ import numpy as np
 from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.least_squares import coefficients_of
 from atoll_coordinator.model.sparse.atoms import Atom, Shape, dictionary, powers, products
-from atoll_coordinator.model.sparse.regression import Regression, Sum
-from atoll_coordinator.model.sparse.rows import NORMAL_DEVIATION, Rows
+from atoll_coordinator.model.sparse.regression import SparseRegression, Sum
+from atoll_coordinator.model.sparse.rows import NORMAL_DEVIATION, RegressionRows
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
@@ -49,10 +49,10 @@ MB. With all operators, a dictionary for two states has 1,570 atoms, for three s
 # --------------------------------------------------------------------------------------------- a sum with constants
 
 
-def fit_sum(rows: Rows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> Sum | None:
+def fit_sum(rows: RegressionRows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> Sum | None:
     """Return the sum of all these terms with fitted coefficients, inner constants unchanged; None if the rows do not
     determine it."""
-    regression = Regression(rows, atoms, shared)
+    regression = SparseRegression(rows, atoms, shared)
     return regression.refit(range(len(atoms)), 1.0 / rows.side_errors) if regression.is_solvable else None
 
 
@@ -66,7 +66,7 @@ def fit_inner_constants(fit: Sum) -> Sum:
     for _ in range(SETTINGS.effort.steps if inner else 0):
         assert fit.assessment is not None
         atoms = fit.atoms
-        wider = Regression(rows, [*atoms, *(atoms[place].derivative_by_constant() for place in inner)])
+        wider = SparseRegression(rows, [*atoms, *(atoms[place].derivative_by_constant() for place in inner)])
         both = wider.refit(range(len(wider.atoms)), fit.assessment.weights) if wider.is_solvable else None
         if both is None:
             break
@@ -77,7 +77,7 @@ def fit_inner_constants(fit: Sum) -> Sum:
             moved = [
                 atom.move_constant(share * steps[place]) if place in steps else atom for place, atom in enumerate(atoms)
             ]
-            regression = Regression(rows, moved, shared)
+            regression = SparseRegression(rows, moved, shared)
             if regression.is_solvable:
                 better = regression.refit(range(len(moved)), fit.assessment.weights)
             if better is not None and better.nats <= fit.nats:
@@ -103,7 +103,7 @@ class ResidualGains:
         atoms: terms of the sum, on these rows.
     """
 
-    def __init__(self, rows: Rows, atoms: Sequence[Atom]) -> None:
+    def __init__(self, rows: RegressionRows, atoms: Sequence[Atom]) -> None:
         columns, values, errors = rows.columns(atoms), rows.sides, rows.side_errors
         missing, weights = float(values.std()), np.ones(len(values))
         for _ in range(SETTINGS.effort.steps):
@@ -151,7 +151,7 @@ Grid = tuple[Sequence[Atom], FloatArray]
 """Terms with inner constants from a grid, and their columns (A, N)."""
 
 
-def make_grid(rows: Rows, shapes: Iterable[Shape]) -> Grid:
+def make_grid(rows: RegressionRows, shapes: Iterable[Shape]) -> Grid:
     """Return a term for each shape and each start value of its inner constant, if its values are finite."""
     with np.errstate(all="ignore"):
         pairs = [(atom, atom.values) for shape in shapes for atom in map(partial(Atom, shape), shape.constants())]
@@ -161,7 +161,7 @@ def make_grid(rows: Rows, shapes: Iterable[Shape]) -> Grid:
 
 
 def rank_further_terms(
-    rows: Rows, sums: Sequence[Sequence[Atom]], grids: Iterable[Grid], count: int
+    rows: RegressionRows, sums: Sequence[Sequence[Atom]], grids: Iterable[Grid], count: int
 ) -> Iterator[list[tuple[float, Atom]]]:
     """Yield for each of the sums `sums` the `count` best further terms, as pairs (share of squared residuals
     explained, term)."""
@@ -203,7 +203,7 @@ def pursue(
     places = thinned_places(problem.inputs.shape[1], SETTINGS.sparse.rows)
     error = problem.target.uncertainty * problem.target.standard_deviation
     inputs = np.ascontiguousarray(problem.inputs[:, places])
-    rows = Rows(inputs, problem.target.values[places], least=max(len(places) * error * error, 1e-300))
+    rows = RegressionRows(inputs, problem.target.values[places], least=max(len(places) * error * error, 1e-300))
     with np.errstate(all="ignore"):
         return _Pursuit(rows, columns, operators, frozenset(needed), most).run()
 
@@ -227,7 +227,12 @@ PURSUED: Final[BatchFunction[Problem, Pursuit, tuple[Program, ...]]] = BatchFunc
 
 class _Pursuit:
     def __init__(
-        self, rows: Rows, columns: Sequence[int], operators: Collection[int], needed: frozenset[int], most: float
+        self,
+        rows: RegressionRows,
+        columns: Sequence[int],
+        operators: Collection[int],
+        needed: frozenset[int],
+        most: float,
     ) -> None:
         self._rows, self._needed = rows, needed
         self._sums: dict[_Terms, Sum] = {}

@@ -3,10 +3,10 @@
 Input. A builder of rows (`rows`) gives left sides, columns of terms, and the covariance of the errors of both.
 A list of atoms (`atoms`) gives the terms that a sum may have.
 
-Criterion. The length of a description in nats: the misfit of the residuals relative to their errors (`Rows.assess`),
-and the price of each term (its structure, and 1/2 ln N for each constant). While terms are removed, the weights of rows
-are fixed, and the misfit is n/2 ln(sum of weighted squares). One elimination gives this misfit for the sums of all
-lengths.
+Criterion. The length of a description in nats: the misfit of the residuals relative to their errors
+(`RegressionRows.assess`), and the price of each term (its structure, and 1/2 ln N for each constant). While terms are
+removed, the weights of rows are fixed, and the misfit is n/2 ln(sum of weighted squares). One elimination gives this
+misfit for the sums of all lengths.
 
 Where the covariance of errors comes from. Derivatives (rates) have an error for each row, and their columns are exact.
 Integrals over windows have errors of measurement in the left sides and in the columns, propagated to first order by the
@@ -38,7 +38,7 @@ import numpy as np
 from atoll_coordinator.model.description_length import constant_nats_of, log
 from atoll_coordinator.model.sparse.atoms import Atom, program_of, sum_of
 from atoll_coordinator.model.sparse.kernels.elimination import DEPENDENT, eliminate, windowed_sums
-from atoll_coordinator.model.sparse.rows import Assessment, Errors, Rows
+from atoll_coordinator.model.sparse.rows import Assessment, Errors, RegressionRows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program
@@ -132,7 +132,7 @@ class Sum:
     `assessment` is None for an intermediate sum, whose nats follow from the weights of its rows.
     """
 
-    regression: "Regression"
+    regression: "SparseRegression"
     kept: tuple[int, ...]
     coefficients: list[float]
     nats: float
@@ -172,13 +172,13 @@ def descend(best: Sum, nearby: Callable[[Sum], Iterable[Sum | None]], least_gain
         best = nearest
 
 
-class Regression:
+class SparseRegression:
     """Sums of the `atoms` of one library, fitted to `rows`.
 
     Terms that are `shared` with another equation are described there, so their price is the price of one more use.
     """
 
-    def __init__(self, rows: Rows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> None:
+    def __init__(self, rows: RegressionRows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> None:
         self.rows = rows
         self.atoms = tuple(atoms)
         self.shared = shared

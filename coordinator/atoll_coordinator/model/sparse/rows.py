@@ -1,6 +1,6 @@
 """Builders of rows: left sides, columns of terms, and the covariance of their errors, of the equation of one state.
 
-- `Rows` have columns without errors: targets, bins of the steps of a process.
+- `RegressionRows` have columns without errors: targets, bins of the steps of a process.
 - `RateRows` are estimated derivatives with a standard error for each row. These errors are systematic: they count as
   `systematic_numbers` independent numbers, for any number of rows. A few errors are a hundred times as large as
   estimated.
@@ -28,7 +28,7 @@ import numpy as np
 
 from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, make_signal, predict_left_out
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
-from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
+from atoll_coordinator.data.recording import Recording, StateSmoothing, Trajectory
 from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.sparse.atoms import Atom, Product
 from atoll_coordinator.model.sparse.kernels.elimination import sum_error_products, windowed_sums
@@ -75,7 +75,7 @@ class Assessment:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class RegressionRows:
     """Rows to which a sum of terms is fitted. Columns have no errors, and the variance of residuals is fitted.
 
     `inputs` (V, R) are the variables at which atoms are evaluated, `sides` (N,) the left sides. Sums of squared
@@ -107,7 +107,7 @@ class Rows:
         return np.ones(len(self.sides))
 
     @property
-    def trusted(self) -> "Rows":
+    def trusted(self) -> "RegressionRows":
         """The rows by which functions are compared."""
         return self
 
@@ -139,7 +139,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class RateRows(Rows):
+class RateRows(RegressionRows):
     """Derivatives (N,) as `sides` with their standard errors `uncertainty` (N,), above 0; `inputs` are (V, N)."""
 
     uncertainty: FloatArray
@@ -286,7 +286,7 @@ def _select_blocks(lengths: Sequence[int]) -> list[tuple[int, int]]:
     ][::parts]
 
 
-def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> float:
+def _noise(parts: Sequence[Trajectory], place: int, smoothing: StateSmoothing) -> float:
     """Return the standard deviation of a state's errors: the smoother's noise, or the prediction error if smaller.
 
     Where a state changes fast, the residuals of the smoother are not errors of measurement.
@@ -305,7 +305,7 @@ def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> flo
 
 
 @dataclass(frozen=True, eq=False)
-class WeakRows(Rows):
+class WeakRows(RegressionRows):
     """Windows along trajectories for the equation of variable `target`; a `share` of the windows is independent.
 
     `first` (W,) is the first row of each window; `bump` and `slope` (W, L) are the test functions and their
@@ -498,7 +498,7 @@ def weak_rows(measured: MeasuredRows, target: int, half: int) -> WeakRows | None
     return windows_of(WeakRows, measured, target, rows, (bump * weights, slope * weights), share)
 
 
-def half_width(measured: MeasuredRows, smoothing: Smoothing, variables: int) -> int:
+def half_width(measured: MeasuredRows, smoothing: StateSmoothing, variables: int) -> int:
     """Return the half width of a window in rows: half of the smoother's span, or less if the largest library needs more
     windows.
 

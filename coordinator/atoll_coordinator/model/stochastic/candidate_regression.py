@@ -32,8 +32,8 @@ from atoll_coordinator.model.regression.equation import make_target_shortening
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.shortening import MeasuredProgram
 from atoll_coordinator.model.sparse.atoms import polynomial_libraries, product_atoms
-from atoll_coordinator.model.sparse.regression import Regression, Sum
-from atoll_coordinator.model.sparse.rows import Rows
+from atoll_coordinator.model.sparse.regression import SparseRegression, Sum
+from atoll_coordinator.model.sparse.rows import RegressionRows
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
@@ -169,10 +169,10 @@ def _bin_steps(
 
 def _fit_sparse_sums(problem: Problem, weights: FloatArray, columns: Sequence[int]) -> list[Program]:
     """Return the best sums of products by Schwarz's criterion: terms are removed one by one from each library."""
-    rows, roots = Rows(problem.inputs, problem.target.values), np.sqrt(weights)
+    rows, roots = RegressionRows(problem.inputs, problem.target.values), np.sqrt(weights)
     sums: list[Sum] = []
     for terms, _ in polynomial_libraries(columns, len(roots), range(1, SETTINGS.sparse.degree + 1)):
-        regression = Regression(rows, product_atoms(rows.inputs, terms))
+        regression = SparseRegression(rows, product_atoms(rows.inputs, terms))
         sums += regression.elimination_path(range(len(terms)), roots)
     sums.sort(key=lambda fit: fit.nats)
     return [fit.sum_of_products() for fit in sums[: SETTINGS.effort.beam // 2]]

@@ -109,7 +109,7 @@ class WhitenedSteps:
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
+class _LikelihoodPoint:
     """A model during a fit, the values of its parameters (K,), and its whitened residuals."""
 
     model: ProcessModel
@@ -240,7 +240,7 @@ class ProcessLikelihood:
         noise = np.repeat([[-np.inf], [np.inf]], np.count_nonzero(model.noise), axis=1)
         return np.concatenate([*ranges, noise], axis=1)
 
-    def derivatives(self, at: _Point, free: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    def derivatives(self, at: _LikelihoodPoint, free: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Return the gradient (K,) of the misfit by the parameters and their information (K, K)."""
         residuals, logarithms, values = [], [], at.values
         for k, value in enumerate(values.tolist()):
@@ -256,36 +256,36 @@ class ProcessLikelihood:
             return gradient, slopes[0] @ slopes[0].T + slopes[1] @ slopes[1].T
 
 
-class _LikelihoodFit(Fitter[_Point, FloatArray, FittedProcess]):
+class _LikelihoodFit(Fitter[_LikelihoodPoint, FloatArray, FittedProcess]):
     """The fit of one model to the steps of a process, by Fisher scoring; the cost is the misfit in nats."""
 
     def __init__(
         self, likelihood: ProcessLikelihood, model: ProcessModel, free: Sequence[int], settled: float, limit: float
     ) -> None:
         self._likelihood, self._free, self._settled, self._limit = likelihood, free, settled, limit
-        self._start = _Point(model, model.parameters(free), likelihood.whiten(model))
+        self._start = _LikelihoodPoint(model, model.parameters(free), likelihood.whiten(model))
         self._lower, self._upper = likelihood.ranges(model, free)
         self._derivatives = cache(lambda point: likelihood.derivatives(point, free))
 
-    def init(self) -> _Point | None:
+    def init(self) -> _LikelihoodPoint | None:
         return self._start if math.isfinite(self._start.whitened.misfit) else None
 
-    def equations(self, point: _Point) -> Solver[FloatArray]:
+    def equations(self, point: _LikelihoodPoint) -> Solver[FloatArray]:
         gradient, information = self._derivatives(point)
         return solver(information, gradient, (self._lower - point.values, self._upper - point.values))
 
-    def step(self, point: _Point, step: FloatArray) -> tuple[_Point, float]:
+    def step(self, point: _LikelihoodPoint, step: FloatArray) -> tuple[_LikelihoodPoint, float]:
         model = self._start.model.with_parameters(self._free, point.values + step)
-        moved = _Point(model, point.values + step, self._likelihood.whiten(model))
+        moved = _LikelihoodPoint(model, point.values + step, self._likelihood.whiten(model))
         return moved, point.whitened.misfit - moved.whitened.misfit
 
-    def least_gain(self, point: _Point) -> float:
+    def least_gain(self, point: _LikelihoodPoint) -> float:
         return self._settled
 
-    def done(self, point: _Point, promise: float, taken: int) -> bool:
+    def done(self, point: _LikelihoodPoint, promise: float, taken: int) -> bool:
         return point.whitened.misfit - promise > self._limit
 
-    def result(self, point: _Point | None) -> FittedProcess:
+    def result(self, point: _LikelihoodPoint | None) -> FittedProcess:
         if point is None:
             count = len(self._start.values)
             return FittedProcess(self._start.model, math.inf, lambda: np.zeros((count, count)))

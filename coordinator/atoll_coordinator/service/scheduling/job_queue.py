@@ -66,8 +66,8 @@ class _User:
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
-    """Changes: jobs to prepare, jobs that lose their places, held jobs that get places again."""
+class SchedulingDecision:
+    """Jobs to prepare, jobs that lose their places, held jobs that get places again."""
 
     take_up: tuple[str, ...] = ()
     hold: tuple[str, ...] = ()
@@ -171,7 +171,7 @@ class JobQueue:
 
     # ------------------------------------------------------------------------------------------ decisions
 
-    def decide(self) -> Decision:
+    def decide(self) -> SchedulingDecision:
         """Return the changes to make now. Jobs count as held or released at once, but as started only after `begin`."""
         preparing = [entry for entry in self._holders() if entry.stage == "preparing"]
         chosen = {entry.id: entry for entry in preparing}
@@ -192,7 +192,7 @@ class JobQueue:
             entry.stage = "held"
         for entry in released:
             entry.stage = "searching"
-        return Decision(
+        return SchedulingDecision(
             take_up=tuple(job for job, entry in chosen.items() if entry.stage == "waiting"),
             hold=tuple(entry.id for entry in held),
             release=tuple(entry.id for entry in released),

@@ -7,7 +7,7 @@ from typing import Annotated, Final
 from pydantic import Field
 
 from atoll_coordinator.service.search.collector import SearchState
-from atoll_coordinator.service.search.ending import Convergence
+from atoll_coordinator.service.search.ending import IslandConvergence
 from atoll_core import ENGINE_REVISION
 from atoll_core.config import Frozen
 from atoll_core.search.pareto import FrontEntry
@@ -93,7 +93,7 @@ class StoredSearchState(Frozen):
     improved_at: int
     seconds: float
     search_seconds: float
-    convergence: tuple[Convergence, ...] = ()
+    convergence: tuple[IslandConvergence, ...] = ()
 
     @classmethod
     def of(cls, state: SearchState, search_seconds: float) -> "StoredSearchState":
@@ -109,7 +109,7 @@ class StoredSearchState(Frozen):
             improved_at=state.improved_at,
             seconds=state.seconds,
             search_seconds=search_seconds,
-            convergence=Convergence.of(state.convergence),
+            convergence=IslandConvergence.of(state.convergence),
         )
 
     def search_state(self) -> SearchState:

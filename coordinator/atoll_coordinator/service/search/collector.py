@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from atoll_coordinator.service.search.ending import Convergence, Cut, Improvement, SearchLimits, Why, end_of
+from atoll_coordinator.service.search.ending import Cut, Improvement, IslandConvergence, SearchLimits, Why, end_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
 from atoll_core.search.pareto import FrontEntry, merge, runners_up
@@ -277,7 +277,7 @@ class Collector:
             evaluations=state.evaluations,
             seconds=state.seconds,
             runners_up=state.runners_up,
-            convergence=Convergence.of(state.convergence),
+            convergence=IslandConvergence.of(state.convergence),
         )
 
 

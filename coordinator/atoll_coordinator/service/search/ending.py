@@ -73,14 +73,14 @@ class Improvement(Frozen):
     error: float
 
 
-class Convergence(Frozen):
+class IslandConvergence(Frozen):
     """The improvements of one island, ordered by rising generation; their errors fall."""
 
     island: int
     improvements: tuple[Improvement, ...]
 
     @classmethod
-    def of(cls, improvements: Mapping[int, tuple[Improvement, ...]]) -> "tuple[Convergence, ...]":
+    def of(cls, improvements: Mapping[int, tuple[Improvement, ...]]) -> "tuple[IslandConvergence, ...]":
         """Return the convergence of several islands, ordered by island."""
         return tuple(cls(island=island, improvements=improvements[island]) for island in sorted(improvements))
 
@@ -103,7 +103,7 @@ class Cut(Frozen):
     evaluations: dict[str, int]
     seconds: float
     runners_up: tuple[FrontEntry, ...] = ()
-    convergence: tuple[Convergence, ...] = ()
+    convergence: tuple[IslandConvergence, ...] = ()
 
     @property
     def pool(self) -> Pool:

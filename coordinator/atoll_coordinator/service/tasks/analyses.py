@@ -28,8 +28,8 @@ PRIORITY: Final = 10
 
 
 @dataclass(slots=True)
-class Analysis:
-    """A question with the bytes of its `answer`, or the reason why it `failed`.
+class RequestedAnalysis:
+    """A requested analysis of a result, with the bytes of its `answer`, or the reason why it `failed`.
 
     `id` is the id of its task, `submitter` the user who asked first; `submitted_at` and `asked_at`, when it was asked
     last, are in seconds of the bus.
@@ -62,10 +62,10 @@ class Analyses:
     """All questions that clients wait for, by the id of their task."""
 
     def __init__(self) -> None:
-        self._by_id: dict[str, Analysis] = {}
-        self._by_key: dict[str, Analysis] = {}
+        self._by_id: dict[str, RequestedAnalysis] = {}
+        self._by_key: dict[str, RequestedAnalysis] = {}
 
-    def __iter__(self) -> Iterator[Analysis]:
+    def __iter__(self) -> Iterator[RequestedAnalysis]:
         return iter(tuple(self._by_id.values()))
 
     @property
@@ -73,11 +73,11 @@ class Analyses:
         """Number of open questions."""
         return sum(analysis.is_open for analysis in self)
 
-    def get(self, task: str) -> Analysis | None:
+    def get(self, task: str) -> RequestedAnalysis | None:
         """Return the question that a task answers."""
         return self._by_id.get(task)
 
-    def ask(self, question: AskAnalysis, now: float) -> Analysis | None:
+    def ask(self, question: AskAnalysis, now: float) -> RequestedAnalysis | None:
         """Return a question that was asked before, and record that it is repeated; None: it is new."""
         analysis = self._by_key.get(key_of(question))
         if analysis is not None:
@@ -91,7 +91,7 @@ class Analyses:
                 f"{MAX_OPEN} of your questions about results wait for answers; ask again when one has been answered"
             )
 
-    def add(self, analysis: Analysis) -> None:
+    def add(self, analysis: RequestedAnalysis) -> None:
         """Add a new question."""
         self._by_id[analysis.id] = self._by_key[analysis.key] = analysis
 
@@ -117,6 +117,6 @@ class Analyses:
         """Forget the questions about a job; return the ids of their tasks."""
         return [self._forget(analysis) for analysis in self if analysis.job == job]
 
-    def _forget(self, analysis: Analysis) -> str:
+    def _forget(self, analysis: RequestedAnalysis) -> str:
         del self._by_id[analysis.id], self._by_key[analysis.key]
         return analysis.id

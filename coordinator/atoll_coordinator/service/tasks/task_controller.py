@@ -16,7 +16,7 @@ from typing import Final
 
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.monitoring.breakages import ask_for_report
-from atoll_coordinator.service.tasks.analyses import MAX_KEPT, Analyses, Analysis, key_of
+from atoll_coordinator.service.tasks.analyses import MAX_KEPT, Analyses, RequestedAnalysis, key_of
 from atoll_coordinator.service.tasks.background import (
     JobPrepared,
     PreparationBegun,
@@ -117,7 +117,9 @@ class TaskController:
         inputs = (self._keep_input(job, *self._prepared[job]), self._input(job, searched.to_bytes()))
         self._add(job, "refine", inputs, seconds, now, config)
 
-    def analyse(self, asked: AskAnalysis, result: bytes, table_size: int, user: str | None, now: float) -> Analysis:
+    def analyse(
+        self, asked: AskAnalysis, result: bytes, table_size: int, user: str | None, now: float
+    ) -> RequestedAnalysis:
         """Create the task that answers a question of a `user` about the `result` (JSON) of a job.
 
         Raises:
@@ -126,7 +128,9 @@ class TaskController:
         self.analyses.check(user)
         tables = () if asked.table is None else (messages.TaskInput(digest=asked.table, size=table_size),)
         inputs = (self._input(asked.job, result), self._input(asked.job, asked.question), *tables)
-        analysis = Analysis(task_id(asked.job, asked.function, inputs), key_of(asked), asked.job, user, now, now)
+        analysis = RequestedAnalysis(
+            task_id(asked.job, asked.function, inputs), key_of(asked), asked.job, user, now, now
+        )
         self.analyses.add(analysis)
         self._add(asked.job, asked.function, inputs, None, now)
         return analysis

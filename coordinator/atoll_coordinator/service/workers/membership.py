@@ -55,7 +55,7 @@ its lease; `stands`: it has computed for too long without progress; `moves`: it 
 
 
 @dataclass(slots=True)
-class Member:
+class RegisteredWorker:
     """One worker process."""
 
     hello: Hello
@@ -91,7 +91,7 @@ class Membership:
     def __init__(self, fingerprint: str = "") -> None:
         """`fingerprint` identifies this installation's kernels, which all workers must have; "": any kernels."""
         self._fingerprint = fingerprint
-        self._members: dict[str, Member] = {}
+        self._members: dict[str, RegisteredWorker] = {}
         self._checked_at: float | None = None
         self._cordons: dict[str, bool] = {}
 
@@ -110,7 +110,7 @@ class Membership:
         """Time of the last check of leases, in seconds of the bus."""
         return self._checked_at or 0.0
 
-    def member(self, worker: str) -> Member | None:
+    def member(self, worker: str) -> RegisteredWorker | None:
         """Return a worker by name; None: it is unknown."""
         return self._members.get(worker)
 
@@ -120,7 +120,7 @@ class Membership:
         if refusal is not None:
             return refusal
         if self.is_new(hello):
-            self._members[hello.name] = Member(hello, "here", now, progressed_at=now, joined_at=now)
+            self._members[hello.name] = RegisteredWorker(hello, "here", now, progressed_at=now, joined_at=now)
         else:
             known = self._members[hello.name]
             known.hello, known.heard_at = hello, now
@@ -153,7 +153,7 @@ class Membership:
             member.step("gone")
             member.gone_at = now
 
-    def send_away(self, worker: str) -> Member | None:
+    def send_away(self, worker: str) -> RegisteredWorker | None:
         """Remove a worker that may no longer take part, so that it must greet again; None: it is not known."""
         return self._members.pop(worker, None)
 
@@ -164,10 +164,10 @@ class Membership:
             if member.gone_at is not None:
                 member.gone_at = now
 
-    def expire(self, now: float, factors: Mapping[str, float] | None = None) -> list[Member]:
+    def expire(self, now: float, factors: Mapping[str, float] | None = None) -> list[RegisteredWorker]:
         """Mark workers whose leases have ended as lost or hung; return the workers that were not hung before.
 
-        `factors`, by worker, lengthen leases; `Member.lost_by` is the reason of a loss.
+        `factors`, by worker, lengthen leases; `RegisteredWorker.lost_by` is the reason of a loss.
         """
         if self._checked_at is not None and now - self._checked_at > GAP_S:
             self.renew_leases(now)
@@ -190,7 +190,7 @@ class Membership:
         """Return the workers that can compute islands, sorted."""
         return tuple(sorted(name for name in self._members if self.is_ready(name)))
 
-    def attending(self) -> Iterator[tuple[str, Member]]:
+    def attending(self) -> Iterator[tuple[str, RegisteredWorker]]:
         """Yield the workers that are present and not leaving, sorted by name; some may still compile their kernels."""
         for name, member in sorted(self._members.items()):
             if member.state == "here" and member.status is not None and not member.is_leaving:
@@ -269,7 +269,7 @@ class Membership:
         )
 
 
-def lease_end(member: Member, now: float, factor: float) -> tuple[MemberStep, str] | None:
+def lease_end(member: RegisteredWorker, now: float, factor: float) -> tuple[MemberStep, str] | None:
     """Return event and reason if the lease of a worker has ended; None: it has not. `factor` lengthens leases."""
     if member.state == "absent":
         is_over = member.is_leaving or now - (member.gone_at or 0.0) >= ABSENCE_S
@@ -282,7 +282,7 @@ def lease_end(member: Member, now: float, factor: float) -> tuple[MemberStep, st
     return None
 
 
-def _is_computing(member: Member) -> bool:
+def _is_computing(member: RegisteredWorker) -> bool:
     return member.status is not None and member.status.state == "computing"
 
 
@@ -298,7 +298,7 @@ def version_refusal(hello: Hello) -> str | None:
     return f"this {hello.role} is {theirs}, but the coordinator is {ours}; install the same version on both sides"
 
 
-def _view(name: str, member: Member, now: float) -> WorkerView:
+def _view(name: str, member: RegisteredWorker, now: float) -> WorkerView:
     status = member.status
     state: WorkerState = status.state if status else "compiling"
     if member.state in ("lost", "hung"):

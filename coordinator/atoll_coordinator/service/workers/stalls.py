@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
-from atoll_coordinator.service.workers.membership import Member, Membership
+from atoll_coordinator.service.workers.membership import Membership, RegisteredWorker
 
 Cause = Literal[
     "silence", "absence", "compiling", "not taken up", "lost report", "standing", "others", "migrants", "slow"
@@ -75,7 +75,7 @@ def _stall(
 
 
 def _cause(
-    archipelago: Archipelago, member: Member | None, now: float, epoch: int, still_s: float
+    archipelago: Archipelago, member: RegisteredWorker | None, now: float, epoch: int, still_s: float
 ) -> tuple[Cause, str, float]:
     """Return the cause, a text about it, and the seconds for which it has lasted."""
     if member is None or member.state == "absent":

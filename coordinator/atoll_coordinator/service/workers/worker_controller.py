@@ -17,7 +17,7 @@ from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.crash_loops import CrashLoops, Quarantine
-from atoll_coordinator.service.workers.membership import Member, Membership
+from atoll_coordinator.service.workers.membership import Membership, RegisteredWorker
 from atoll_coordinator.service.workers.placement import Assignment, Placer, corrections
 from atoll_coordinator.service.workers.stalls import StallDetector
 from atoll_core.compilation.cache import WORKER, source_digest
@@ -198,7 +198,7 @@ class WorkerController:
         for member in self.membership.expire(now, self.crash_loops.lease_factors(self._open_archipelagos())):
             self._lose(member, member.lost_by, now)
 
-    def _lose(self, member: Member, why: str, now: float) -> None:
+    def _lose(self, member: RegisteredWorker, why: str, now: float) -> None:
         """Record that a process is lost, and fail jobs that have now lost too many workers.
 
         The loss of a process that had announced its end does not count: its islands were not the cause.
@@ -220,7 +220,7 @@ class WorkerController:
         for job_id, reason in reasons:
             self._fail_job(job_id, "poison", reason, now)
 
-    def _add_death(self, archipelago: Archipelago, member: Member, why: str) -> str | None:
+    def _add_death(self, archipelago: Archipelago, member: RegisteredWorker, why: str) -> str | None:
         """Count the loss of a process for an archipelago; return the reason if its job fails by it."""
         self.counters.add(archipelago.job, deaths=1)
         term = archipelago.placement.term if archipelago.placement is not None else 0

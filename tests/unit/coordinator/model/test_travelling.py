@@ -12,8 +12,8 @@ from atoll_coordinator.data.recording import Preparation, ProcessRecording, Samp
 from atoll_coordinator.model.description_length import TrajectoryMisfit
 from atoll_coordinator.model.pools import Law, LawsByGroup, Pools
 from atoll_coordinator.model.shooting.error_model import ErrorModel
-from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
+from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_coordinator.service.jobs.job import Prepared
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
@@ -59,8 +59,8 @@ def test_what_comparisons_are_made_of() -> None:
     comparison = compare(LOTKA, seen)
     model = comparison.fit_model([LOTKA.parsed(text) for text in LOTKA_TEXT], lengths=(8, None))
     assert model is not None
-    assert is_back(seen, Measurements)
-    assert is_back(model.fit.system, System)
+    assert is_back(seen, TrajectoryMeasurements)
+    assert is_back(model.fit.system, OdeSystem)
     assert is_back(replace(model.fit.errors, sigmas=np.array([math.inf, math.nan])), ErrorModel)
     assert is_back(comparison.score.misfit, TrajectoryMisfit)
     constants = np.stack([model.fit.system.constants, 2.0 * model.fit.system.constants])

@@ -23,7 +23,6 @@ from atoll_core.wire.messages.workers import Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import IslandState, split_states
 from atoll_island_worker.session.interface import (
     Abandoned,
-    Ask,
     Discard,
     EpochComputed,
     JobReady,
@@ -35,6 +34,7 @@ from atoll_island_worker.session.interface import (
     Respond,
     RunTask,
     SendHeartbeat,
+    SendPull,
     ShardKey,
     Snapshot,
     StopAt,
@@ -96,11 +96,11 @@ def migrants(*blocks: tuple[int, int, bytes]) -> Migrants:
 
 
 def came(epoch: int, *blocks: tuple[int, int, bytes], peer: str = "peer") -> PullEnded:
-    return PullEnded(Ask(peer, pull(epoch, 1)), migrants(*blocks))
+    return PullEnded(SendPull(peer, pull(epoch, 1)), migrants(*blocks))
 
 
-def asked(actions: list[object]) -> list[Ask]:
-    return [action for action in actions if isinstance(action, Ask)]
+def asked(actions: list[object]) -> list[SendPull]:
+    return [action for action in actions if isinstance(action, SendPull)]
 
 
 def begun(session: Session, *workers: str, **fields: int) -> list[object]:
@@ -119,7 +119,7 @@ def test_migrants_are_asked_for_when_an_epoch_begins_and_may_come_before_the_isl
     session: Session,
 ) -> None:
     actions = begun(session, "me", "peer", "other", "me")
-    assert asked(actions) == [Ask("peer", pull(0, 1, to=(0, 3))), Ask("other", pull(0, 2, to=(0, 3)))]
+    assert asked(actions) == [SendPull("peer", pull(0, 1, to=(0, 3))), SendPull("other", pull(0, 2, to=(0, 3)))]
     assert session.handle(came(0, (1, 0, b"one"))) == []
     session.handle(came(0, (1, 0, b"again")))
     actions = session.handle(computed(key(0, 0), {}, 1))
@@ -165,14 +165,14 @@ def test_a_pull_that_ends_without_migrants_is_repeated_at_a_tick(session: Sessio
     session.handle(computed(key(0, 0), {}, 1))
     assert session.handle(Tick()) == []
     assert session.handle(PullEnded(first, None)) == []
-    assert session.handle(Tick()) == [Ask("peer", pull(0, 1))]
+    assert session.handle(Tick()) == [SendPull("peer", pull(0, 1))]
     assert session.handle(Tick()) == []
 
 
 def test_the_rest_of_an_answer_is_asked_for_at_once(session: Session) -> None:
     (early,) = asked(begun(session, "me", "peer", "peer"))
     session.handle(computed(key(0, 0), {}, 1, 2))
-    assert session.handle(PullEnded(early, migrants((1, 0, b"a")))) == [Ask("peer", pull(0, 2))]
+    assert session.handle(PullEnded(early, migrants((1, 0, b"a")))) == [SendPull("peer", pull(0, 2))]
 
 
 def test_a_pull_is_answered_when_all_of_its_islands_have_finished_the_epoch(
@@ -231,7 +231,7 @@ def test_refused_immigrants_are_pulled_again(session: Session) -> None:
     session.handle(came(0, (1, 0, b"damaged")))
     session.handle(computed(key(0, 0), {0: b"own"}, 1))
     assert session.handle(Rejected(key(0, 1), "malformed")) == []
-    assert session.handle(Tick()) == [Ask("peer", pull(0, 1))]
+    assert session.handle(Tick()) == [SendPull("peer", pull(0, 1))]
     (action, *_) = session.handle(came(0, (1, 0, b"good")))
     assert isinstance(action, RunTask)
     assert action.task.blocks == {0: b"own", 1: b"good"}
@@ -304,10 +304,10 @@ def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Sessio
     session.handle(placed("me", "peer", "me", term=5, epoch=6))
     assert session.handle(JobReady("job")) == []
     assert session.assignment_statuses()[0].reported == 6
-    question = Ask(None, pull_states(6, 0, 2, term=5))
+    question = SendPull(None, pull_states(6, 0, 2, term=5))
     actions = session.handle(PullEnded(question, states(i0=b"zero")))
     assert tasks(actions) == [key(0, 6, term=5)]
-    assert Ask(None, pull_states(6, 2, term=5)) in actions
+    assert SendPull(None, pull_states(6, 2, term=5)) in actions
     (action,) = [
         action for action in session.handle(PullEnded(question, states(i2=b"two"))) if isinstance(action, RunTask)
     ]
@@ -316,7 +316,7 @@ def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Sessio
 
 def test_a_state_that_was_damaged_is_refused_and_asked_for_again(session: Session) -> None:
     session.handle(placed("me", term=2, epoch=6))
-    question = Ask(None, pull_states(6, 0, term=2))
+    question = SendPull(None, pull_states(6, 0, term=2))
     (piece,) = states(i0=b"good").pieces
     with pytest.raises(RemoteProtocolError, match="damaged"):
         session.handle(PullEnded(question, States(pieces=(piece.model_copy(update={"data": b"evil"}),))))
@@ -326,7 +326,7 @@ def test_a_state_that_was_damaged_is_refused_and_asked_for_again(session: Sessio
 def test_a_state_that_does_not_fit_fails_the_job(session: Session) -> None:
     session.handle(placed("me", term=2, epoch=6))
     session.handle(JobReady("job"))
-    session.handle(PullEnded(Ask(None, pull_states(6, 0, term=2)), states(i0=b"odd")))
+    session.handle(PullEnded(SendPull(None, pull_states(6, 0, term=2)), states(i0=b"odd")))
     session.handle(Rejected(key(0, 6, term=2), "the state of an island does not fit its job"))
     assert "does not fit" in session.failures()[0].sentence
 

@@ -19,14 +19,14 @@ from atoll.web import operations
 from atoll.web.access import LOCAL_HOSTS, Access, digest_of
 from atoll.web.api import MAX_COMING
 from atoll.web.reading import Readers
-from atoll.web.reading_task import LATE, Limits
+from atoll.web.reading_task import LATE, ReadingLimits
 from atoll.web.server import build_application
 from tests.http import LOCAL, Answer, ask, ask_async
 from tests.unit.library.web.made import AUTHORIZED, READERS, Asked, AtHand, access
 
 CSV = b"t,x\n" + b"".join(b"%d,%f\n" % (row, 0.9**row) for row in range(30))
-LITTLE = Limits(memory=32 * 10**6)
-SHORT = Limits(processor_s=1)
+LITTLE = ReadingLimits(memory=32 * 10**6)
+SHORT = ReadingLimits(processor_s=1)
 BOMB = 48 * 10**6
 
 
@@ -127,7 +127,7 @@ def matlab() -> bytes:
 
 @pytest.fixture
 def readers(monkeypatch: pytest.MonkeyPatch) -> Readers:
-    monkeypatch.setattr(READERS, "limits", Limits())
+    monkeypatch.setattr(READERS, "limits", ReadingLimits())
     return READERS
 
 
@@ -140,17 +140,17 @@ def sent(readers: Readers, name: str, body: bytes, what: str = "outline") -> Ans
     ("name", "made", "limits", "status", "said"),
     [
         ("a.npz", bomb_npz, LITTLE, 413, "a.npz takes more than 32 MB"),
-        ("a.npz", claim_npz, Limits(), 413, "a.npz takes more than"),
-        ("a.npz", pickle_npz, Limits(), 422, "is not an NPZ file of plain arrays"),
+        ("a.npz", claim_npz, ReadingLimits(), 413, "a.npz takes more than"),
+        ("a.npz", pickle_npz, ReadingLimits(), 422, "is not an NPZ file of plain arrays"),
         ("a.xlsx", wide_text_book, LITTLE, 413, "a.xlsx takes more than 32 MB"),
         ("a.xlsx", long_book, SHORT, 422, "a.xlsx takes more than 1 processor seconds"),
         ("a.csv", one_line, LITTLE, 413, "a.csv takes more than 32 MB"),
         ("a.csv", columns, SHORT, 422, "a.csv takes more than 1 processor seconds"),
-        ("a.csv", lambda: CSV, Limits(total_s=0.0), 422, "or 0 s in total"),
-        ("a.parquet", parquet, Limits(), 200, ""),
-        ("a.mat", matlab, Limits(), 200, ""),
-        ("a.parquet", broken_parquet, Limits(), 422, "cannot be read as a Parquet file"),
-        ("a.json", lambda: b"[" * 10**6, Limits(), 422, "is not valid JSON"),
+        ("a.csv", lambda: CSV, ReadingLimits(total_s=0.0), 422, "or 0 s in total"),
+        ("a.parquet", parquet, ReadingLimits(), 200, ""),
+        ("a.mat", matlab, ReadingLimits(), 200, ""),
+        ("a.parquet", broken_parquet, ReadingLimits(), 422, "cannot be read as a Parquet file"),
+        ("a.json", lambda: b"[" * 10**6, ReadingLimits(), 422, "is not valid JSON"),
     ],
     ids=lambda value: getattr(value, "__name__", None),
 )
@@ -160,7 +160,7 @@ def test_a_file_that_does_harm_is_refused_in_a_sentence_and_the_next_is_read(
     readers.limits = limits
     answer = sent(readers, name, made())
     assert (answer.status, said in answer.json.get("detail", "")) == (status, True), answer.body[:300]
-    readers.limits = Limits()
+    readers.limits = ReadingLimits()
     assert sent(readers, "a.csv", CSV).status == 200
 
 
@@ -197,7 +197,10 @@ def test_what_is_pickled_in_a_file_is_not_run(readers, tmp_path, monkeypatch) ->
     ],
 )
 def test_however_a_reader_ends_a_sentence_says_it(code, status, said) -> None:
-    assert (Limits().of_code(code, "a.csv")[0], said in Limits().of_code(code, "a.csv")[1]) == (status, True)
+    assert (ReadingLimits().of_code(code, "a.csv")[0], said in ReadingLimits().of_code(code, "a.csv")[1]) == (
+        status,
+        True,
+    )
 
 
 def test_a_process_that_has_died_is_started_anew(readers) -> None:

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.recording import Quantisation, Recording, Smoothing, Trajectory
+from atoll_coordinator.data.recording import Recording, StateQuantisation, StateSmoothing, Trajectory
 from atoll_coordinator.model.inference.remarks import warn_of_random_walk
 
 TIMES = 0.05 * np.arange(1000)
@@ -46,6 +46,8 @@ def test_errors_of_a_solver_do_not_though_they_add_up() -> None:
 def test_errors_of_rounding_do_not_though_they_stay_from_row_to_row() -> None:
     wave = 0.8 * np.sin(0.05 * TIMES) + 0.001 * walk(0)
     rounded = recording(np.round(wave))
-    smoothing = Smoothing("x", "loess", 0.3, 0.4, 9, 3, quantisation=Quantisation("steps", 1.0, 1.0 / 12.0**0.5))
+    smoothing = StateSmoothing(
+        "x", "loess", 0.3, 0.4, 9, 3, quantisation=StateQuantisation("steps", 1.0, 1.0 / 12.0**0.5)
+    )
     assert remarks(replace(rounded, smoothing=(smoothing,)), wave) == []
     assert remarks(rounded, wave) != []

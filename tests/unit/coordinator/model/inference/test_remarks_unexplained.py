@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
+from atoll_coordinator.data.recording import Recording, StateSmoothing, Trajectory
 from atoll_coordinator.model.inference.remarks import warn_of_residual_pattern
 from atoll_coordinator.model.refinement import Refined
 from atoll_core.expression.text.parsing import from_infix
@@ -21,7 +21,7 @@ def recording(runs):
         for number, (times, states, rates) in enumerate(runs)
     )  # fmt: skip
     names = tuple("xv"[: len(parts[0].measured)])
-    smoothing = tuple(Smoothing(name, "loess", 0.01, 0.01, 9, 3) for name in names)
+    smoothing = tuple(StateSmoothing(name, "loess", 0.01, 0.01, 9, 3) for name in names)
     return Recording(names, names, (), (), (), 1, 0.0, smoothing, parts)
 
 

@@ -10,7 +10,7 @@ import pytest
 from atoll.text.render import noise_lines
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing, Trajectory
+from atoll_coordinator.data.recording import ExcludedRow, Recording, StateSmoothing, Trajectory
 from atoll_coordinator.model.result import tables
 from atoll_coordinator.model.result.tables import MOST_ROWS
 from atoll_coordinator.result.findings import Errors
@@ -33,10 +33,10 @@ def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory
 
 
 def recording(*trajectories: Trajectory, excluded: tuple[ExcludedRow, ...] = (), span: int = 21) -> Recording:
-    described_smoothing = Smoothing(
+    described_smoothing = StateSmoothing(
         "x", "loess", 0.1, 0.05, span, 3, uncertain_rows=4, outliers=1, excluded_rows=excluded
     )
-    exact = Smoothing("y", "interpolation", 1e-12, 1e-12)
+    exact = StateSmoothing("y", "interpolation", 1e-12, 1e-12)
     return Recording(("x", "y"), ("x", "y"), (), (), (), 1, 100.0, (described_smoothing, exact), trajectories)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.recording import Preparation, Recording, Smoothing
+from atoll_coordinator.data.recording import Preparation, Recording, StateSmoothing
 from atoll_coordinator.dimensions import EquationUnits
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.result.building import Account, VariableOutcome, build_result
@@ -17,7 +17,7 @@ from atoll_core.search.pareto import FrontEntry
 VALUES = np.linspace(-1.0, 1.0, 20)
 TARGET = Target("x", "dx/dt", VALUES, 1e-9, 0.6)
 DATASET = Dataset(("x",), VALUES[np.newaxis], (TARGET,), {"x": "x"})
-SMOOTHING = Smoothing("x", "loess", 0.1, 0.05, 21, 3)
+SMOOTHING = StateSmoothing("x", "loess", 0.1, 0.05, 21, 3)
 PREPARATION = Preparation(DATASET, Recording(("x",), ("x",), (), (), (), 1, 0.0, (SMOOTHING,), ()))
 ENTRY = FrontEntry(1, 0.1, 0.1, 0, 0, 0, from_infix("x", ("x",)).to_bytes())
 

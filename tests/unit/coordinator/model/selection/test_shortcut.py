@@ -8,7 +8,7 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.inference.conclusion import conclude
-from atoll_coordinator.model.pools import Law, Member
+from atoll_coordinator.model.pools import FrontMember, Law
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection import proposals
 from atoll_coordinator.model.selection.candidates import CandidateSet
@@ -119,7 +119,7 @@ def test_one_wrong_law_gives_way_to_another_candidate_and_leaves_the_others_as_t
     monkeypatch.setattr(proposals, "_pursue", lambda *_: ())
     preparation, laws = ring_with_a_wrong_law()
     candidates = {name: CandidateSet() for name in RING}
-    candidates["x2"] = CandidateSet((Member(from_infix("x0*x1 - 0.9*x2", RING), 0.1, 0.01),))
+    candidates["x2"] = CandidateSet((FrontMember(from_infix("x0*x1 - 0.9*x2", RING), 0.1, 0.01),))
     task = ModellingTask(preparation.dataset, preparation.recording, SUMS, candidates, among_many=laws)
     assert select_laws(add_laws(task)) is None
     selected = select_model(task)

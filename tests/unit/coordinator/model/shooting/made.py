@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Trajectory
+from atoll_coordinator.data.recording import Preparation, Recording, StateSmoothing, Trajectory
 from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
+from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_core.data.dataset import FloatArray, Problem
 from atoll_core.data.table import Table
@@ -97,7 +97,7 @@ def recording(
         slopes = np.ascontiguousarray(slopes)
         trajectories.append(Trajectory(str(index + 1), at, measured, values, slopes, *stacked, index in held_out))
     smoothing = tuple(
-        Smoothing(name, "loess" if deviation else "interpolation", float(deviation) or 1e-9, float(deviation))
+        StateSmoothing(name, "loess" if deviation else "interpolation", float(deviation) or 1e-9, float(deviation))
         for name, deviation in zip(known.states, deviations.tolist(), strict=True)
     )
     inputs = tuple(known.inputs)
@@ -137,9 +137,11 @@ def entry(program: Program, problem: Problem) -> FrontEntry:
     return FrontEntry(complexity(program), mae, mse, 0, 1, 0, program.to_bytes())
 
 
-def measurements(known: Known, starts: Sequence[Sequence[float]], times: FloatArray, **options) -> Measurements:
+def measurements(
+    known: Known, starts: Sequence[Sequence[float]], times: FloatArray, **options
+) -> TrajectoryMeasurements:
     return measurements_of(recording(known, starts, times, **options), range(len(known.states)))
 
 
-def compare(known: Known, deviation: Measurements, precision: float = 1e-6, **options) -> ModelComparison:
+def compare(known: Known, deviation: TrajectoryMeasurements, precision: float = 1e-6, **options) -> ModelComparison:
     return ModelComparison(MultipleShooting(deviation, precision), known.names, **options)

@@ -7,7 +7,7 @@ from scipy import special
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.sparse.atoms import product_atoms, products
 from atoll_coordinator.model.sparse.laws import find_laws, find_laws_among_many, settled_variables
-from atoll_coordinator.model.sparse.regression import Regression
+from atoll_coordinator.model.sparse.regression import SparseRegression
 from atoll_coordinator.model.sparse.rows import MeasuredRows, weak_rows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BudgetConfig, JobConfig, PriorConfig, SpaceConfig
@@ -120,7 +120,7 @@ def test_windows_that_differ_much_in_variance_decide_the_terms_of_a_state_in_bur
     measured_states = MeasuredRows(times, ((0, len(times)),), noisy, values, sizes)
     form = weak_rows(measured_states, 1, 12)
     wrong = products((0, 1, 2), 2)
-    found = Regression(form, product_atoms(noisy, wrong)).select_terms(range(len(wrong)))
+    found = SparseRegression(form, product_atoms(noisy, wrong)).select_terms(range(len(wrong)))
     assert monomials(to_infix(found.program(), NAMES)) == {"y", "x*y"}
     assert 0.7 < found.excess < 1.3
 
@@ -134,7 +134,7 @@ def test_fitted_coefficients_are_no_degrees_of_freedom_of_what_a_law_leaves():
     noisy = values + sizes[:, None] * generator.normal(size=values.shape)
     form = weak_rows(MeasuredRows(times, ((0, len(times)),), noisy, values, sizes), 0, 20)
     for degree, count in ((1, 3), (2, 6), (3, 10)):
-        regression = Regression(form, product_atoms(noisy, products((0, 1), degree)))
+        regression = SparseRegression(form, product_atoms(noisy, products((0, 1), degree)))
         found, free = regression.refit(range(count), np.ones(len(form.sides))), form.independent - count
         assert found.assessment.probability == pytest.approx(special.chdtrc(free, free * found.excess**2))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.sparse.many_variables import Equation, find_short_laws, window_rows
+from atoll_coordinator.model.sparse.many_variables import UnknownEquation, find_short_laws, window_rows
 from atoll_coordinator.model.sparse.rows import RateRows
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import BY_NAME
@@ -17,7 +17,7 @@ NAMES = tuple(f"x{place + 1}" for place in range(7))
 
 
 def laws_of(rows, columns, operators=OPERATORS):
-    return find_short_laws({"x": Equation(rows, columns, operators)})["x"]
+    return find_short_laws({"x": UnknownEquation(rows, columns, operators)})["x"]
 
 
 def rows_of(law, names=NAMES, count=600):
@@ -70,7 +70,7 @@ def test_rows_known_as_well_as_the_trusted_ones_are_trusted():
 
 def equations(operators=OPERATORS):
     recording = prepared().recording
-    return {name: Equation(window_rows(recording, STATES, name), (0, 1), operators) for name in STATES}
+    return {name: UnknownEquation(window_rows(recording, STATES, name), (0, 1), operators) for name in STATES}
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from atoll_coordinator.model.sparse.atoms import product_atoms
 from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
 from atoll_coordinator.model.sparse.regression import (
-    Regression,
+    SparseRegression,
     descend,
     eliminate_columns,
     select_forward,
@@ -120,7 +120,7 @@ def rows_of(errors, side):
     """Return three columns as variables, and rates with these errors that they describe."""
     columns = np.random.default_rng(1).normal(size=(3, len(errors))) * np.array([1.0, 1e3, 1e-3])[:, None]
     rows = RateRows(columns, side(columns), errors)
-    return rows, Regression(rows, product_atoms(columns, [(0,), (1,), (2,)]))
+    return rows, SparseRegression(rows, product_atoms(columns, [(0,), (1,), (2,)]))
 
 
 def test_rows_that_err_far_more_than_they_should_count_little():

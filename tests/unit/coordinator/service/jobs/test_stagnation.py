@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
-from atoll_coordinator.data.recording import STENCIL_ROWS, Recording, Smoothing
+from atoll_coordinator.data.recording import STENCIL_ROWS, Recording, StateSmoothing
 from atoll_coordinator.service.jobs.job import (
     STAGNATION_CLEAN,
     STAGNATION_GIVEN,
@@ -19,7 +19,7 @@ from atoll_coordinator.tasks.defaults import RUNNERS_UP_NOISY, resolve
 from atoll_core.config import PAPER, BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset, Target
 
-RECORDING = Recording(("x0",), ("x0",), (), (), (), 1, 0.0, (Smoothing("x0", "interpolation", 0.0, 0.0),), ())
+RECORDING = Recording(("x0",), ("x0",), (), (), (), 1, 0.0, (StateSmoothing("x0", "interpolation", 0.0, 0.0),), ())
 
 
 def dataset(variables: int = 2, floor: float = 1e-9, noise: float = 0.0) -> Dataset:
@@ -54,9 +54,9 @@ def test_rows_that_count_are_those_with_errors_of_their_own() -> None:
     target = dataset().targets[0]
     assert independent_rows(target, None) == len(target.values)
     assert independent_rows(target, RECORDING) == len(target.values) / STENCIL_ROWS
-    smoothed = replace(RECORDING, smoothing=(Smoothing(target.variable, "loess", 0.1, 0.1, span=20, degree=3),))
+    smoothed = replace(RECORDING, smoothing=(StateSmoothing(target.variable, "loess", 0.1, 0.1, span=20, degree=3),))
     assert independent_rows(target, smoothed) == pytest.approx(len(target.values) / 5.0)
-    narrow = replace(RECORDING, smoothing=(Smoothing(target.variable, "loess", 0.1, 0.1, span=4, degree=4),))
+    narrow = replace(RECORDING, smoothing=(StateSmoothing(target.variable, "loess", 0.1, 0.1, span=4, degree=4),))
     assert independent_rows(target, narrow) == len(target.values)
 
 

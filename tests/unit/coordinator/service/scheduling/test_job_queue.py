@@ -3,7 +3,7 @@
 import pytest
 
 from atoll_coordinator.service.scheduling.fair_share import QUANTUM_S, FairShare
-from atoll_coordinator.service.scheduling.job_queue import Decision, JobQueue
+from atoll_coordinator.service.scheduling.job_queue import JobQueue, SchedulingDecision
 from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Total
 
 
@@ -11,7 +11,7 @@ def queue_of(running: int = 4, **changes: object) -> JobQueue:
     return JobQueue(Limits(total=Total(running=running)).model_copy(update=changes))
 
 
-def take(queue: JobQueue) -> Decision:
+def take(queue: JobQueue) -> SchedulingDecision:
     """Do what is decided: what is taken up is prepared at once."""
     decision = queue.decide()
     for job in decision.take_up:
@@ -37,9 +37,9 @@ def test_several_jobs_of_one_user_are_prepared_at_the_same_time_while_there_is_r
     assert queue.decide().take_up == ("a", "z", "b")
     for job in "azb":
         queue.begin(job)
-    assert queue.decide() == Decision()
+    assert queue.decide() == SchedulingDecision()
     queue.search("a")
-    assert queue.decide() == Decision()
+    assert queue.decide() == SchedulingDecision()
     queue.remove("a")
     assert queue.decide().take_up == ("c",)
 
@@ -77,11 +77,11 @@ def test_endless_jobs_lose_their_places_after_a_quantum_and_get_them_back() -> N
     fill(queue)
     queue.charge(0.0)
     queue.add("b0", "bob", 0, 1.0)
-    assert take(queue) == Decision(take_up=("b0",), hold=("a1",))  # the second of one user gives way at once
+    assert take(queue) == SchedulingDecision(take_up=("b0",), hold=("a1",))  # the second of one user gives way at once
     assert queue.waiting_reason("a1") == "waits for its user's next turn: jobs of other users run now"
     queue.add("c0", "cem", 0, 1.0)
     queue.charge(0.9 * QUANTUM_S)
-    assert take(queue) == Decision()
+    assert take(queue) == SchedulingDecision()
     queue.charge(1.1 * QUANTUM_S)
     decision = take(queue)
     assert decision.take_up == ("c0",)

@@ -4,7 +4,7 @@ import hashlib
 
 import pytest
 
-from atoll_coordinator.service.tasks.analyses import MAX_OPEN, WANTED_S, Analysis
+from atoll_coordinator.service.tasks.analyses import MAX_OPEN, WANTED_S, RequestedAnalysis
 from atoll_coordinator.service.tasks.background import (
     JobPrepared,
     PreparationBegun,
@@ -306,7 +306,7 @@ def asked(question: bytes = b"q", job: str = "ended") -> AskAnalysis:
     return AskAnalysis(job=job, function="report", question=question)
 
 
-def analyse(scene: Scene, question: bytes = b"q") -> Analysis:
+def analyse(scene: Scene, question: bytes = b"q") -> RequestedAnalysis:
     return scene.controller.analyse(asked(question), b'{"job": "ended"}', 0, "ann", scene.now)
 
 
