@@ -159,6 +159,7 @@ class RankedCandidates:
         self._known: set[bytes] = set()
         self._models: list[FittedModel] = []
         self._started: list[Program] = []
+        self._shortest: dict[bytes, Program] = {}
 
     def add(self, programs: Iterable[Program], most: float = math.inf) -> None:
         """Fit and rank `programs` shorter than `most` nats; of equal structures only the first."""
@@ -198,7 +199,10 @@ class RankedCandidates:
         Programs that fit badly with smoothed values of the other states come last, in the order of addition. They may
         fit well together with the right equations for these states.
         """
-        best, first = [model.programs[0] for model in self._models], SETTINGS.effort.kept
-        best = [*_rewrite(self._comparison, best[:first], is_shortest=True), *best[first:]]
+        best, first = [model.programs[0] for model in self._models], SETTINGS.effort.beam
+        new = [program for program in best[:first] if program.to_bytes() not in self._shortest]
+        for program, brief in zip(new, _rewrite(self._comparison, new, is_shortest=True), strict=True):
+            self._shortest[program.to_bytes()] = brief
+        best = [*(self._shortest[program.to_bytes()] for program in best[:first]), *best[first:]]
         known = {structure(program) for program in best}
         return [*best, *(program for program in self._started if structure(program) not in known)]

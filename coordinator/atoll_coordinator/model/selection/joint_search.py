@@ -91,8 +91,13 @@ def _treat_as_noise_free(
     return (comparison, best) if model is None else (precise, model)
 
 
-def find_starting_system(comparison: ModelComparison, lists: Sequence[Sequence[Program]]) -> FittedModel | None:
-    """Return the best of a few systems made of the first programs of the lists; None if no system can be simulated."""
+def find_starting_system(
+    comparison: ModelComparison, lists: Sequence[Sequence[Program]], fitted: set[bytes] | None = None
+) -> FittedModel | None:
+    """Return the best of a few systems made of the first programs of the lists; None if no system can be simulated.
+
+    Systems whose key is in `fitted` are not fitted again; the keys of the other systems are added to it.
+    """
     first = [programs[0] for programs in lists]
     systems = [first] + [
         [*first[:index], program, *first[index + 1 :]]
@@ -103,8 +108,12 @@ def find_starting_system(comparison: ModelComparison, lists: Sequence[Sequence[P
         [programs[min(rank, len(programs) - 1)] for programs in lists]
         for rank in range(1, SETTINGS.effort.rounds[1][1] + 1)
     ]
+    if fitted is not None:
+        keys = [b"".join(program.to_bytes() for program in system) for system in systems]
+        systems = [system for system, key in zip(systems, keys, strict=True) if key not in fitted]
+        fitted.update(keys)
     models = comparison.fit_all(systems)
-    if not models and comparison.estimator.deadline.is_over:
+    if systems and not models and comparison.estimator.deadline.is_over:
         return comparison.fit_model(first)  # without a step, since the time is over
     return models[0] if models else None
 

@@ -42,6 +42,7 @@ class CandidatePool:
         self._ranked = {
             name: _rank_alone(task, name, comparison) for name in task.variables if name not in fixed_candidates
         }
+        self._fitted: set[bytes] = set()
         self.lists: list[list[Program]] = [list(fixed_candidates.get(name, ())) for name in task.variables]
 
     def add(self, propose: Proposer) -> None:
@@ -50,7 +51,7 @@ class CandidatePool:
         self._task.spread.run_calls(calls)
         if not all(self.lists):
             return
-        start = find_starting_system(self.comparison, self.lists)
+        start = find_starting_system(self.comparison, self.lists, self._fitted)
         if start is not None and (self.best is None or start.nats < self.best.nats):
             self.best = start
             if self._is_calibrating:

@@ -28,11 +28,12 @@ from atoll_coordinator.model.sparse.atoms import Atom, Product, dictionary, poly
 from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum, make_grid, rank_further_terms
 from atoll_coordinator.model.sparse.regression import SparseRegression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
+    CAUCHY,
+    NORMAL_DEVIATION,
     Assessment,
     MeasuredRows,
     RegressionRows,
     WeakRows,
-    assessment_by_scale,
     measured_rows_of,
     window_integrals,
     windows_of,
@@ -86,14 +87,21 @@ class ShortWindows(WeakRows):
         return np.sqrt(np.maximum(self._own + self.widen(self._target_quadrature) ** 2, 1e-300))
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
-        """Return the assessment by the scale of the residuals over their standard errors, with integration errors
-        included."""
+        """Return the assessment as for long windows, with errors of the integration included.
+
+        In some windows a function changes too fast for the integration, so large residuals have less weight (Cauchy),
+        and the excess follows from the median.
+        """
         values = sum(c * atom.values for c, atom in zip(coefficients, atoms, strict=True))
         difference = window_integrals(self.first, self.bump - self.coarse[0], np.asarray(values)[None])[0]
         quadrature = self.widen(self._target_quadrature - difference)
-        deviations = np.sqrt(np.maximum(self.variances(atoms, coefficients), 1e-300) + quadrature**2)
+        variances = np.maximum(self.variances(atoms, coefficients), 1e-300) + quadrature**2
+        squares = residuals**2 / variances
+        widths = 1.0 + squares / CAUCHY**2
+        misfit = 0.5 * self.independent * CAUCHY**2 * math.fsum(np.log(widths).tolist()) / len(widths)
         free = max(self.independent - len(atoms), 1.0)  # as for a variance: Rousseeuw & Leroy 1987, section 5.1
-        return assessment_by_scale(residuals, deviations, self.independent, math.sqrt(self.independent / free))
+        excess = NORMAL_DEVIATION * math.sqrt(self.independent / free * float(np.sort(squares)[len(squares) // 2]))
+        return Assessment(1.0 / np.sqrt(variances * widths), misfit, excess)
 
     def widen(self, errors: FloatArray) -> FloatArray:
         """Return for each window the largest of the absolute `errors` (W,) of itself and of overlapping windows."""

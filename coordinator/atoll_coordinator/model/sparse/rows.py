@@ -135,20 +135,6 @@ class RegressionRows:
         return Assessment(np.ones(len(residuals)), 0.5 * self.numbers * log(max(square, self.least)), math.inf)
 
 
-def assessment_by_scale(
-    residuals: FloatArray, deviations: FloatArray, numbers: float, widening: float = 1.0
-) -> Assessment:
-    """Return the assessment by the median of residuals (N,) over their standard errors `deviations` (N,).
-
-    The misfit is `numbers` ln(scale), as for normal errors of unknown variance; large residuals have less weight
-    (Cauchy weights). The scale is multiplied by `widening`.
-    """
-    sizes = np.abs(residuals) / deviations
-    scale = max(widening * NORMAL_DEVIATION * float(np.sort(sizes)[len(sizes) // 2]), _LEAST_SCALE)
-    weights = 1.0 / (deviations * np.sqrt(1.0 + (sizes / (CAUCHY * scale)) ** 2))
-    return Assessment(weights, numbers * log(scale), scale)
-
-
 # -------------------------------------------------------------------------------------------------- derivatives
 
 
@@ -183,9 +169,16 @@ class RateRows(RegressionRows):
         return RateRows(np.ascontiguousarray(self.inputs[:, rows]), self.sides[rows], self.side_errors[rows])
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
-        """Return the assessment by the scale of the residuals; systematic errors count as few numbers."""
+        """Return the assessment by the scale of the residuals over their standard errors, whose size is unknown.
+
+        The scale follows from the median, the misfit is ``systematic_numbers`` ln(scale), as for normal errors of
+        unknown variance. Large residuals have less weight (Cauchy).
+        """
         del atoms, coefficients
-        return assessment_by_scale(residuals, self.side_errors, SETTINGS.selection.systematic_numbers)
+        sizes = np.abs(residuals) / self.side_errors
+        scale = max(NORMAL_DEVIATION * float(np.sort(sizes)[len(sizes) // 2]), _LEAST_SCALE)
+        weights = 1.0 / (self.side_errors * np.sqrt(1.0 + (sizes / (CAUCHY * scale)) ** 2))
+        return Assessment(weights, SETTINGS.selection.systematic_numbers * log(scale), scale)
 
 
 def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> RateRows | None:
