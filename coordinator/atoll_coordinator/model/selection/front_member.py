@@ -39,10 +39,11 @@ def front_length(
 
 
 def select_member(front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None) -> int:
-    """Return the index of the member with the least description length; of equal lengths, the first.
+    """Return the index of the member with the least description length; if several lengths are equal, the first of
+    them.
 
     If some members reach the error at which an equation counts as found, only these members are considered. So if a
-    search ended because it reached its target error, the shown equation reaches this error.
+    search ended because it reached its target error, the shown equation also has at most this error.
 
     Raises:
         ValueError: the front is empty.

@@ -1,7 +1,6 @@
-"""Start values of the constants of one structure, where constants differ between groups of trajectories.
-
-Constants are fitted to the rows of each group before trajectories are simulated, or taken from a similar system.
-Letters: G groups, P fitted constants, Q fitted numbers of all groups together, N nodes.
+"""Start values of constants if groups of trajectories have their own constants. The start values are fitted to the rows
+of each group before any trajectory is simulated, or taken from a similar system. Letters: G groups, P fitted constants,
+Q fitted numbers of all groups together, N nodes.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -24,7 +23,7 @@ class GroupedRows:
 
     Attributes:
         count: number of groups.
-        problems: for each equation the problem of each group; empty for a known equation.
+        problems: for each equation, the regression problem of each group; empty for a known equation.
         restrictions: of equations, by index.
     """
 
