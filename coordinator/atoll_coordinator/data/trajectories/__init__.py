@@ -1,4 +1,5 @@
-"""A table with roles of columns -> measurements that can be smoothed: `measurements.take_measurements`.
+"""From a table with roles of columns to measurements that can be smoothed; the entry point is
+`measurements.take_measurements`.
 
 - `usable_rows`: selects the rows that can be used, and checks the measured values
 - `measurements`: where trajectories begin, their names, centred times, states with unwrapped angles, held-out

@@ -1,13 +1,14 @@
 """Terms that several equations share, fitted together: a flux that leaves one state and enters another (ADR 0058).
 
-With brackets expanded, each term has a factor and numbers inside, such as 2 and c in 2*u/(c + u). Two terms of the same
-shape are one flux if their numbers inside are equal. If one factor is a simple multiple of the other, the factors are
-the stoichiometry. `fit_shared_terms` decides which numbers become equal: near its minimum the misfit is a quadratic
-form, so the cost of making two numbers equal is known. Decisions are made one after another, as for simple numbers. The
-model is then fitted with all decisions, and used if its description is shorter.
+When brackets are expanded, each term has a factor and inner numbers: the factor of 2*u/(c + u) is 2, and c is an inner
+number. Two terms of the same shape are one flux if their inner numbers are equal. If one factor is a simple multiple of
+the other, the factors are the stoichiometry. `fit_shared_terms` decides which numbers become equal: near its minimum
+the misfit is a quadratic form, so the increase of the misfit is known if two numbers are made equal. Decisions are made
+one after another, as for simple numbers. The model is then fitted with all decisions, and used if its description is
+shorter.
 
-Doubtful: decisions are greedy and depend on the order of the terms. Terms are only compared after expansion, so an
-equation that must stay factored (known, or with bounds) shares nothing.
+Doubtful: decisions are greedy and depend on the order of the terms. Terms are only compared after expansion. A known
+equation, or an equation with bounds, must not be expanded, so it shares no terms.
 
 Letters: P fitted constants.
 """
@@ -52,9 +53,8 @@ class SharedTermsFit:
 
 
 def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequence[Program]) -> SharedTermsFit | None:
-    """Return `shown` with brackets expanded and shared terms fitted together; None if the description is no shorter.
-
-    Equations that are given or have bounds are not changed.
+    """Return `shown` with brackets expanded and shared terms fitted together. None if this does not shorten the
+    description. Equations that the user gave, or that have bounds, are not changed.
     """
     sums = _expand_equations(comparison, shown)
     expansions = [None if summands is None else write_expansion(summands) for summands in sums]
@@ -92,10 +92,9 @@ def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequ
 
 @dataclass(frozen=True)
 class _Occurrence:
-    """A term of an equation: the place of its `factor` (None for a factor of one) and of its numbers inside (`inner`).
-
-    Each place has the sign of its constant. Numbers inside are in the order of their paths in the term. `layout` has
-    these paths, and also the paths of numbers that the form of the term fixes at one or minus one.
+    """A term of an equation: the place of its `factor` (None for a factor of one) and the places of its `inner`
+    numbers. Each place has the sign of its constant. Inner numbers are in the order of their paths in the term.
+    `layout` has these paths, and also the paths of numbers that the form of the term fixes at one or minus one.
     """
 
     equation: int
@@ -176,7 +175,8 @@ def _list_occurrences(equation: int, expansion: Expansion) -> Iterator[tuple[Sha
 
 @dataclass(eq=False)
 class _PlacedEstimates:
-    """Fitted constants by place, with `values` (P,) and `covariance` (P, P), given the decisions so far."""
+    """Fitted constants by place. Their `values` (P,) and their `covariance` (P, P) hold for the decisions made so
+    far."""
 
     index: Mapping[Place, int]
     values: FloatArray
@@ -199,7 +199,8 @@ class _PlacedEstimates:
         return max(float(row @ self.covariance @ row), least * least, 1e-300)
 
     def with_zero_sum(self, row: FloatArray) -> tuple["_PlacedEstimates", float]:
-        """Return the estimates given that a sum of constants is zero, and by how many nats the misfit grows."""
+        """Return the estimates under the condition that a sum of constants is zero, and the increase of the misfit in
+        nats."""
         variance, away = self.variance(row), float(row @ self.values)
         column = self.covariance @ row
         values = self.values - column * (away / variance)
@@ -209,11 +210,10 @@ class _PlacedEstimates:
 
 @dataclass(eq=False)
 class Flux:
-    """Terms of this `shape` with the same numbers inside, each in a different equation.
-
-    The description gets about `nats` shorter; `saving` is the part due to writing the flux only once. `reference` is
-    the smallest factor. `ratios` has, by equation, the ratio of the factor to the reference, if this ratio is a simple
-    number.
+    """Terms of this `shape` with the same inner numbers, each in a different equation. As a flux, they make the
+    description about `nats` shorter; `saving` is the part of these nats that is saved because the flux is written only
+    once. `reference` is the smallest factor. `ratios` has, by equation, the ratio of the term's factor to the
+    reference; it has only ratios that are simple numbers.
     """
 
     shape: Shape
@@ -255,7 +255,7 @@ def _find_fluxes(
     comparison: ModelComparison, free: FittedModel, common: Mapping[Shape, Sequence[_Occurrence]],
     savings: Mapping[Shape, float],
 ) -> list[Flux]:  # fmt: skip
-    """Return the terms that share numbers and factors, by the estimates of a fit."""
+    """Return the fluxes: terms that share numbers and factors according to the estimates of a fit."""
     system = free.fit.system
     index = {place: number for number, place in enumerate(comparison.places(system))}
     estimates = _PlacedEstimates(index, system.values, comparison.score.inflation(free) * bounded_covariance(free.fit))
@@ -271,7 +271,7 @@ def _find_fluxes(
 def _group_equal_terms(
     estimates: _PlacedEstimates, shape: Shape, alike: Sequence[_Occurrence], constant_nats: float, saving: float
 ) -> tuple[_PlacedEstimates, list[Flux]]:
-    """Group terms of one shape into fluxes: numbers inside become equal if that shortens the description."""
+    """Group terms of one shape into fluxes: their inner numbers become equal if this shortens the description."""
     fluxes: list[Flux] = []
     for term in alike:
         for flux in fluxes:
@@ -312,7 +312,8 @@ def _decide_multiples(estimates: _PlacedEstimates, flux: Flux, constant_nats: fl
 def _simple_ratio(
     estimates: _PlacedEstimates, base: tuple[Place, float], constant: tuple[Place, float]
 ) -> float | None:
-    """Return the simple fraction that the data support as the factor `constant` over `base`; None if there is none."""
+    """Return the simple fraction that the data support as the ratio of the factor `constant` to `base`; None if there
+    is no such fraction."""
     below, above = (sign * estimates.value(place) for place, sign in (base, constant))
     if below == 0.0:
         return None

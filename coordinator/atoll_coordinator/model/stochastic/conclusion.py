@@ -1,8 +1,8 @@
 """From the chosen law of a process to the reported model: constants with errors, alternatives, verdicts, ensembles.
 
-`show_process` fixes the equations as they are shown: constants are replaced by simple numbers if the steps support
-these numbers, and factors of one are written as constants if the steps refute the value one. `summarize_process` then
-lists alternatives, grades each equation (`checks`), and simulates ensembles of paths.
+`show_process` fixes the equations as they are shown. A constant is replaced by a simple number if the steps support
+this number. A factor of one is written as a constant if the steps refute the value one. `summarize_process` then lists
+alternatives, grades each equation (`checks`), and simulates ensembles of paths.
 
 Doubtful: errors of the constants come from Fisher's information and are conditional on the chosen structure.
 """
@@ -147,7 +147,8 @@ def _describe_alternatives(
 
 
 def _find_origin(program: Program, candidates: CandidateSet) -> Origin:
-    """Return the source of an equation: the candidates with the same form, for any constants and factors of one."""
+    """Return the origin of an equation: the kind of candidates with the same form. Constants and factors of one do not
+    matter for the form."""
     sources: dict[Origin, Sequence[Program]] = {
         "front": [member.program for member in candidates.front],
         "runner-up": candidates.runners_up,
