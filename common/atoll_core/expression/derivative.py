@@ -50,8 +50,9 @@ def with_variables(program: Program, first: int) -> Program:
 
 
 class _DerivativeDraft(ProgramBuilder):
-    """An unfinished program. Factors equal to 1, double signs and operators on constants are left out; this does not
-    change a bit of the values.
+    """An unfinished program.
+
+    Factors equal to 1, double signs and operators on constants are left out; this does not change a bit of the values.
     """
 
     def operate(self, code: int, left: int, right: int = 0) -> int:

@@ -1,5 +1,7 @@
 """Values of programs, and their derivatives with respect to constants: computed by numpy on all rows, or by a Python
-function. This module is for the work after the search, which does not depend on the last bit. The search uses
+function.
+
+This module is for the work after the search, which does not depend on the last bit. The search uses
 `atoll_core.expression.kernels.tape`. Letters: N nodes, R rows, K constants.
 """
 
@@ -104,8 +106,10 @@ _LONGEST: Final = 200
 
 
 def function_of(programs: Sequence[Program], variables: int, functions: Functions) -> Callable[..., tuple[Any, ...]]:
-    """Return a function that returns the values of `programs`. Its arguments are the values of `variables` variables,
-    numbers or arrays. If there is no value, it raises the error of the division or of the function in `functions`.
+    """Return a function that returns the values of `programs`.
+
+    Its arguments are the values of `variables` variables, numbers or arrays. If there is no value, it raises the error
+    of the division or of the function in `functions`.
     """
     # The type is `Any`, because the types depend on the arguments and on `functions`, and the text is only compiled
     # here.

@@ -1,6 +1,8 @@
 """Writes a program as an operation list of a given shape with given operators, so that a user's guess can be put into a
-population. An operation list begins with its terminals and ends with its output. The operators of a job may not include
-the squares, minus signs and quotients of a guess; if possible, these are replaced by other operators. Pure.
+population.
+
+An operation list begins with its terminals and ends with its output. The operators of a job may not include the
+squares, minus signs and quotients of a guess; if possible, these are replaced by other operators. Pure.
 """
 
 from collections.abc import Collection, Sequence
@@ -42,9 +44,11 @@ def placed_text(
 
 def placed(program: Program, operators: Collection[int], terminals: int, operator_nodes: int) -> tuple[PlacedNode, ...]:
     """Return the nodes of a list with these operators. The values of the list are the values of `program`, up to
-    rounding. A list has `terminals` nodes for variables and constants, then `operator_nodes` nodes for operators; its
-    last node is the output. Terminals are placed at the beginning of the list, operators at its end. The caller fills
-    the nodes between them.
+    rounding.
+
+    A list has `terminals` nodes for variables and constants, then `operator_nodes` nodes for operators; its last node
+    is the output. Terminals are placed at the beginning of the list, operators at its end. The caller fills the nodes
+    between them.
 
     Raises:
         UsageError: other operators or more nodes are needed. The message has no subject, as in ``has 30 operators, …``.

@@ -146,8 +146,9 @@ class EquationBounds:
 
     def laid_out(self, program: Program) -> Program | None:
         """Return `program` with brackets expanded, and with those factors equal to 1 written as constants that have a
-        bound. None if this is impossible. A program that is already laid out is returned unchanged, for any values of
-        its constants.
+        bound. None if this is impossible.
+
+        A program that is already laid out is returned unchanged, for any values of its constants.
         """
         laid_out = program if self._roles_of(program) is not None else self.written(program)
         roles = None if laid_out is None else self._roles_of(laid_out)
@@ -166,9 +167,10 @@ class EquationBounds:
         return not self._holds(shape, value, is_inner=False)
 
     def _roles_of(self, program: Program) -> tuple[Role, ...] | None:
-        """Return the roles of the constants of a laid-out program; None for other programs. Whether a program is laid
-        out depends only on its structure: when its constants are replaced by `_FIRST`, `_FIRST + _STEP`, ..., it must
-        be equal to its own expansion.
+        """Return the roles of the constants of a laid-out program; None for other programs.
+
+        Whether a program is laid out depends only on its structure: when its constants are replaced by `_FIRST`,
+        `_FIRST + _STEP`, ..., it must be equal to its own expansion.
         """
         numbers = {place: _FIRST + _STEP * number for number, place in enumerate(constant_places(program))}
         return _roles(self.bounds, with_constants(program, numbers))
@@ -242,9 +244,10 @@ def _roles(bounds: tuple[ConstantBound, ...], program: Program) -> tuple[Role, .
 
 
 def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Sequence[str]) -> EquationBounds | None:
-    """Return the bounds on the equation of `variable`; None if there are no bounds. `texts` are valid bounds by
-    equation; a bound on all equations is repeated for each equation. `names` are the variables that the equation may
-    use. A bound has no effect if its term has another variable.
+    """Return the bounds on the equation of `variable`; None if there are no bounds.
+
+    `texts` are valid bounds by equation; a bound on all equations is repeated for each equation. `names` are the
+    variables that the equation may use. A bound has no effect if its term has another variable.
     """
     bounds = []
     for text in texts.get(variable, ()):

@@ -1,6 +1,8 @@
 """Simplify programs without changing a bit of their values: remove unused nodes, evaluate constant parts, and join
-equal parts. No algebra of real numbers is used: ``x - x`` is kept, because it is NaN if x is infinite. The result is
-the canonical program: its nodes are in reading order, left operand first.
+equal parts.
+
+No algebra of real numbers is used: ``x - x`` is kept, because it is NaN if x is infinite. The result is the canonical
+program: its nodes are in reading order, left operand first.
 """
 
 import math
@@ -34,11 +36,12 @@ _OPERATORS: Final = definitions(
 
 
 def simplify_program(program: Program, *, merges_constants: bool = True) -> Program:
-    """Return the canonical program of the same function; its values are equal on every row, bit for bit. Nodes on which
-    the output does not depend are removed. An operator on constants is replaced by its value, if this value is finite.
-    Equal nodes are joined; ``a + b`` counts as equal to ``b + a``, and ``a*a`` as equal to ``a**2``. If
-    `merges_constants`, equal constants are also joined; otherwise they are kept, and can be fitted separately. Pure and
-    deterministic.
+    """Return the canonical program of the same function; its values are equal on every row, bit for bit.
+
+    Nodes on which the output does not depend are removed. An operator on constants is replaced by its value, if this
+    value is finite. Equal nodes are joined; ``a + b`` counts as equal to ``b + a``, and ``a*a`` as equal to ``a**2``.
+    If `merges_constants`, equal constants are also joined; otherwise they are kept, and can be fitted separately. Pure
+    and deterministic.
     """
     builder = _Simplifier(merges_constants)
     output = builder.copy(program.nodes(), merges_constants=merges_constants)[-1]

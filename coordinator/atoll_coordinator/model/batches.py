@@ -151,6 +151,7 @@ class Spread:
         self, batches: Batches | None = None, executor: Executor | None = None, deadline: Deadline | None = None
     ) -> None:
         """Without `batches`, threads of `executor` do the work. Without both, items are computed one after another.
+
         Results that are missing at the `deadline` are None.
         """
         self._batches = batches
@@ -179,7 +180,8 @@ class Spread:
 
         Args:
             function: computes an item.
-            context: returns the context for this process. the items; with workers, even a single item is sent.
+            context: returns the context for this process.
+            items: the items; with workers, even a single item is sent.
             size: most items of a batch.
             parts: returns the parts of the context that are sent; by default the context itself.
 
@@ -209,8 +211,10 @@ class Spread:
 
     def batch_size(self, count: int, most: int) -> int:
         """Return the number of items in a batch: there are two batches for each worker, and a batch has at most `most`
-        items. Results do not depend on the batch size, since the result of an item does not depend on the other items
-        of its batch.
+        items.
+
+        Results do not depend on the batch size, since the result of an item does not depend on the other items of its
+        batch.
         """
         workers = self._batches.workers if self._batches is not None else 1
         return max(1, min(most, -(-count // (_BATCHES_OF_A_WORKER * max(workers, 1)))))

@@ -187,8 +187,9 @@ class TrajectoryMisfit:
         return total
 
     def effective_rows(self, squares: FloatArray) -> FloatArray:
-        """Return the effective number of independent rows (O,) at these mean squares (O,), between m and n. It is twice
-        the derivative of the nats by ln s.
+        """Return the effective number of independent rows (O,) at these mean squares (O,), between m and n.
+
+        It is twice the derivative of the nats by ln s.
         """
         return np.array(
             [

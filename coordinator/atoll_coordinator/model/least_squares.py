@@ -172,8 +172,10 @@ _DEPENDENT: Final = 1e-12
 
 def inverse(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:
     """Return the pseudoinverse (K, K) of a symmetric matrix. It is computed in units in which the diagonal of the
-    matrix is one. The `ridge` is added to the diagonal in these units: with a ridge, the inverse is huge instead of
-    zero in directions that the matrix does not determine.
+    matrix is one.
+
+    The `ridge` is added to the diagonal in these units: with a ridge, the inverse is huge instead of zero in directions
+    that the matrix does not determine.
     """
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-200))
     unit = matrix / np.outer(scale, scale) + ridge * np.eye(len(scale))

@@ -203,8 +203,9 @@ def step_counts(times: FloatArray, longest: float) -> FloatArray:
 
 
 def divided(times: FloatArray, longest: float) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Divide the gaps between ascending `times` into equal steps that are not longer than `longest`. Return, for each
-    of the N steps, the time at which it begins, its length, and whether it ends at one of the `times`.
+    """Divide the gaps between ascending `times` into equal steps that are not longer than `longest`.
+
+    Return, for each of the N steps, the time at which it begins, its length, and whether it ends at one of the `times`.
     """
     begins, lengths, ends = [], [], []
     counts = step_counts(times, longest).astype(int).tolist()
@@ -248,9 +249,10 @@ class StationaryDensity:
 
 def settled_paths(simulator: Simulator, starts: FloatArray, inputs: FloatArray, length: float) -> FloatArray | None:
     """Return settled (stationary) paths (N, S, P) that begin at `starts` (S, P) and have steps of one length. None if
-    the paths do not settle. Paths are settled if two means do not differ significantly between both halves of the
-    steps: the mean of each state and the mean of its square. The test needs at least two paths. `inputs` (U,) are
-    constant.
+    the paths do not settle.
+
+    Paths are settled if two means do not differ significantly between both halves of the steps: the mean of each state
+    and the mean of its square. The test needs at least two paths. `inputs` (U,) are constant.
     """
     lengths, held = np.full(STEPS, length), np.repeat(inputs[:, None], STEPS, axis=1)
     states = simulator.paths(starts, held, lengths)[-1]

@@ -37,6 +37,7 @@ _UNIT_PART: Final = re.compile(
 
 def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
     """Return `program` as a sympy expression over ``Symbol(name)`` for each of `names`; constants have the same bits.
+
     sympy reorders terms and joins constants, so the values of both agree only up to rounding errors.
     """
     return _Sympy(names).render(exact_form(program))
@@ -96,9 +97,11 @@ class _Sympy(Renderer["sympy.Expr"]):
 
 
 class _Markup(NamedTuple):
-    """Templates of a markup language, and a function that writes a `name`. The template `scaled` is for a number times
-    a power of ten, `addend` for a sign and a term, and `product` for a factor, a multiplication sign and a factor.
-    `derivatives` has, by the order of the derivative, the template for a left-hand side with a function and a variable.
+    """Templates of a markup language, and a function that writes a `name`.
+
+    The template `scaled` is for a number times a power of ten, `addend` for a sign and a term, and `product` for a
+    factor, a multiplication sign and a factor. `derivatives` has, by the order of the derivative, the template for a
+    left-hand side with a function and a variable.
     """
 
     name: Callable[[str], str]

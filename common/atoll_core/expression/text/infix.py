@@ -3,7 +3,9 @@
 `form_of` turns a program into a `Written` form; infix text, code of other languages, LaTeX, MathML and sympy objects
 are all rendered from it (`Renderer`). The form uses only rewritings that IEEE 754 keeps to the bit: swapping the
 operands of + and *, moving signs, a*a as a**2, a + a as 2.0*a, sin(a)/cos(a) as tan(a). The form does not depend on the
-names of variables. There are two variants of text. *Exact* (the default): the program that is parsed from this text
+names of variables.
+
+There are two variants of text. *Exact* (the default): the program that is parsed from this text
 (`atoll_core.expression.text.parsing`) gives the same bits on every row; sympy also reads the text. *Display* (with
 ``digits``): the shortest writing (`atoll_core.expression.writing`) with rounded constants.
 """
@@ -136,8 +138,10 @@ def form_of(
     *,
     quotients: frozenset[int] = frozenset({TANGENT, COTANGENT}),
 ) -> Written:
-    """Return the form of a program. If a part is used twice, it is written twice. `constants` are the names of named
-    constants, by node. `quotients` has `TANGENT` and `COTANGENT`, if the language has these functions.
+    """Return the form of a program. If a part is used twice, it is written twice.
+
+    `constants` are the names of named constants, by node. `quotients` has `TANGENT` and `COTANGENT`, if the language
+    has these functions.
     """
     writer = _Writer(quotients)
     operands: list[Signed] = []

@@ -1,8 +1,10 @@
-"""Sums that equal a given sum, after one identity is applied at one place. No identity adds a pole or loses a value: a
-factor is taken out of a sum only if all terms of the sum have this factor, and an expression becomes a divisor only if
-it was a divisor before. Every identity is useful. This was measured with 2,800 random expressions: the most effective
-identity changes the printed form of one expression in 4, and the least effective identity changes one in 170. The
-exception is `_divisors_multiplied`, which only changes sums of fractions such as 1/(x + 1) + 1/(x - 1).
+"""Sums that equal a given sum, after one identity is applied at one place.
+
+No identity adds a pole or loses a value: a factor is taken out of a sum only if all terms of the sum have this factor,
+and an expression becomes a divisor only if it was a divisor before. Every identity is useful. This was measured with
+2,800 random expressions: the most effective identity changes the printed form of one expression in 4, and the least
+effective identity changes one in 170. The exception is `_divisors_multiplied`, which only changes sums of fractions
+such as 1/(x + 1) + 1/(x - 1).
 """
 
 import math

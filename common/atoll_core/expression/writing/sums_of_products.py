@@ -29,9 +29,11 @@ FAILURES: Final[Counter[str]] = Counter()
 
 
 def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Turn any error in rewriting into an `UndefinedError`; callers then keep the expression unchanged. Rewriting only
-    decides how an equation is displayed, so a bug in the code of rewriting must not end an island or a job. Each kind
-    of failure is logged once. A failure depends only on the program, so equal seeds still give equal bits.
+    """Turn any error in rewriting into an `UndefinedError`; callers then keep the expression unchanged.
+
+    Rewriting only decides how an equation is displayed, so a bug in the code of rewriting must not end an island or a
+    job. Each kind of failure is logged once. A failure depends only on the program, so equal seeds still give equal
+    bits.
     """
 
     @wraps(function)
@@ -106,8 +108,10 @@ def cleaned(value: float) -> float:
 
 
 def nonzero(value: float) -> float:
-    """Return `value`, a product of nonzero numbers. Raises UndefinedError if it is 0 or not finite. A coefficient may
-    underflow, as in (1e-170 x)(1e-170 y), although the whole term does not, if the variables are large.
+    """Return `value`, a product of nonzero numbers. Raises UndefinedError if it is 0 or not finite.
+
+    A coefficient may underflow, as in (1e-170 x)(1e-170 y), although the whole term does not, if the variables are
+    large.
     """
     if not value or not math.isfinite(value):
         raise UndefinedError

@@ -68,13 +68,14 @@ class StateEstimate:
     `velocity` the first derivative. `uncertainty` is the standard error of `derivative`; `total_uncertainty` is
     sqrt(standard error^2 + estimated bias^2); for an interpolated state, it is equal to `uncertainty`. If the state is
     missing at a row, and its other rows do not determine it, both uncertainties are infinite there, the derivatives are
-    0, and the value is a substitute. `noise` is the estimated standard deviation of the measurement errors; it is at
-    least the rounding error of the `quantisation` (None: no rounding). `standard_deviation` refers to the measurements.
-    `smoother` is None for an interpolated state. `outliers` is the number of rows with weight 0; this number and
-    `robustness_weights` are None unless loess was robust; `has_heavy_tails` means that robust loess is advisable.
-    `narrower_noise` is the noise by loess with the narrower span `narrower_span` (rows), which is used for the estimate
-    of the bias. `points` (R,) are the values of the state at which the derivatives are estimated, if they differ from
-    `values`.
+    0, and the value is a substitute.
+
+    `noise` is the estimated standard deviation of the measurement errors; it is at least the rounding error of the
+    `quantisation` (None: no rounding). `standard_deviation` refers to the measurements. `smoother` is None for an
+    interpolated state. `outliers` is the number of rows with weight 0; this number and `robustness_weights` are None
+    unless loess was robust; `has_heavy_tails` means that robust loess is advisable. `narrower_noise` is the noise by
+    loess with the narrower span `narrower_span` (rows), which is used for the estimate of the bias. `points` (R,) are
+    the values of the state at which the derivatives are estimated, if they differ from `values`.
     """
 
     values: FloatArray
@@ -274,8 +275,10 @@ def _by_interpolation(signals: Sequence[Signal], order: int, noise: float, devia
 
 def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: FloatArray) -> StateEstimate:
     """Return the estimate with unknown rows marked: their uncertainty is infinite, their derivatives are 0, and their
-    value is a value nearby. A missing value counts as known if its noise gain (R,) is at most 1: then the other rows
-    determine the value at least as well as a measurement would.
+    value is a value nearby.
+
+    A missing value counts as known if its noise gain (R,) is at most 1: then the other rows determine the value at
+    least as well as a measurement would.
     """
     if all(signal.is_measured is None for signal in signals):
         return estimate

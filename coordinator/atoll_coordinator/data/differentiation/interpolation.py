@@ -1,9 +1,11 @@
 """Local interpolation: derivatives of noise-free data, missing values, and an estimate of the noise from predicted
-rows. Pure. Derivatives are slopes of polynomials through the 3 to 15 nearest rows. Their weights, by Fornberg 1988,
-allow uneven steps. Each row uses the stencil whose result differs least from the next narrower stencil. This difference
-between two orders is the uncertainty of the row. It is an estimate of the truncation error, not an upper limit. A
-missing value of a state is interpolated from the other values of this state. Before its first and after its last
-measured row, the state is not known.
+rows. Pure.
+
+Derivatives are slopes of polynomials through the 3 to 15 nearest rows. Their weights, by Fornberg 1988, allow uneven
+steps. Each row uses the stencil whose result differs least from the next narrower stencil. This difference between two
+orders is the uncertainty of the row. It is an estimate of the truncation error, not an upper limit. A missing value of
+a state is interpolated from the other values of this state. Before its first and after its last measured row, the state
+is not known.
 """
 
 import math
@@ -194,9 +196,11 @@ def fill_missing(signal: Signal) -> Filled:
 def fill(
     times: FloatArray, values: FloatArray, is_known: npt.NDArray[np.bool_], pairs: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the values with missing values filled, the steps and the gains; see `Filled`. For a row between known
-    rows, polynomials through 1 to `pairs` known rows on each side are compared. The polynomial is used that differs
-    least from the polynomial with one pair less. Other rows get the nearest known value; 0 if no value is known.
+    """Return the values with missing values filled, the steps and the gains; see `Filled`.
+
+    For a row between known rows, polynomials through 1 to `pairs` known rows on each side are compared. The polynomial
+    is used that differs least from the polynomial with one pair less. Other rows get the nearest known value; 0 if no
+    value is known.
     """
     filled, steps, gains = values.copy(), np.zeros(len(times)), np.zeros(len(times))
     known, missing = np.flatnonzero(is_known), np.flatnonzero(~is_known)

@@ -1,4 +1,5 @@
 """Finds the steps in which a state was recorded: a decimal place, significant digits, or steps of an encoder. Pure.
+
 Rounding to steps of the size s causes errors with the standard deviation s / sqrt(12) (Widrow & Kollár 2008, chapter
 5), in addition to other errors.
 """
@@ -53,10 +54,11 @@ def find_quantisation(parts: Sequence[FloatArray]) -> StateQuantisation | None:
 
 
 def is_refuted(quantisation: StateQuantisation, signals: Sequence[Signal]) -> bool:
-    """Tell whether a state is exact: at every row, it is nearer to a smooth curve than rounded values can be. Squares
-    of whole numbers, or a line with even steps, seem to be rounded but have no rounding errors. If values were rounded,
-    the distance of a smooth curve from some row is about the rounding error, even if the state moves slowly. The
-    `signals` are long enough to be differentiated.
+    """Tell whether a state is exact: at every row, it is nearer to a smooth curve than rounded values can be.
+
+    Squares of whole numbers, or a line with even steps, seem to be rounded but have no rounding errors. If values were
+    rounded, the distance of a smooth curve from some row is about the rounding error, even if the state moves slowly.
+    The `signals` are long enough to be differentiated.
     """
     errors, gains = predict_left_out([signal.measured for signal in signals])
     largest = np.max(np.abs(errors) / gains, axis=0)

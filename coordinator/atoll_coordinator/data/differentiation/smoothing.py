@@ -104,8 +104,9 @@ class Signal:
 
 @dataclass(frozen=True)
 class Smoother:
-    """A loess smoother: its `span` in bins, the `degree` of its polynomials, and its score (a lower score is better). A
-    bin has `thinning` rows on average; this number is 1 unless there are many rows.
+    """A loess smoother: its `span` in bins, the `degree` of its polynomials, and its score (a lower score is better).
+
+    A bin has `thinning` rows on average; this number is 1 unless there are many rows.
     """
 
     span: int
@@ -121,9 +122,11 @@ class Smoother:
 
 @dataclass(frozen=True, eq=False)
 class SmoothedSignal:
-    """Loess of one signal: `fits` (3, R) are the value, the slope and the curvature. `gains` (4, R) are the noise gains
-    of these three, then the leverage. A noise gain is the standard error of a fit, divided by the standard deviation of
-    the errors in a row of weight 1.
+    """Loess of one signal.
+
+    `fits` (3, R) are the value, the slope and the curvature. `gains` (4, R) are the noise gains of these three, then
+    the leverage. A noise gain is the standard error of a fit, divided by the standard deviation of the errors in a row
+    of weight 1.
     """
 
     fits: FloatArray
@@ -148,7 +151,9 @@ def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
 
 def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
     """Return means over bins of about `thinning` rows, and the ratio of the rows in a bin to `thinning`. If `thinning`
-    is 1, return the signal itself. A short signal is thinned less: then the ratio is below 1, and a span has more bins.
+    is 1, return the signal itself.
+
+    A short signal is thinned less: then the ratio is below 1, and a span has more bins.
     """
     if thinning == 1:
         return signal, 1.0

@@ -130,9 +130,10 @@ class Measurements:
 
 
 def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measurements:
-    """Select the usable rows and check the measurements. `config` uses the column names of `table`. Raises UsageError
-    if the column of ``--holdout`` does not distinguish trajectories. Raises DataError if the measurements cannot be
-    used; the message names the place and gives advice.
+    """Select the usable rows and check the measurements. `config` uses the column names of `table`.
+
+    Raises UsageError if the column of ``--holdout`` does not distinguish trajectories. Raises DataError if the
+    measurements cannot be used; the message names the place and gives advice.
     """
     rows, warnings = select_usable_rows(table, roles, config)
     numbers = np.zeros(table.rows) if roles.trajectory is None else table.column(roles.trajectory)
@@ -166,8 +167,10 @@ def _trajectories_of_ranges(
     table: Table, roles: Roles, rows: list[int], ranges: Sequence[Range], columns: Mapping[str, FloatArray]
 ) -> Trajectories:
     """Return names, times and states along each trajectory. `rows` are the used rows of the table, and `ranges` are
-    half-open ranges of places in `rows`. `columns` have the values at these rows, with angles in radians. Raises
-    DataError if a trajectory is too short, if its times do not ascend, or if a state looks like a wrapped angle.
+    half-open ranges of places in `rows`.
+
+    `columns` have the values at these rows, with angles in radians. Raises DataError if a trajectory is too short, if
+    its times do not ascend, or if a state looks like a wrapped angle.
     """
     assert roles.time is not None
     times = table.column(roles.time)[rows]
@@ -321,8 +324,9 @@ def find_pieces(times: FloatArray, span: int) -> list[Range]:
 
 def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
     """Return `measurements` with trajectories split at gaps longer than `span` median steps. If there are no such gaps,
-    return the same object. Pieces that are too short to be differentiated are left out. If too few rows would remain,
-    no trajectory is split.
+    return the same object.
+
+    Pieces that are too short to be differentiated are left out. If too few rows would remain, no trajectory is split.
     """
     whole = measurements.trajectories
     assert whole is not None

@@ -198,8 +198,9 @@ def _weighted_rows(table: Table, name: str | None) -> tuple[list[int], list[str]
 
 
 def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) -> tuple[list[int], list[str]]:
-    """Return those of the rows `weighted` that have all needed values, and sentences if rows or values are left out. If
-    states are measured in time, one finite state is enough; every other used column is needed.
+    """Return those of the rows `weighted` that have all needed values, and sentences if rows or values are left out.
+
+    If states are measured in time, one finite state is enough; every other used column is needed.
     """
     used = [table.names.index(name) for name in roles.used]
     has_weight = np.isin(np.arange(table.rows), weighted)

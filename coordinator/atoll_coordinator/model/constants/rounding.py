@@ -162,9 +162,10 @@ class Estimates:
 
     def joint_simple_numbers(self, constants: Sequence[int]) -> SimpleTogether | None:
         """Return a combination of simple numbers, for two or more of these constants, that is likely as a whole; None
-        if there is none. It is the largest combination whose odds are high enough to replace estimates. If there is no
-        such combination, it is the largest combination with odds of at least one. The places in the result are indices
-        of `constants`.
+        if there is none.
+
+        It is the largest combination whose odds are high enough to replace estimates. If there is no such combination,
+        it is the largest combination with odds of at least one. The places in the result are indices of `constants`.
         """
         combinations = dict.fromkeys(
             tuple(number for number in decided.items() if number[0] in constants)
@@ -304,9 +305,10 @@ def quadratic_misfit_increase(away: FloatArray, covariance: FloatArray) -> float
 
 
 def search_decisions(start: Decision) -> list[Decision]:
-    """Return the most probable decisions on constants, found by a beam search. The result includes `start`, the state
-    without a decision. Instead of a constant itself, the product of this constant and a constant that is already
-    decided may be simple.
+    """Return the most probable decisions on constants, found by a beam search.
+
+    The result includes `start`, the state without a decision. Instead of a constant itself, the product of this
+    constant and a constant that is already decided may be simple.
     """
     count = len(start.undecided)
     all_decisions = beam = [start]
@@ -338,10 +340,11 @@ def search_decisions(start: Decision) -> list[Decision]:
 
 
 def _simple_number_gains(value: float, error: float, others: Sequence[float]) -> dict[float, float]:
-    """Return the simple numbers near an estimate, with their log odds (nats) against an arbitrary number. A number also
-    counts as simple if its product with one of `others` is simple. Such numbers have half the prior probability of
-    numbers that are simple themselves. They are only tried if no number that is simple itself is more probable than an
-    arbitrary number.
+    """Return the simple numbers near an estimate, with their log odds (nats) against an arbitrary number.
+
+    A number also counts as simple if its product with one of `others` is simple. Such numbers have half the prior
+    probability of numbers that are simple themselves. They are only tried if no number that is simple itself is more
+    probable than an arbitrary number.
     """
     if value == 0.0 or not math.isfinite(value) or not math.isfinite(error):  # no number is near
         return {}
@@ -407,9 +410,11 @@ def simple_numbers(value: float, error: float) -> dict[float, float]:
 
 
 def continuum_density(value: float) -> float:
-    """Return the prior probability density of an arbitrary number at `value`. A simple number of length L has the
-    probability e^-L, up to a common factor. The sum of these probabilities over one decade is the same for all decades.
-    Arbitrary numbers in the decade have the same total probability, and the density of their logarithm is uniform.
+    """Return the prior probability density of an arbitrary number at `value`.
+
+    A simple number of length L has the probability e^-L, up to a common factor. The sum of these probabilities over one
+    decade is the same for all decades. Arbitrary numbers in the decade have the same total probability, and the density
+    of their logarithm is uniform.
     """
     return _decade_probability() / math.log(10.0) / abs(value)
 

@@ -63,9 +63,10 @@ def estimate_covariance(
     normal: FloatArray, values: FloatArray, on_bound: Flags, diagonal: FloatArray | None = None
 ) -> tuple[FloatArray, Flags]:
     """Return the covariance (P, P) of fitted constants, which is positive definite, and a mask (P,) of the constants
-    that are not determined. A constant is not determined if it has a component along a direction that the data do not
-    determine; its variance is then large. Constants `on_bound` are treated as known when the errors of the other
-    constants are computed.
+    that are not determined.
+
+    A constant is not determined if it has a component along a direction that the data do not determine; its variance is
+    then large. Constants `on_bound` are treated as known when the errors of the other constants are computed.
 
     Args:
         normal: the matrix (P, P) of the normal equations, after elimination of the other fitted numbers.
@@ -225,9 +226,10 @@ class ConstantErrors:
 
 
 def _clip_to_bounds(constant: Constant, lower: float, upper: float, reach: float | None) -> Constant:
-    """Return a constant whose interval is clipped to its bounds. For a constant on a bound, the interval is one-sided
-    and has the length `reach`. Such a constant has no standard error, since the minimum of the misfit lies beyond the
-    bound. `bounds` are set if at least one bound is finite.
+    """Return a constant whose interval is clipped to its bounds.
+
+    For a constant on a bound, the interval is one-sided and has the length `reach`. Such a constant has no standard
+    error, since the minimum of the misfit lies beyond the bound. `bounds` are set if at least one bound is finite.
     """
     if not (math.isfinite(lower) or math.isfinite(upper)):
         return constant

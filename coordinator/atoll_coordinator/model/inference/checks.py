@@ -92,8 +92,10 @@ class EquationChecks:
     def __init__(
         self, shown: Refined, target: Target, *, is_known: bool = False, stopped: str = "", is_cancelled: bool = False
     ) -> None:
-        """Set the equation as it is `shown`, and its `target` on the rows of the search. `is_known`: the user gave the
-        equation. `stopped` names the stage that was stopped: by the user if `is_cancelled`, else by the time limit.
+        """Set the equation as it is `shown`, and its `target` on the rows of the search.
+
+        `is_known`: the user gave the equation. `stopped` names the stage that was stopped: by the user if
+        `is_cancelled`, else by the time limit.
         """
         self.shown, self.target = shown, target
         self.is_known, self.stopped, self.is_cancelled = is_known, stopped, is_cancelled

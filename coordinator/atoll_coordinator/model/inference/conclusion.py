@@ -249,9 +249,10 @@ def _errors_along_trajectories(
 
 
 def _predict_states(final: FinalModel, errors: ConstantErrors, *, is_near: bool) -> list[Prediction]:
-    """Return how well each state can be predicted from other initial states, see `compare_predictions`. The odds that
-    follow from the data alone are divided by the number of alternatives of the same equation (Bonferroni): these
-    alternatives were chosen from many equations because they describe the data well.
+    """Return how well each state can be predicted from other initial states, see `compare_predictions`.
+
+    The odds that follow from the data alone are divided by the number of alternatives of the same equation
+    (Bonferroni): these alternatives were chosen from many equations because they describe the data well.
     """
     ranking = final.ranking
     own = ranking.selection.model
@@ -279,9 +280,11 @@ def _odds(nats: float) -> float:
 
 def _odds_without_prices(other: FittedModel, own: FittedModel, equation: int, points: FloatArray) -> float:
     """Return the odds of another model. They follow from its misfit and its number of constants (Schwarz 1978), without
-    the price of structures. The exception are nested models: for some values of its constants, the other equation is
-    equal to the model's equation. There are many such equations, and each describes the data about as well. So their
-    odds include the price of the structure.
+    the price of structures.
+
+    The exception are nested models: for some values of its constants, the other equation is equal to the model's
+    equation. There are many such equations, and each describes the data about as well. So their odds include the price
+    of the structure.
     """
     program, contained = other.programs[equation], own.programs[equation]
     expansion = expand_program(program)

@@ -232,7 +232,9 @@ def _shortest_writings(whole: SelectedModel, programs: Sequence[Program]) -> tup
 
 def _shortest_writing(whole: SelectedModel, equation: int, program: Program) -> Program:
     """Return the shortest form of a program. The program itself is returned if the user gave it, or if the form would
-    be too large. A constant with bounds is not combined with other constants.
+    be too large.
+
+    A constant with bounds is not combined with other constants.
     """
     if equation in whole.comparison.fixed:
         return program
@@ -261,8 +263,9 @@ def _share_terms(task: ModellingTask, comparison: ModelComparison, shown: ShownE
 def _simulate_in_whole(
     task: ModellingTask, comparison: ModelComparison, shown: ShownEquations
 ) -> tuple[ModellingTask, ModelComparison, TrajectoryFit]:
-    """Return the simulation of the shown equations along whole trajectories and all rows. If this simulation fails,
-    return the simulation along the pieces and rows to which the equations were fitted.
+    """Return the simulation of the shown equations along whole trajectories and all rows.
+
+    If this simulation fails, return the simulation along the pieces and rows to which the equations were fitted.
     """
     whole, fitted = with_longest_pieces(task), comparison.estimator.measurements.rows
     for here in (whole, task) if whole.piece != task.piece else (task,):
@@ -322,9 +325,10 @@ _Outside = Callable[[RoundedEquations], frozenset[int]]
 def _round_to_fewest_digits(
     comparison: ModelComparison, fitted: FittedModel, numbers_outside_intervals: _Outside
 ) -> tuple[RoundedEquations, FittedModel] | None:
-    """Return a system with rounded constants. They have the fewest digits with which simulations do not change. In the
-    simulation for comparison, simple numbers are the same, and the other constants have all digits. None if the system
-    cannot be simulated. A constant is not replaced by a simple number outside its 95 % interval.
+    """Return a system with rounded constants. They have the fewest digits with which simulations do not change.
+
+    In the simulation for comparison, simple numbers are the same, and the other constants have all digits. None if the
+    system cannot be simulated. A constant is not replaced by a simple number outside its 95 % interval.
     """
     *few, most = ERROR_DIGITS
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None
@@ -390,6 +394,7 @@ def attach_estimates(comparison: ModelComparison, model: FittedModel) -> FittedE
 
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
     """Return the standard errors of the fitted numbers, based on the error model by which systems are compared.
+
     Variances are corrected for the number of fitted numbers, and multiplied by the larger of two factors. The first
     factor is the number of rows per independent row (`Score.inflation`): errors of an equation vary as slowly as the
     states. The second factor allows for a correlation that the rows cannot exclude (`estimate_variance_inflation`).

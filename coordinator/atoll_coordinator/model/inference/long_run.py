@@ -57,10 +57,12 @@ class LongRun:
 
 
 def assess_long_run(final: FinalModel) -> LongRun:
-    """Return how well a model describes whole trajectories. The model is treated as chaotic if errors grow so fast that
-    initial states do not determine whole trajectories. The growth rate of the trajectories is subtracted from the
-    growth rate of errors, since a growing trajectory has no attractor. A model that may be chaotic cannot be refuted by
-    a bad fit to whole trajectories. A model that cannot be chaotic is always tested along whole trajectories.
+    """Return how well a model describes whole trajectories.
+
+    The model is treated as chaotic if errors grow so fast that initial states do not determine whole trajectories. The
+    growth rate of the trajectories is subtracted from the growth rate of errors, since a growing trajectory has no
+    attractor. A model that may be chaotic cannot be refuted by a bad fit to whole trajectories. A model that cannot be
+    chaotic is always tested along whole trajectories.
     """
     if final.task.piece >= final.task.longest:
         return LongRun(True, None)
@@ -101,9 +103,10 @@ def _whole_trajectory_r2(final: FinalModel) -> list[float | None] | None:
 
 
 def _grows_exponentially(final: FinalModel, rate: float) -> bool:
-    """Tell whether errors that grow at this rate grow exponentially, along the longest trajectory. Without exponential
-    growth, errors of D linear equations grow at most like t^(D - 1), so over N rows they grow by a factor below N^D. A
-    larger factor counts as exponential growth.
+    """Tell whether errors that grow at this rate grow exponentially, along the longest trajectory.
+
+    Without exponential growth, errors of D linear equations grow at most like t^(D - 1), so over N rows they grow by a
+    factor below N^D. A larger factor counts as exponential growth.
     """
     measurements = final.comparison.estimator.measurements
     rows = final.task.longest

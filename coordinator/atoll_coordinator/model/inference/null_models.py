@@ -37,8 +37,12 @@ _LEAST_UNEXPLAINED: Final = 1e-30
 
 def log_bayes_factor(rows: float, constants: float, unexplained: float) -> float:
     """Return the log Bayes factor, in nats, of a regression with k constants against the mean of the n rows; 0 if k >=
-    n - 1. A model without constants fits only the variance of its errors. For the hyper-g prior with a = 3 and an
-    unknown variance of the errors, the Bayes factor is (Liang et al. 2008, J. Am. Stat. Assoc. 103:410, equation 17):
+    n - 1.
+
+    A model without constants fits only the variance of its errors.
+
+    For the hyper-g prior with a = 3 and an unknown variance of the errors, the Bayes factor is (Liang et al. 2008, J.
+    Am. Stat. Assoc. 103:410, equation 17):
 
         1/2 int_0^inf (1 + g)^((n - 1 - k - 3)/2) (1 + g (1 - R2))^(-(n - 1)/2) dg
 
@@ -64,8 +68,9 @@ def log_bayes_factor(rows: float, constants: float, unexplained: float) -> float
 
 def squared_steps(series: Sequence[FloatArray], times: Sequence[FloatArray] | None = None) -> float:
     """Return the sum of squared differences of neighbouring rows, over all series (R,). These differences are the
-    residuals of a random walk. If the `times` (R,) of each series are given, the walk has a drift, the same for all
-    series.
+    residuals of a random walk.
+
+    If the `times` (R,) of each series are given, the walk has a drift, the same for all series.
     """
     steps = np.concatenate([np.diff(values) for values in series])
     if times is not None:
@@ -76,6 +81,7 @@ def squared_steps(series: Sequence[FloatArray], times: Sequence[FloatArray] | No
 
 def structure_price(program: Program, columns: int) -> float:
     """Return the price of a structure in nats (`structure_length`), corrected for the number of columns.
+
     `structure_length` assumes that each leaf is a choice from four. If there are more columns, each variable costs
     more.
     """

@@ -4,10 +4,12 @@ Two equations may fit the measurements about as well, and still predict differen
 the data do not decide which values are right. So `compare_predictions` simulates three kinds of systems from such
 states: the model, its alternatives, and the model with other constants, drawn from their distribution. An alternative
 agrees if the R2 of its simulation, with the model's simulation as the truth, is above 0.9. The share of the odds that
-agrees is the probability that the predictions can be trusted. Within the measured range, a short equation is more
-plausible than a long one. Outside of it, no data support the structure of an equation. So if a simulation leaves the
-measured range, the odds of the alternatives follow from the data alone, without prices of structures. With inputs, or
-with groups that have their own constants, each initial state takes the inputs and the group of one measured trajectory.
+agrees is the probability that the predictions can be trusted.
+
+Within the measured range, a short equation is more plausible than a long one. Outside of it, no data support the
+structure of an equation. So if a simulation leaves the measured range, the odds of the alternatives follow from the
+data alone, without prices of structures. With inputs, or with groups that have their own constants, each initial state
+takes the inputs and the group of one measured trajectory.
 
 Doubtful: only the compared alternatives count, so a law that was never a candidate is missing from the odds. About a
 dozen initial states represent the measured range. Constants are drawn from a normal distribution, whose covariance
@@ -41,9 +43,10 @@ from atoll_core.expression.kernels.tape import Ints
 
 @dataclass(frozen=True, eq=False)
 class AlternativeSystem:
-    """A system that may be right instead of the model: it has another equation for one variable, or other constants. At
-    most one alternative of a `group` can be right. `odds` are relative to the model, whose odds are one; `odds_of_data`
-    are the odds without the price of structures.
+    """A system that may be right instead of the model: it has another equation for one variable, or other constants.
+
+    At most one alternative of a `group` can be right. `odds` are relative to the model, whose odds are one;
+    `odds_of_data` are the odds without the price of structures.
     """
 
     system: OdeSystem
@@ -63,10 +66,11 @@ def compare_predictions(
         measurements: the trajectories that were measured.
         model: the system that is shown.
         alternatives: other systems that describe the measurements.
-        tolerance: the allowed error of an integration step, divided by the standard deviation of the state. drawn: the
-            model with constants drawn from their distribution, one system after another; the iterator is read until the
-            result is decided. is_near: whether initial states are near measured states. This is for attractors: parts
-            of the box around an attractor lie outside of its basin.
+        tolerance: the allowed error of an integration step, divided by the standard deviation of the state.
+        drawn: the model with constants drawn from their distribution, one system after another; the iterator is read
+            until the result is decided.
+        is_near: whether initial states are near measured states. This is for attractors: parts of the box around an
+            attractor lie outside of its basin.
     """
     other_states = _OtherInitialStates(measurements, tolerance, is_near=is_near)
     own = other_states.simulate_model(model)

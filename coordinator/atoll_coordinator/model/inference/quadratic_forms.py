@@ -32,11 +32,13 @@ _MOST_BINS: Final = 6 * SETTINGS.smoothing.bins
 
 def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float, span: int, degree: int) -> float:
     """Return the probability that two variances have at least this ratio if the model is right. Both are computed from
-    the same errors e. The numerator is the residual variance of a model with p parameters, e'(I - H)e/(n - p), with the
-    projection H on the derivatives by the parameters. The denominator is the residual variance of loess, e'Be/tr B. The
-    derivatives are smooth, so H removes the p smallest eigenvalues of B. Let the errors have coordinates z along the
-    eigenvectors of B. The ratio exceeds r if the sum of w z^2 over the other eigenvalues b is positive, with the
-    weights w = 1/(n - p) - r b/tr B. Compare Cleveland & Devlin (1988), section 4: they match two moments instead.
+    the same errors e.
+
+    The numerator is the residual variance of a model with p parameters, e'(I - H)e/(n - p), with the projection H on
+    the derivatives by the parameters. The denominator is the residual variance of loess, e'Be/tr B. The derivatives are
+    smooth, so H removes the p smallest eigenvalues of B. Let the errors have coordinates z along the eigenvectors of B.
+    The ratio exceeds r if the sum of w z^2 over the other eigenvalues b is positive, with the weights w = 1/(n - p) - r
+    b/tr B. Compare Cleveland & Devlin (1988), section 4: they match two moments instead.
 
     Args:
         ratio: r, the ratio of the two variances.
@@ -92,8 +94,9 @@ def _saddlepoint(weights: FloatArray, counts: FloatArray) -> float:
 
 @lru_cache(maxsize=64)
 def _residual_eigenvalues(lengths: tuple[int, ...], span: int, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return the eigenvalues of B for all trajectories together, in rising order, and how often each occurs. If there
-    are many trajectories, some of their lengths represent all. A part represents a long trajectory.
+    """Return the eigenvalues of B for all trajectories together, in rising order, and how often each occurs.
+
+    If there are many trajectories, some of their lengths represent all. A part represents a long trajectory.
     """
     values, counts = [], []
     for group in np.array_split(np.array(lengths), min(len(lengths), _REPRESENTED)):

@@ -243,9 +243,10 @@ def _depends_on_hidden_state(rest: RateResiduals) -> bool:
 
 
 def _find_period(rest: RateResiduals) -> float | None:
-    """Return the period of a wave in time that explains most of the residuals; None if there is no such wave. For each
-    frequency, a wave is fitted by least squares (Lomb 1976). A period has at least four rows, and at least two periods
-    fit into the measured time.
+    """Return the period of a wave in time that explains most of the residuals; None if there is no such wave.
+
+    For each frequency, a wave is fitted by least squares (Lomb 1976). A period has at least four rows, and at least two
+    periods fit into the measured time.
     """
     length = float(np.max(rest.times) - np.min(rest.times))
     steps = np.diff(rest.times)

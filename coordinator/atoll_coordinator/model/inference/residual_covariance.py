@@ -87,9 +87,10 @@ def estimate_variance_inflation(
     measurements: TrajectoryMeasurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]
 ) -> float:
     """Return a ratio of variances of the constants: the variances averaged over possible correlations, divided by the
-    variances for independent errors. The result is 1 if there are so many rows that a correlation would have been
-    found. Only states with `is_noisy` (O,) are used: the residuals of other states do not consist of measurement
-    errors.
+    variances for independent errors.
+
+    The result is 1 if there are so many rows that a correlation would have been found. Only states with `is_noisy` (O,)
+    are used: the residuals of other states do not consist of measurement errors.
     """
     columns = scaled_derivatives(measurements, fit)
     if columns is None or not fit.system.count:

@@ -157,6 +157,7 @@ def _detectable_ratio(
     errors: Sequence[FloatArray], noise: float, parameters: float, reference: ReferenceSmoother | None
 ) -> float:
     """Return the ratio of the standard deviation of residuals to the noise that the test detects in five of six tables.
+
     At this true ratio, an estimated variance that is one standard deviation too small is just significant.
     """
     free = max(sum(map(len, errors)) - parameters, 1.0)
@@ -210,9 +211,11 @@ def _size_probability(
 
 def _correlations(errors: Sequence[FloatArray], square: float, parameters: float) -> tuple[list[float], list[float]]:
     """Return the correlation at each lag k, corrected for the effect of fitting, and the variance of this correlation
-    in noise. H is the projection on the derivatives by p parameters, and sigma^2 is the variance of the noise.
-    Residuals e of noise have E sum e_i e_(i+k) = - sigma^2 sum H_(i,i+k) over the n_k pairs of rows. This is about -
-    sigma^2 p n_k/n, since the derivatives are smooth. The variance is n_k/(n (n + 2)) (Ljung & Box 1978).
+    in noise.
+
+    H is the projection on the derivatives by p parameters, and sigma^2 is the variance of the noise. Residuals e of
+    noise have E sum e_i e_(i+k) = - sigma^2 sum H_(i,i+k) over the n_k pairs of rows. This is about - sigma^2 p n_k/n,
+    since the derivatives are smooth. The variance is n_k/(n (n + 2)) (Ljung & Box 1978).
     """
     rows = sum(len(series) for series in errors)
     correlations, variances = [], []

@@ -54,7 +54,9 @@ class SharedTermsFit:
 
 def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequence[Program]) -> SharedTermsFit | None:
     """Return `shown` with brackets expanded and shared terms fitted together. None if this does not shorten the
-    description. Equations that the user gave, or that have bounds, are not changed.
+    description.
+
+    Equations that the user gave, or that have bounds, are not changed.
     """
     sums = _expand_equations(comparison, shown)
     expansions = [None if summands is None else write_expansion(summands) for summands in sums]
@@ -93,8 +95,10 @@ def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequ
 @dataclass(frozen=True)
 class _Occurrence:
     """A term of an equation: the place of its `factor` (None for a factor of one) and the places of its `inner`
-    numbers. Each place has the sign of its constant. Inner numbers are in the order of their paths in the term.
-    `layout` has these paths, and also the paths of numbers that the form of the term fixes at one or minus one.
+    numbers.
+
+    Each place has the sign of its constant. Inner numbers are in the order of their paths in the term. `layout` has
+    these paths, and also the paths of numbers that the form of the term fixes at one or minus one.
     """
 
     equation: int
@@ -210,10 +214,11 @@ class _PlacedEstimates:
 
 @dataclass(eq=False)
 class Flux:
-    """Terms of this `shape` with the same inner numbers, each in a different equation. As a flux, they make the
-    description about `nats` shorter; `saving` is the part of these nats that is saved because the flux is written only
-    once. `reference` is the smallest factor. `ratios` has, by equation, the ratio of the term's factor to the
-    reference; it has only ratios that are simple numbers.
+    """Terms of this `shape` with the same inner numbers, each in a different equation.
+
+    As a flux, they make the description about `nats` shorter; `saving` is the part of these nats that is saved because
+    the flux is written only once. `reference` is the smallest factor. `ratios` has, by equation, the ratio of the
+    term's factor to the reference; it has only ratios that are simple numbers.
     """
 
     shape: Shape

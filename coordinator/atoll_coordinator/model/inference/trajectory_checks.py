@@ -149,14 +149,15 @@ class TrajectoryChecks(EquationChecks):
         return len(np.unique(np.nan_to_num(np.round(values / (EXACT_ERROR * scales))) + 0.0, axis=1).T)
 
     def _nats_over_no_equation(self, sensor: ErrorModel | None) -> float:
-        """Return by how many nats the equation describes the measured state better than the null models do. There are
-        two null models: the state is constant along each trajectory, or it is a random walk. The better null model
-        counts. If the rate of the equation is a constant, the walk has a drift, since few rows of any smooth curve are
-        almost on a line. In the comparison with a constant, only independent rows count. In the comparison with a walk,
-        the innovations are used if errors are correlated. Each row counts with its weight. The number of constants is
-        the largest of three numbers: the number of constants of the equation, the mean number of constants per
-        equation, and the count of numbers fitted to this state. If there are more initial values than trajectories, the
-        additional values are also counted.
+        """Return by how many nats the equation describes the measured state better than the null models do.
+
+        There are two null models: the state is constant along each trajectory, or it is a random walk. The better null
+        model counts. If the rate of the equation is a constant, the walk has a drift, since few rows of any smooth
+        curve are almost on a line. In the comparison with a constant, only independent rows count. In the comparison
+        with a walk, the innovations are used if errors are correlated. Each row counts with its weight. The number of
+        constants is the largest of three numbers: the number of constants of the equation, the mean number of constants
+        per equation, and the count of numbers fitted to this state. If there are more initial values than trajectories,
+        the additional values are also counted.
         """
         final, measurements, index, fit = self.final, self.measurements, self.index, self.final.shown_fit
         program, is_given = self.shown.program, index in final.comparison.fixed
@@ -381,8 +382,10 @@ class TrajectoryChecks(EquationChecks):
     @cached_property
     def unsupported_state(self) -> str:
         """The name of a state on which the predictions depend, although its equation is not better than the null
-        models; "" if there is no such state. The simulation of such a state is only valid along the measured
-        trajectories. Equations that the user gave need no evidence.
+        models; "" if there is no such state.
+
+        The simulation of such a state is only valid along the measured trajectories. Equations that the user gave need
+        no evidence.
         """
         least, given = SETTINGS.inference.chance_nats, self.final.comparison.fixed
         return next(
@@ -474,8 +477,10 @@ class TrajectoryChecks(EquationChecks):
     @cached_property
     def unknown_inputs(self) -> dict[str, float]:
         """For each input, the share of the variance of a rate that is due to the uncertainty of the input between its
-        rows. It is the largest share for all equations on which the state depends, and for all groups of trajectories.
-        NaN if there are too few rows.
+        rows.
+
+        It is the largest share for all equations on which the state depends, and for all groups of trajectories. NaN if
+        there are too few rows.
         """
         names, shares = self.final.task.dataset.names, dict[str, float]()
         for name, symbol, variance in self.final.unknown_variances:

@@ -157,8 +157,8 @@ def simulated_standard_errors(
     Args:
         measurements: the trajectories.
         fit: the fit of their initial states, in which the constants are free.
-        spread: S, the covariance (P, P) of the constants. scale: a factor by which variances from the normal equations
-            are multiplied.
+        spread: S, the covariance (P, P) of the constants.
+        scale: a factor by which variances from the normal equations are multiplied.
     """
     fitted = fit.system.count
     standard_errors = np.zeros((len(measurements.observed), measurements.rows))

@@ -96,10 +96,11 @@ def fit_equation(
     deadline: Deadline | None = None, *, has_intervals: bool = False,
 ) -> Refined | None:  # fmt: skip
     """Return the equation with the shortest description among programs similar to the `front`; None if no equation
-    replaces the shown member of the front. There are two such cases: the front is empty, or a member has reached the
-    target error, but no candidate that may be shown has reached it. After the `deadline` no new program is tried.
-    Without a deadline, equal arguments give equal results. Takes about a second for a few hundred noisy rows, less for
-    exact rows.
+    replaces the shown member of the front.
+
+    There are two such cases: the front is empty, or a member has reached the target error, but no candidate that may be
+    shown has reached it. After the `deadline` no new program is tried. Without a deadline, equal arguments give equal
+    results. Takes about a second for a few hundred noisy rows, less for exact rows.
 
     Args:
         problem: the rows of the search; the errors of the equation are measured on these rows, with equal weights.
@@ -150,8 +151,9 @@ def fit_equation(
 def _describe_alternatives(
     shown: Refined, chosen: MeasuredProgram, candidates: Sequence[MeasuredProgram], rows: LeastSquares
 ) -> tuple[Alternative, ...]:
-    """Return the equation that is shown and its alternatives, the shortest description first; each form occurs once. An
-    equation with more constants always fits about as well, so it counts as an alternative only if its description is
+    """Return the equation that is shown and its alternatives, the shortest description first; each form occurs once.
+
+    An equation with more constants always fits about as well, so it counts as an alternative only if its description is
     far shorter. Constants are counted before some of them are replaced by simple numbers.
     """
     most = len(constant_places(chosen.program))
@@ -244,9 +246,9 @@ def estimate_constants(
     Args:
         program: the equation as it is shown.
         least_squares: fits the program to the rows.
-        criterion: has the number n of these rows and the least variance of their errors. has_intervals: whether the
-            errors are independent. Only then are 95 % intervals computed (Student's t with n - K degrees of freedom),
-            and constants that the data do not determine are recognised.
+        criterion: has the number n of these rows and the least variance of their errors.
+        has_intervals: whether the errors are independent. Only then are 95 % intervals computed (Student's t with n - K
+            degrees of freedom), and constants that the data do not determine are recognised.
     """
     restrictions = least_squares.restrictions
     explicit = make_explicit_if_free(program, restrictions, is_given=False)

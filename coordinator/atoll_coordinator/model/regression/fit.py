@@ -91,8 +91,8 @@ class LeastSquares:
         Args:
             program: its constants are the start of the fit.
             fixed: indices of nodes whose constants are not fitted.
-            enough: a mean squared error; the fit stops early if it will not reach this error. steps: the largest number
-                of steps; successful and failed steps count.
+            enough: a mean squared error; the fit stops early if it will not reach this error.
+            steps: the largest number of steps; successful and failed steps count.
         """
         admitted = self.restrictions.admitted(program)
         if admitted is None or (fixed and admitted is not program):

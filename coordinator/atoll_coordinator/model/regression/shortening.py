@@ -55,6 +55,7 @@ than this length, the fit may be less precise."""
 @dataclass(frozen=True, eq=False)
 class Shortening:
     """Finds shorter programs similar to the members of a front. The measured programs are stored by their structure.
+
     When `is_over` returns True, no further program is tried. `least_misfit` is the lower limit of the misfit. Members
     that are more than `reach` nats longer than the shortest member are not reduced.
     """
@@ -75,7 +76,9 @@ class Shortening:
         self, front: Sequence[Program], tries_neighbours: bool = True
     ) -> list[tuple[MeasuredProgram, int]]:
         """Return the members of `front` and similar programs, the shortest first. Each has the index of the member from
-        which it was derived. If `tries_neighbours` is False, neighbours of the members are not tried.
+        which it was derived.
+
+        If `tries_neighbours` is False, neighbours of the members are not tried.
         """
         found: dict[bytes, tuple[MeasuredProgram, int]] = {}
 

@@ -115,8 +115,10 @@ class VariableOutcome:
 
 @dataclass(frozen=True)
 class Account:
-    """The state of the whole job, and its times. `seconds` is the time since the job was submitted. `search_seconds` is
-    the time from the start of the first epoch to the end of the last epoch that counts. `reason` says why a job failed.
+    """The state of the whole job, and its times.
+
+    `seconds` is the time since the job was submitted. `search_seconds` is the time from the start of the first epoch to
+    the end of the last epoch that counts. `reason` says why a job failed.
     """
 
     state: JobState
@@ -477,6 +479,7 @@ def _total_evaluations(outcome: VariableOutcome) -> int:
 
 def result_digest(outcomes: Sequence[VariableOutcome]) -> str:
     """Return the hex digest (sha256) of the outcomes, in their order. Equal digests mean equal results of the searches.
+
     The digest covers epochs, counters, fronts and runners-up, with every bit of their constants and errors. It does not
     cover times, the number of workers, or refining. For a job without a search, the digest covers the known equations
     with their errors on the data.

@@ -40,8 +40,10 @@ DIGITS: Final = 12
 
 def describe_data(preparation: Preparation, *, has_trajectories: bool = True) -> Data | None:
     """Describe the table: its digest, files, number of rows and how it was read, and the measured rows of each
-    trajectory. The result is None if the source is not known. `trajectories` is null if states were not measured in
-    time, or if trajectories were not requested.
+    trajectory.
+
+    The result is None if the source is not known. `trajectories` is null if states were not measured in time, or if
+    trajectories were not requested.
     """
     source, recording = preparation.source, preparation.recording
     if source is None:
@@ -83,8 +85,9 @@ def _thin_trajectory(recording: Recording, part: Trajectory, share: float) -> Re
 
 
 def describe_system(preparation: Preparation) -> System | None:
-    """Return the roles of the columns, their units, and the range of each variable in the rows that count. The keys of
-    all parts are column names; angles are in radians. None if the source is not known.
+    """Return the roles of the columns, their units, and the range of each variable in the rows that count.
+
+    The keys of all parts are column names; angles are in radians. None if the source is not known.
     """
     source, recording = preparation.source, preparation.recording
     if source is None:

@@ -150,8 +150,9 @@ class RankedCandidates:
 
     def __init__(self, comparison: ModelComparison, problem: Problem, whole: ModelComparison | None = None) -> None:
         """Prepare a ranking by two fits: constants are first fitted to the rows of `problem`; then `comparison` fits
-        the equation of this variable alone. `whole`, the comparison of whole systems, decides which programs are too
-        long.
+        the equation of this variable alone.
+
+        `whole`, the comparison of whole systems, decides which programs are too long.
         """
         self._whole = whole or comparison
         self._comparison = comparison

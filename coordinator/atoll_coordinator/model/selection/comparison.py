@@ -421,10 +421,12 @@ class ModelComparison:
         self, near: FittedModel, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
         until: float = math.inf,
     ) -> list[FittedModel]:  # fmt: skip
-        """Return the models with the best `programs` for one equation. The programs are fitted in `rounds`; each round
-        has a number of steps and the number of programs that are kept for the next round. If several programs are
-        equivalent, only the program with the shortest description is kept, see `distinct_models`. When the estimator's
-        work has reached `until`, at most one more block of programs is fitted.
+        """Return the models with the best `programs` for one equation.
+
+        The programs are fitted in `rounds`; each round has a number of steps and the number of programs that are kept
+        for the next round. If several programs are equivalent, only the program with the shortest description is kept,
+        see `distinct_models`. When the estimator's work has reached `until`, at most one more block of programs is
+        fitted.
         """
         models: list[FittedModel] = []
         waiting = list(programs)

@@ -1,6 +1,7 @@
-"""Start values of constants if groups of trajectories have their own constants. The start values are fitted to the rows
-of each group before any trajectory is simulated, or taken from a similar system. Letters: G groups, P fitted constants,
-Q fitted numbers of all groups together, N nodes.
+"""Start values of constants if groups of trajectories have their own constants.
+
+The start values are fitted to the rows of each group before any trajectory is simulated, or taken from a similar
+system. Letters: G groups, P fitted constants, Q fitted numbers of all groups together, N nodes.
 """
 
 from collections.abc import Collection, Mapping, Sequence

@@ -278,8 +278,9 @@ def search_terms(
 def recalibrate(
     comparison: ModelComparison, best: FittedModel, others: Sequence[FittedModel]
 ) -> tuple[ModelComparison, FittedModel]:
-    """Return a comparison whose error model is estimated from the residuals of the best system, and this system. The
-    closest alternatives and the equations of `others` are compared again.
+    """Return a comparison whose error model is estimated from the residuals of the best system, and this system.
+
+    The closest alternatives and the equations of `others` are compared again.
     """
     known_models = sorted(comparison.fitted_models.items(), key=lambda item: item[1].nats)
     comparison, best = comparison.calibrate(comparison.fit_from(best, best.programs) or best)

@@ -163,9 +163,11 @@ def _tasks_by_piece_length(task: ModellingTask) -> list[ModellingTask]:
 
 def choose_piece_length(task: ModellingTask, programs: Sequence[Program]) -> ModellingTask:
     """Return the task with a new piece length: with this length, a system describes nearly noise-free rows in the
-    fewest nats. Errors of a solver add up along a trajectory. Each piece begins with a new initial state, without
-    accumulated errors; each number of this initial state costs 1/2 ln N. In a whole trajectory, terms that are not in
-    the law would describe the accumulated errors.
+    fewest nats.
+
+    Errors of a solver add up along a trajectory. Each piece begins with a new initial state, without accumulated
+    errors; each number of this initial state costs 1/2 ln N. In a whole trajectory, terms that are not in the law would
+    describe the accumulated errors.
     """
     lengths: dict[int, float] = {}
     tasks = {task.piece: task}

@@ -78,7 +78,9 @@ def _with_whole_powers(program: Program) -> Iterator[Program]:
 
 def with_target_values_of(program: Program, problem: Problem, uncertainty: float) -> Problem | None:
     """Return the problem with the values of a program as target. `uncertainty` is a share of the standard deviation of
-    these values. None if the values are constant or not finite.
+    these values.
+
+    None if the values are constant or not finite.
     """
     values = values_of(program, problem.inputs)
     deviation = float(values.std())
@@ -124,8 +126,10 @@ def propose_further_sums(task: ModellingTask, name: str, most: float) -> Iterabl
 
 
 def may_use_further_operators(task: ModellingTask, name: str) -> bool:
-    """Tell whether further operators may be tried for an equation. False for a known equation. Also False for a law
-    that was found among many variables from derivatives: such an equation has no other candidates."""
+    """Tell whether further operators may be tried for an equation.
+
+    False for a known equation. Also False for a law that was found among many variables from derivatives: such an
+    equation has no other candidates."""
     return bool(task.further_operators(name)) and name not in task.rate_law_variables and name not in task.known
 
 

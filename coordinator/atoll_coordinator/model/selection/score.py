@@ -357,8 +357,9 @@ class Score:
         return bool(np.all(model.fit.squares <= self.least_errors * self.least_errors))
 
     def excess(self, model: FittedModel) -> float:
-        """Return the ratio of the residuals to the noise, for the state with the largest ratio. Smoothed states that
-        are inputs are assumed to add residuals as large as the noise.
+        """Return the ratio of the residuals to the noise, for the state with the largest ratio.
+
+        Smoothed states that are inputs are assumed to add residuals as large as the noise.
         """
         measurements, residuals = self.estimator.measurements, np.sqrt(model.fit.squares)
         least = SETTINGS.common.negligible * self._scales

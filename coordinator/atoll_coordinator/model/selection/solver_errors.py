@@ -102,9 +102,10 @@ def _times(recording: Recording) -> Iterator[FloatArray]:
 def _reproduce_rows(
     task: ModellingTask, whole: TrajectoryMeasurements, solver: Solver, system: OdeSystem
 ) -> _Reproduction | None:
-    """Return the constants with which the solver reproduces all rows; None if there are no such constants. Along
-    chaotic trajectories the last digits of the constants matter. So simple numbers are also tried as constants, since
-    all digits of these numbers are known.
+    """Return the constants with which the solver reproduces all rows; None if there are no such constants.
+
+    Along chaotic trajectories the last digits of the constants matter. So simple numbers are also tried as constants,
+    since all digits of these numbers are known.
     """
     at = whole.times + task.recording.offset  # LSODA's first step depends on the time
     runs = [_Run(at[first:end], whole.measured[:, first:end]) for first, end in whole.bounds.tolist()]
@@ -133,8 +134,10 @@ def _fit_constants(
     task: ModellingTask, part: TrajectoryMeasurements, solver: Solver, system: OdeSystem, runs: Sequence[_Run]
 ) -> tuple[OdeSystem, FloatArray, float]:
     """Return the constants for which the solutions of a solver have the smallest residuals on the first rows, and two
-    ratios. The first ratio is, for each state (S,), the rms residual divided by the standard deviation of the state.
-    The second ratio is, for all states together, the rms residual divided by the rms error of the solver.
+    ratios.
+
+    The first ratio is, for each state (S,), the rms residual divided by the standard deviation of the state. The second
+    ratio is, for all states together, the rms residual divided by the rms error of the solver.
     """
     estimator = task.make_comparison(part, task.variables, has_noise=False).estimator
     scales, starts = part.scales[:, None], np.ascontiguousarray(part.measured[:, part.bounds[:, 0]].T)

@@ -60,8 +60,9 @@ class ErrorModel:
     @property
     def lengths(self) -> FloatArray:
         """Number of rows (O,) that count as one independent row: the ratio of the variance of a mean to its variance
-        for independent errors. It is (1 + r) / (1 - r) if all errors have the correlation r, and 1 if no errors are
-        correlated.
+        for independent errors.
+
+        It is (1 + r) / (1 - r) if all errors have the correlation r, and 1 if no errors are correlated.
         """
         return np.asarray(1.0 - self.shares + self.shares * (1.0 + self.decays) / (1.0 - self.decays))
 
@@ -153,11 +154,12 @@ class Innovations:
         return 0.5 * count * math.log(max(float(sums[0]) / count, 1e-300)) + 0.5 * float(sums[1])
 
     def estimate(self, residuals: FloatArray, fitted: float) -> tuple[FloatArray, FloatArray]:
-        """Return the shares and decays (O,) with which these residuals (O, N) have the shortest description. Correlated
-        errors need two more numbers, which cost ln n nats together (Schwarz 1978). Residuals of fitted slow curves are
-        less correlated than the errors. With `fitted` numbers for each state, the estimated decay d is too small by (2
-        d + (1 + d) `fitted`)/n, and this bias is corrected (Marriott & Pope 1954, for the fit of a mean: `fitted` is
-        1).
+        """Return the shares and decays (O,) with which these residuals (O, N) have the shortest description.
+
+        Correlated errors need two more numbers, which cost ln n nats together (Schwarz 1978). Residuals of fitted slow
+        curves are less correlated than the errors. With `fitted` numbers for each state, the estimated decay d is too
+        small by (2 d + (1 + d) `fitted`)/n, and this bias is corrected (Marriott & Pope 1954, for the fit of a mean:
+        `fitted` is 1).
         """
         shares, decays = np.zeros((2, len(residuals)))
         for state in np.flatnonzero(self._counts).tolist():

@@ -21,10 +21,12 @@ if TYPE_CHECKING:
 
 _LEAST_CURVATURE: Final = 1e-13
 """Least eigenvalue of the normal matrix of an initial state, which is scaled to a unit diagonal: smaller eigenvalues
-are rounding errors. The matrix has D columns. Its elements are sums over N rows, with rounding errors of about
-eps*sqrt(N), and its largest eigenvalue is at most D. So eigenvalues are known to about eps*D*sqrt(N): 1e-13 at D = 7
-and N = 4000. The same value is used for all fits. With fewer rows, some eigenvalues are raised although they are known;
-with more rows, some rounding errors remain.
+are rounding errors.
+
+The matrix has D columns. Its elements are sums over N rows, with rounding errors of about eps*sqrt(N), and its largest
+eigenvalue is at most D. So eigenvalues are known to about eps*D*sqrt(N): 1e-13 at D = 7 and N = 4000. The same value is
+used for all fits. With fewer rows, some eigenvalues are raised although they are known; with more rows, some rounding
+errors remain.
 """
 
 
@@ -41,9 +43,9 @@ class TrajectoryFit:
         residuals: measured values minus simulated values minus offsets (O, N).
         errors: the error model by which residuals are weighted.
         squares: the mean squares (O,) of the residuals.
-        normal: the block (P, P) of the constants in the weighted normal equations at the end of the fit. coupling: the
-            blocks (G, P, L) of constants and initial states. own: the blocks (G, L, L) of the initial state of each
-            segment.
+        normal: the block (P, P) of the constants in the weighted normal equations at the end of the fit.
+        coupling: the blocks (G, P, L) of constants and initial states.
+        own: the blocks (G, L, L) of the initial state of each segment.
         estimator: the estimator that fitted the system.
         is_stiff: whether the implicit method was used.
         gradient: the derivative (P,) of the log-likelihood by the constants. It is zero for a constant that is not on a
@@ -131,8 +133,9 @@ def growth_rate(fit: TrajectoryFit) -> float:
 
 
 def _growths(matrices: FloatArray) -> list[float]:
-    """Return the logarithm of the growth of an error over each of these `matrices` (S, D, D) except the first. For a
-    single matrix, return the logarithm of its largest singular value."""
+    """Return the logarithm of the growth of an error over each of these `matrices` (S, D, D) except the first.
+
+    For a single matrix, return the logarithm of its largest singular value."""
     if len(matrices) == 1:
         return [math.log(max(float(np.linalg.norm(matrices[0], 2)), 1e-300))]
     error = np.linalg.svd(matrices[0])[0][:, 0]

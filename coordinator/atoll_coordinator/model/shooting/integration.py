@@ -60,8 +60,10 @@ class Method:
 @dataclass(frozen=True, eq=False)
 class Integration:
     """States (D, N) along segments, and their sensitivities (N, D, P + L), which have the shape (0, D, P + L) if they
-    were not requested. `done` is the number of finished segments; it is negative if all allowed steps were used.
-    `steps` is the number of steps.
+    were not requested.
+
+    `done` is the number of finished segments; it is negative if all allowed steps were used. `steps` is the number of
+    steps.
     """
 
     done: int
@@ -74,9 +76,10 @@ class Integrator:
     """Integrates systems along the segments of `measurements`."""
 
     def __init__(self, measurements: TrajectoryMeasurements, tolerance: float, measured_rows: int = 0) -> None:
-        """`tolerance` is the error of a step, divided by the standard deviation of the state. The number of allowed
-        steps is proportional to the number of rows. If the rows represent a larger number of rows of the same time
-        span, `measured_rows`, it is proportional to this number.
+        """`tolerance` is the error of a step, divided by the standard deviation of the state.
+
+        The number of allowed steps is proportional to the number of rows. If the rows represent a larger number of rows
+        of the same time span, `measured_rows`, it is proportional to this number.
         """
         self.measurements: Final = measurements
         self.tolerance: Final = tolerance

@@ -54,9 +54,9 @@ class TrajectoryMeasurements:
         names: names of the trajectories.
         has_smoothed_inputs: whether smoothed states without an equation are inputs.
         inverse_variances: relative inverse variances (O, N) of the errors, 1 on average over the recording. `weights`
-            include these numbers as a factor. None: all are 1. consistency: weighted mean square (O,) of normal errors,
-            divided by their variance. It is less than one if robustness weights reduce large errors. None: one for all
-            states.
+            include these numbers as a factor. None: all are 1.
+        consistency: weighted mean square (O,) of normal errors, divided by their variance. It is less than one if
+            robustness weights reduce large errors. None: one for all states.
         resting: a mask (O, N) of the rows of trajectories along which a state was always 0, such as an absent species.
             There the state has weight 0 and the initial value 0. None: there is no such trajectory.
         groups: index of the group of each trajectory if groups have their own constants; None: all have the same.
@@ -307,9 +307,11 @@ def _robustness_weights(part: Trajectory, chosen: list[int]) -> FloatArray:
 
 def _consistency(parts: Sequence[Trajectory], chosen: list[int]) -> FloatArray | None:
     """Return, for each state, the weighted mean square of normal errors e divided by their variance: E[w e^2] / (E[w]
-    var e). The weights are w = (1 - (e/c)^2)^2 for errors below c, the reach of the weights. With x = (var e)/c^2, the
-    mean of w is 1 - 2x + 3x^2, and E[w e^2] is (1 - 6x + 15x^2) var e. If the reach is six median errors, errors above
-    c add less than a thousandth. x is computed from the mean of the weights above zero.
+    var e).
+
+    The weights are w = (1 - (e/c)^2)^2 for errors below c, the reach of the weights. With x = (var e)/c^2, the mean of
+    w is 1 - 2x + 3x^2, and E[w e^2] is (1 - 6x + 15x^2) var e. If the reach is six median errors, errors above c add
+    less than a thousandth. x is computed from the mean of the weights above zero.
     """
     if all(part.robustness_weights is None for part in parts):
         return None

@@ -137,9 +137,9 @@ class MultipleShooting:
             length: rows of a segment; None for whole trajectories.
             steps: most steps; successful and failed steps count.
             starts: initial states (G, D), or with offsets (G, D + K); None: the smoothed states.
-            errors: the first error model; None: errors are independent and as large as the smoother's noise. is_stiff:
-                whether similar systems are stiff. If they are not, a fit of few steps may not use the implicit method,
-                since most candidates that seem stiff are wrong.
+            errors: the first error model; None: errors are independent and as large as the smoother's noise.
+            is_stiff: whether similar systems are stiff. If they are not, a fit of few steps may not use the implicit
+                method, since most candidates that seem stiff are wrong.
         """
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=may_be_stiff)
@@ -318,9 +318,10 @@ class MultipleShooting:
         return self.layout(None).whiten(residuals, errors)
 
     def squared_innovations(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
-        """Return equivalent sums of squared innovations (O,) of residuals (O, N) of whole trajectories. The variances
-        of innovations differ. The result is the sum of squares of the same number of innovations with equal variances
-        and the same likelihood.
+        """Return equivalent sums of squared innovations (O,) of residuals (O, N) of whole trajectories.
+
+        The variances of innovations differ. The result is the sum of squares of the same number of innovations with
+        equal variances and the same likelihood.
         """
         squares, logarithms = self.layout(None).squares(residuals, errors)
         counts = np.maximum((self.measurements.weights > 0.0).sum(axis=1), 1)
@@ -416,8 +417,10 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
 
     def least_gain(self, point: _Point) -> float:
         """Return the least decrease that counts: a share of the cost, or the cost of rounding errors if this cost is
-        larger. If the data are a solution in closed form, the residuals are rounding errors, and a fit would need many
-        steps to follow them.
+        larger.
+
+        If the data are a solution in closed form, the residuals are rounding errors, and a fit would need many steps to
+        follow them.
         """
         return max(SETTLED * point.cost, float((self._rounding / point.errors.sigmas**2).sum()))
 
@@ -521,11 +524,12 @@ def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> flo
 
 
 def _condense(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints) -> tuple[_Blocks, FloatArray]:
-    """Return the normal equations of pieces with continuous segments, and how the initial states of segments move. Let
-    s be the move of the initial state of a piece, and p the step of the constants. Then the initial state of a segment
-    of this piece moves by A s + B p + c. From one segment to the next, A, B and c become S A, S B + T and S c + h. S
-    and T are the sensitivities of the end of the first segment to its initial state and to the constants; h is the gap
-    between the two segments (Bock 1983, section 3; Albersmeyer & Diehl 2010, SIAM Journal on Optimization 20:1655).
+    """Return the normal equations of pieces with continuous segments, and how the initial states of segments move.
+
+    Let s be the move of the initial state of a piece, and p the step of the constants. Then the initial state of a
+    segment of this piece moves by A s + B p + c. From one segment to the next, A, B and c become S A, S B + T and S c +
+    h. S and T are the sensitivities of the end of the first segment to its initial state and to the constants; h is the
+    gap between the two segments (Bock 1983, section 3; Albersmeyer & Diehl 2010, SIAM Journal on Optimization 20:1655).
 
     Args:
         blocks: the normal equations of the segments.

@@ -18,8 +18,9 @@ might have the same phase of a period."""
 
 
 def points_between(points: FloatArray) -> FloatArray:
-    """Return points (G, V) on lines; each line is between two of the measured `points` (V, N) that are far apart. If
-    all measured points satisfy a linear constraint, such as a constant weighted sum or a sign, points on these lines
+    """Return points (G, V) on lines; each line is between two of the measured `points` (V, N) that are far apart.
+
+    If all measured points satisfy a linear constraint, such as a constant weighted sum or a sign, points on these lines
     also satisfy this constraint. Energies are smaller on the lines than in the corners of a box of many states.
     """
     first, second, (share,) = _draw_pairs(points, 1)
@@ -73,6 +74,7 @@ def _draw_pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArra
 
 def _choose_far_apart(points: FloatArray, count: int) -> list[int]:
     """Return the indices of up to `count` of the `points` (N, D); each point is the farthest from all earlier points.
+
     With this farthest-point sampling (Gonzalez 1985), a long steady state gets no more points than the transient.
     """
     places, nearest = [0], np.full(len(points), math.inf)

@@ -27,9 +27,11 @@ chance. If errors are proportional to the value, 72 % of the tables with 21 rows
 @dataclass(frozen=True)
 class VarianceModel:
     """Error variance of one state. A part of the variance is proportional to the square of the value: `proportional` is
-    the share of this part, for the value `rms`. `mean` is the mean of inverse variances over the rows of the recording;
-    weights are divided by it, so that they are 1 on average. `scale` is the standard deviation of a row of weight 1,
-    divided by the standard deviation for equal weights.
+    the share of this part, for the value `rms`.
+
+    `mean` is the mean of inverse variances over the rows of the recording; weights are divided by it, so that they are
+    1 on average. `scale` is the standard deviation of a row of weight 1, divided by the standard deviation for equal
+    weights.
     """
 
     proportional: float = 0.0

@@ -190,7 +190,9 @@ class OdeSystem:
 
     def by_place(self, numbers: FloatArray, power: int = 1) -> FloatArray:
         """Return `numbers`, which belong to the Q fitted numbers, by group and constant (G, P); G is one without
-        groups. Each number is multiplied by the multiple of the constant to the `power`: 1 for values, 2 for variances.
+        groups.
+
+        Each number is multiplied by the multiple of the constant to the `power`: 1 for values, 2 for variances.
         """
         if self.sharing is None:
             return numbers[None]

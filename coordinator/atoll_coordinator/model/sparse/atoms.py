@@ -115,6 +115,7 @@ def polynomial_libraries(
     columns: Sequence[int], rows: float, degrees: Sequence[int]
 ) -> Iterator[tuple[list[Product], bool]]:
     """Yield, for each possible degree, all products up to this degree, and whether the highest degree is possible.
+
     `rows` is the number of independent rows; each term of a library needs `rows_per_term` of them.
     """
     candidates = [products(columns, degree) for degree in degrees]
@@ -223,8 +224,10 @@ _OF_POSITIVE: Final = {LOG: _make_plain_function(LOG, np.log), SQRT: _make_plain
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A product of variables, and possibly a function of `u` (R,) as another factor. `factors` are the indices of the
-    variables, and `product` (R,) are the values of their product. `argument` is the expression for u.
+    """A product of variables, and possibly a function of `u` (R,) as another factor.
+
+    `factors` are the indices of the variables, and `product` (R,) are the values of their product. `argument` is the
+    expression for u.
     """
 
     factors: Product

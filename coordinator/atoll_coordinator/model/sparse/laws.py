@@ -135,11 +135,12 @@ def _spaces(dataset: Dataset, config: JobConfig) -> dict[str, tuple[tuple[int, .
 
 
 def settled_variables(preparation: Preparation, config: JobConfig, among_many: LawsByGroup) -> frozenset[str]:
-    """Return the variables whose laws are so certain that no long search is needed. The residuals of these laws are
-    like noise, and the laws were fitted to more rows than systems are compared on. With many variables, each equation
-    is settled independently. With few variables, either all equations are settled or no equation is, since a search
-    with few variables is short. The result is empty if the user has set an end of the search, or guesses. `among_many`
-    is the result of `find_laws_among_many`.
+    """Return the variables whose laws are so certain that no long search is needed.
+
+    The residuals of these laws are like noise, and the laws were fitted to more rows than systems are compared on. With
+    many variables, each equation is settled independently. With few variables, either all equations are settled or no
+    equation is, since a search with few variables is short. The result is empty if the user has set an end of the
+    search, or guesses. `among_many` is the result of `find_laws_among_many`.
     """
     budget = config.budget
     is_asked = budget.target_error is not None or budget.stagnation is not None or bool(config.prior.guesses)
@@ -203,8 +204,10 @@ def find_laws(
     others: Sequence[Program] = (),
     spread: Spread | None = None,
 ) -> tuple[Law, ...]:
-    """Return the laws of one state, the shortest description first. Only the rows of this state are used. The result is
-    empty if no law was found, or if there are too many variables for libraries of all products.
+    """Return the laws of one state, the shortest description first.
+
+    Only the rows of this state are used. The result is empty if no law was found, or if there are too many variables
+    for libraries of all products.
 
     Args:
         problem: the derivative on the rows of the search; the target's variable is a state of `recording`.
@@ -223,7 +226,9 @@ def find_laws(
 
 def _find_laws_without_noise(problem: Problem, columns: Sequence[int]) -> Iterator[Law]:
     """Yield the smallest sum whose error is below the limit of convergence, from the library of the lowest degree that
-    has such a sum. If no library has one, yield the smallest sum whose error is about as large as this limit.
+    has such a sum.
+
+    If no library has one, yield the smallest sum whose error is about as large as this limit.
     """
     rows, limit = RegressionRows(problem.inputs, problem.target.values), problem.target.convergence_error()
     ways = []
@@ -277,8 +282,10 @@ _Description = tuple[tuple[Product, ...] | None, float]
 
 def _describe(regression: SparseRegression, program: Program) -> _Description:
     """Return the products of a program, or its nats by the same criterion as for sums. The nats are infinite if the
-    program cannot be fitted. The constants of the program were fitted to smoothed derivatives, which are too flat. So a
-    factor of the whole program is fitted to the windows.
+    program cannot be fitted.
+
+    The constants of the program were fitted to smoothed derivatives, which are too flat. So a factor of the whole
+    program is fitted to the windows.
     """
     written, rows = collected(program), regression.rows
     terms = products_of(written, SETTINGS.sparse.degree)

@@ -87,9 +87,10 @@ class ShortWindows(WeakRows):
         return np.sqrt(np.maximum(self._own + self.widen(self._target_quadrature) ** 2, 1e-300))
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
-        """Return the assessment as for long windows, but with errors of the integration. In some windows a function
-        changes too fast for the integration. So large residuals have less weight (Cauchy), and the excess follows from
-        the median.
+        """Return the assessment as for long windows, but with errors of the integration.
+
+        In some windows a function changes too fast for the integration. So large residuals have less weight (Cauchy),
+        and the excess follows from the median.
         """
         values = sum(c * atom.values for c, atom in zip(coefficients, atoms, strict=True))
         difference = window_integrals(self.first, self.bump - self.coarse[0], np.asarray(values)[None])[0]
@@ -296,6 +297,7 @@ def _search_sum(
     rows: RegressionRows, library: Sequence[Atom], start: Sequence[Atom], shared: frozenset[Atom] = frozenset()
 ) -> Sum | None:
     """Return the shortest sum of the products of a library and the functions of `start`; inner constants are fitted.
+
     The search has several start sums: they consist of these functions and the products of `start`, or of these
     functions and the products of the library up to each degree. The search is repeated as long as fitted inner
     constants shorten the description.

@@ -57,8 +57,9 @@ def fit_sum(rows: RegressionRows, atoms: Sequence[Atom], shared: frozenset[Atom]
 
 
 def fit_inner_constants(fit: Sum) -> Sum:
-    """Return the sum with fitted inner constants. They are fitted by Gauss-Newton steps of all constants together. The
-    derivatives of terms by their inner constants are treated as further terms, with their own errors.
+    """Return the sum with fitted inner constants. They are fitted by Gauss-Newton steps of all constants together.
+
+    The derivatives of terms by their inner constants are treated as further terms, with their own errors.
     """
     rows, shared = fit.regression.rows, fit.regression.shared
     inner = [place for place, atom in enumerate(fit.atoms) if atom.shape.has_constant and atom not in shared]
@@ -128,9 +129,11 @@ class ResidualGains:
 
     def gains_of_pairs(self, columns: FloatArray) -> FloatArray:
         """Return the share (A, A) of the squared residuals that columns i and j (A, N) explain together. Elements with
-        i >= j are 0. The parts of the two columns orthogonal to the terms are scaled to unit length. Their scalar
-        products with the residuals are a and b, and their scalar product with each other is c. Together they explain
-        (a^2 + b^2 - 2 a b c)/(1 - c^2).
+        i >= j are 0.
+
+        The parts of the two columns orthogonal to the terms are scaled to unit length. Their scalar products with the
+        residuals are a and b, and their scalar product with each other is c. Together they explain (a^2 + b^2 - 2 a b
+        c)/(1 - c^2).
         """
         norms, along = self._norms(columns), columns @ self._basis
         products = columns @ self._left / norms

@@ -78,8 +78,10 @@ def eliminate_columns(
     columns: FloatArray, sides: FloatArray, errors: Errors | None = None, steps: int | None = None
 ) -> Elimination:
     """Return the elimination of `columns` (K, N) that are fitted to `sides` (N,), or only the first `steps` steps of
-    the elimination. `errors` are the covariances of the errors of the columns (K, K), and of columns and sides (K,).
-    The sum of squares never decreases when a term is removed.
+    the elimination.
+
+    `errors` are the covariances of the errors of the columns (K, K), and of columns and sides (K,). The sum of squares
+    never decreases when a term is removed.
     """
     count = len(columns)
     steps = count if steps is None else min(steps, count)
@@ -95,9 +97,11 @@ def eliminate_columns(
 
 def select_forward(columns: FloatArray, side: FloatArray) -> Iterator[tuple[int, float]]:
     """Select one column after another. Yield its index in `columns` (K, N), and the sum of squared residuals of the fit
-    with this column. Each step selects the column that explains most of the residuals of `side` (N,): orthogonal
-    matching pursuit. The selection ends when no column explains anything. Numbers are added in a fixed order, so that
-    results are equal to the bit.
+    with this column.
+
+    Each step selects the column that explains most of the residuals of `side` (N,): orthogonal matching pursuit. The
+    selection ends when no column explains anything. Numbers are added in a fixed order, so that results are equal to
+    the bit.
     """
     sizes = np.sqrt(_dots(columns * columns, np.ones_like(side)))
     rest, left = columns / np.where(sizes > 0.0, sizes, 1.0)[:, None], side
@@ -202,9 +206,11 @@ class SparseRegression:
 
     def select_terms(self, start: Sequence[int], weights: FloatArray | None = None) -> Sum | None:
         """Return the result of a search that begins with the terms `start` (indices); None if the terms cannot be
-        fitted. The first weights are equal, or come from a fit of the terms `start` with `weights`. Later weights come
-        from the previous sum, and favour this sum even if it is wrong. So at the end, terms are removed as long as this
-        makes the description shorter; here the weights come from the remaining sum.
+        fitted.
+
+        The first weights are equal, or come from a fit of the terms `start` with `weights`. Later weights come from the
+        previous sum, and favour this sum even if it is wrong. So at the end, terms are removed as long as this makes
+        the description shorter; here the weights come from the remaining sum.
         """
         if not self.is_solvable:
             return None

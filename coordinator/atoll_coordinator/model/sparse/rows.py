@@ -6,8 +6,9 @@ both.
   together count as `systematic_numbers` independent numbers, for any number of rows. A few errors are a hundred times
   as large as estimated.
 - `WeakRows` are integrals over windows of the trajectories, so that no data are differentiated. A test function b
-  vanishes at both ends of a window. The law dx/dt = sum c_k f_k is multiplied by b and integrated by parts: - int b' x
-  dt = sum c_k int b f_k dt
+  vanishes at both ends of a window. The law dx/dt = sum c_k f_k is multiplied by b and integrated by parts:
+
+      - int b' x dt = sum c_k int b f_k dt
 
   (Messenger & Bortz 2021). Powers of measured states are replaced by Hermite polynomials, which depend on the variance
   of the noise. Then the expectation of a product of measured states is the product of the true states. The variance of
@@ -172,8 +173,10 @@ class RateRows(RegressionRows):
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
         """Return the assessment by the scale of the residuals: the residuals divided by their standard errors, which
-        are only known up to a factor. The scale follows from the median. The misfit is ``systematic_numbers``
-        ln(scale), as for normal errors of unknown variance. Large residuals have less weight (Cauchy).
+        are only known up to a factor.
+
+        The scale follows from the median. The misfit is ``systematic_numbers`` ln(scale), as for normal errors of
+        unknown variance. Large residuals have less weight (Cauchy).
         """
         del atoms, coefficients
         sizes = np.abs(residuals) / self.side_errors
@@ -290,7 +293,9 @@ def _select_blocks(lengths: Sequence[int]) -> list[tuple[int, int]]:
 
 def _noise(parts: Sequence[Trajectory], place: int, smoothing: StateSmoothing) -> float:
     """Return the standard deviation of a state's errors: the smoother's noise, or the prediction error if this error is
-    smaller. If a state changes fast, the residuals of the smoother are larger than the errors of measurement.
+    smaller.
+
+    If a state changes fast, the residuals of the smoother are larger than the errors of measurement.
     """
     if smoothing.method == "interpolation" or smoothing.quantisation is not None:
         return 0.0 if smoothing.method == "interpolation" else smoothing.noise
@@ -381,7 +386,9 @@ class WeakRows(RegressionRows):
 
     def _row_weights(self, weights: FloatArray) -> Errors:
         """Return the weights (T,) of the errors of thinned rows: one array is for products of two integrals, the other
-        is for products of an integral and a left side. `weights` (W,) are the weights of windows.
+        is for products of an integral and a left side.
+
+        `weights` (W,) are the weights of windows.
         """
         sums = np.zeros((2, len(self.measured.times)))
         for place in range(self.bump.shape[1]):
@@ -452,8 +459,10 @@ def window_integrals(first: Ints, weights: FloatArray, values: FloatArray) -> Fl
 
 
 def _powers(values: FloatArray, noise: FloatArray, highest: int) -> list[FloatArray]:
-    """Return unbiased estimates of the powers (V, R) of the true values, by exponent. With a true value x and an error
-    e, E He_n(x + e) = x^n for Hermite polynomials with the variance of e: He_(n+1)(y) = y He_n(y) - n var He_(n-1)(y).
+    """Return unbiased estimates of the powers (V, R) of the true values, by exponent.
+
+    With a true value x and an error e, E He_n(x + e) = x^n for Hermite polynomials with the variance of e: He_(n+1)(y)
+    = y He_n(y) - n var He_(n-1)(y).
     """
     powers = [np.ones_like(values), values]
     for exponent in range(1, highest):
@@ -499,10 +508,12 @@ def weak_rows(measured: MeasuredRows, target: int, half: int) -> WeakRows | None
 
 def half_width(measured: MeasuredRows, smoothing: StateSmoothing, variables: int) -> int:
     """Return the half width of a window in rows: half of the smoother's span, or less if the largest library needs more
-    windows. Longer windows make it harder to distinguish terms that are nearly linearly dependent. Shorter windows have
-    larger errors of the trapezoidal rule; errors due to noise should be ten times as large as errors of this rule. With
-    the half width h and p = `_SMOOTHNESS`, the errors of the rule in the left side decrease as h^-(p + 1), and errors
-    due to noise decrease as h^-1.5.
+    windows.
+
+    Longer windows make it harder to distinguish terms that are nearly linearly dependent. Shorter windows have larger
+    errors of the trapezoidal rule; errors due to noise should be ten times as large as errors of this rule. With the
+    half width h and p = `_SMOOTHNESS`, the errors of the rule in the left side decrease as h^-(p + 1), and errors due
+    to noise decrease as h^-1.5.
     """
     terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
     most = int(len(measured.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(measured.ranges) + 1))

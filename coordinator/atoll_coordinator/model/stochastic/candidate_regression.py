@@ -143,8 +143,9 @@ def _make_problem(
 
 def estimate_noise_rates(steps: Steps) -> FloatArray:
     """Return the estimated noise rate (S, N) of each state at each step: how fast noise increases the variance of the
-    state. The rates are mean squares of differences of high order in bins; such differences remove the drift. The
-    weights follow from these rates and not from the present model, since the noise of the first model is constant.
+    state. The rates are mean squares of differences of high order in bins; such differences remove the drift.
+
+    The weights follow from these rates and not from the present model, since the noise of the first model is constant.
     """
     means = np.zeros_like(steps.increments)
     windows = all_windows(steps, _STEPS)

@@ -226,9 +226,11 @@ class ProcessLikelihood:
         settled: float = 0.01 * SETTINGS.selection.least_gain,
         limit: float = math.inf,
     ) -> FittedProcess:
-        """Return `model` after a fit by damped Fisher scoring. The constants of the equations with the indices `free`
-        and the measurement noise are fitted. The fit ends if the predicted or the actual gain of a step is less than
-        `settled` nats, or if the predicted misfit after the next step is not below `limit`.
+        """Return `model` after a fit by damped Fisher scoring.
+
+        The constants of the equations with the indices `free` and the measurement noise are fitted. The fit ends if the
+        predicted or the actual gain of a step is less than `settled` nats, or if the predicted misfit after the next
+        step is not below `limit`.
         """
         return minimize(_LikelihoodFit(self, model, free, settled, limit))
 

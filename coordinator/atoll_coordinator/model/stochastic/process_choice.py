@@ -98,9 +98,10 @@ class ProcessChoice:
 
     def _choose_discretisation(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:
         """Choose the discretisation with the shorter description. Return the law with this discretisation, and the
-        difference of the lengths in nats. One discretisation may need a term of the diffusion that the other does not
-        need. So equations are exchanged with both discretisations, unless the likelihood of the same equations already
-        decides.
+        difference of the lengths in nats.
+
+        One discretisation may need a term of the diffusion that the other does not need. So equations are exchanged
+        with both discretisations, unless the likelihood of the same equations already decides.
         """
         stepped = self._fit_as_euler_maruyama(fitted.model)
         if stepped.misfit - fitted.misfit > SETTINGS.inference.distinct_nats:

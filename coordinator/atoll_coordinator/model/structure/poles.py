@@ -25,8 +25,10 @@ _GROWTH: Final = 10.0**0.5
 
 def find_poles(program: Program, points: FloatArray, ends: FloatArray | None = None) -> list[Program]:
     """Return the parts of `program` that are zero at its poles in the region of `points` (V, R). Each part is returned
-    once. If `ends` (V, R) are given, only the lines from `points` to `ends` are sampled; for example, `ends` may be the
-    next points of a trajectory.
+    once.
+
+    If `ends` (V, R) are given, only the lines from `points` to `ends` are sampled; for example, `ends` may be the next
+    points of a trajectory.
     """
     if ends is None:
         ends = points[:, np.random.default_rng(0).permutation(points.shape[1])]

@@ -26,10 +26,11 @@ from atoll_core.expression.program import Expression, Node, Program, ProgramBuil
 
 def extensions(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
     """Yield, as sums of products, the programs that differ from `program` by a small part at one node. Each structure
-    is yielded once. A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v). Here
-    v and w are variables, and the constant c makes the new part small compared with n, in any units. Larger changes are
-    n sin v and n/sin v. Cosines are treated like sines. Only allowed `operators` (codes) are added. Constants are not
-    fitted yet.
+    is yielded once.
+
+    A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v). Here v and w are
+    variables, and the constant c makes the new part small compared with n, in any units. Larger changes are n sin v and
+    n/sin v. Cosines are treated like sines. Only allowed `operators` (codes) are added. Constants are not fitted yet.
 
     Args:
         program: a program with as many variables as `scales`.
@@ -72,8 +73,10 @@ def _terms(node: int, scales: Sequence[float], size: float) -> Iterator[Expressi
 
 def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
     """Yield, as sums of products, a few programs with larger changes; their fits need many steps. Each structure is
-    yielded once. A variable is replaced by its sine or cosine. A sine or cosine is replaced by the first terms of its
-    Taylor series, with new constants. Only allowed `operators` (codes) are added.
+    yielded once.
+
+    A variable is replaced by its sine or cosine. A sine or cosine is replaced by the first terms of its Taylor series,
+    with new constants. Only allowed `operators` (codes) are added.
     """
     nodes = _with_own_leaves(program.nodes())
     yield from replace_each(program, nodes, operators, lambda index: _leaps_at(nodes, index))

@@ -13,10 +13,13 @@ _EXCHANGED: Final = {ADD: SUBTRACT, SUBTRACT: ADD, MULTIPLY: DIVIDE, DIVIDE: MUL
 
 
 def neighbours(program: Program, variables: Collection[int], operators: Collection[int]) -> Iterator[Program]:
-    """Yield, as sums of products, the programs that differ from `program` in one place. Each structure is yielded once,
-    and constants are not fitted yet. There are three kinds of changes at one node: a leaf is exchanged for another
-    leaf; an operator is exchanged for a related operator (+ and -, * and /, sin and cos); or a constant or variable is
-    added or multiplied. Only these `variables` (indices) and `operators` (codes) are used.
+    """Yield, as sums of products, the programs that differ from `program` in one place.
+
+    Each structure is yielded once, and constants are not fitted yet.
+
+    There are three kinds of changes at one node: a leaf is exchanged for another leaf; an operator is exchanged for a
+    related operator (+ and -, * and /, sin and cos); or a constant or variable is added or multiplied. Only these
+    `variables` (indices) and `operators` (codes) are used.
     """
     nodes = program.nodes()
     yield from replace_each(

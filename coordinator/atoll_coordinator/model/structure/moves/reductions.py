@@ -13,9 +13,11 @@ _NEUTRAL: Final = (0.0, 1.0, -1.0)
 
 def reductions(program: Program) -> Iterator[Program]:
     """Yield smaller programs as sums of products, beginning with changes at the output node. Each structure is yielded
-    once, and constants are not fitted yet. An operator is replaced by an argument or a constant; a constant is replaced
-    by 0, 1 or -1; a common factor of two terms is factored out; the cosine of a multiple becomes a square; the sum of a
-    constant and a quotient becomes one quotient; a factor c + u with a constant c is multiplied out as 1 + u.
+    once, and constants are not fitted yet.
+
+    An operator is replaced by an argument or a constant; a constant is replaced by 0, 1 or -1; a common factor of two
+    terms is factored out; the cosine of a multiple becomes a square; the sum of a constant and a quotient becomes one
+    quotient; a factor c + u with a constant c is multiplied out as 1 + u.
     """
     nodes = program.nodes()
     known = {structure(program)}
@@ -69,7 +71,9 @@ def _expansions(nodes: list[Node], index: int, constant: int | None = None) -> I
 
 def multiply_out(program: Program, constant: int) -> Iterator[Program]:
     """Yield programs in which one product is multiplied out. A factor of this product is a sum with the node
-    `constant`, which is set to 1. The programs have one constant less: b (y - x**2 y) instead of b y (c - x**2).
+    `constant`, which is set to 1.
+
+    The programs have one constant less: b (y - x**2 y) instead of b y (c - x**2).
     """
     nodes = program.nodes()
     for index, (code, *_) in enumerate(nodes):
