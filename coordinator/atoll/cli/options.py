@@ -177,7 +177,8 @@ def _keep(text: str) -> tuple[int | None, int | None]:
 _JSON: Final = _switch("--json", "print JSON")
 _CONNECT: Final = (
     _value(
-        "--connect", "tcp/HOST:PORT", "address of the coordinator, or several as a,b (default: $ATOLL_CONNECT)",
+        "--connect", "tcp/HOST:PORT",
+        "address of the coordinator, or several addresses separated by commas (default: $ATOLL_CONNECT)",
     ),
     add_tls_options,
 )  # fmt: skip
@@ -191,7 +192,7 @@ _STATE: Final = _value(
 _SERVICE: Final = (
     _value(
         "--connect-file", "FILE",
-        "write the addresses to connect to into this file, once they are ready; for island-worker --connect-file",
+        "write the addresses for workers and clients into this file when ready; for island-worker --connect-file",
     ),
     add_tls_options,
     _value("--roster", "FILE", 'roles of the names in certificates (TOML: lab1 = "worker")'),
@@ -251,8 +252,9 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _STATE,
         _value(
             "--keep", "AGE,SIZE", type=_keep, default="90d,8G",
-            text="keep ended jobs for this time (30m, 12h, 90d) and up to this total size (500M, 8G); older jobs are "
-            "deleted, the oldest first; one of the two may be left out, and `all` keeps all (default: %(default)s)",
+            text="keep ended jobs for this time (30m, 12h, 90d) and up to this total size (500M, 8G); beyond these "
+            "limits, the oldest jobs are deleted; one of the limits may be left out; `all` keeps all jobs (default: "
+            "%(default)s)",
         ),
         _switch(
             "--standby",
@@ -438,7 +440,10 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
     "analyse": ("verbs.results", "fixed points, limit cycles, basins and bifurcations of the model of a result", (
         _RESULT,
         *_CONNECT,
-        _repeatable("--box", "x=0:3", "bounds of a state (default: the measured range and half its width per side)"),
+        _repeatable(
+            "--box", "x=0:3",
+            "bounds of a state (default: the measured range, extended on each side by half of its width)",
+        ),
         _GROUP,
         _HOLD,
         _switch("--identifiability", "show which constants the data determine, by profile likelihood"),
