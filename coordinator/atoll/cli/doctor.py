@@ -397,7 +397,7 @@ def check_data(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Read the data files as ``submit`` does, but without smoothing."""
     if not options.data:
         return
-    from atoll.cli.options import parse
+    from atoll.cli.parser import parse
     from atoll.cli.request import request_of
     from atoll_coordinator.data.columns.examination import examine
     from atoll_coordinator.data.outline import describe

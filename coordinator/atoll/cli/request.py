@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.options import job_id
+from atoll.cli.parser import job_id
 from atoll.client.client import Client, connected
 from atoll.client.configure import configure
-from atoll.client.options import OPTIONS, Repeated
+from atoll.client.job_options import OPTIONS, Repeated
 from atoll.client.over_http import TOKEN, Whereabouts, coordinator_at
 from atoll.terminal.output import as_json, note, say
 from atoll_core.config import JobConfig

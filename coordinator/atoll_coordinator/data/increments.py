@@ -12,7 +12,7 @@ rounded sums, so that every machine gets the same bits.
 
 The targets are doubtful for long steps: moments are divided by the length h of a step, and terms of order h are
 neglected. Models are later fitted and judged by the likelihood of single steps, which includes these terms
-(`atoll_coordinator.stochastic.moments`).
+(`atoll_coordinator.process_steps.moments`).
 
 Letters: S states, N steps, V variables, W windows of neighbouring steps, M bins.
 """

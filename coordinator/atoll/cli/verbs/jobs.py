@@ -14,7 +14,7 @@ from typing import Final
 from pydantic_core import to_jsonable_python
 
 from atoll.cli.exit_codes import DONE, end_of_cancelled, report_exit_code
-from atoll.cli.options import job_id
+from atoll.cli.parser import job_id
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.client.client import Client, connected
 from atoll.client.follower import Display, Follower, Subscription

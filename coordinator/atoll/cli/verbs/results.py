@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from atoll.api.model import Model
 from atoll.cli.exit_codes import DONE
-from atoll.cli.options import finite_number, if_given, interval, intervals, natural_number, numbers
+from atoll.cli.parser import finite_number, if_given, interval, intervals, natural_number, numbers
 from atoll.cli.request import CONNECT_LIMIT_S, address_of, is_saved, load_result, result_of
 from atoll.cli.result_files import REPORT, write_page
 from atoll.client.client import connected

@@ -1,7 +1,7 @@
 """The command line: one table (`VERBS`) with the module, help and arguments of every verb, its parser, and functions
 that convert values which argparse does not convert.
 
-It has only light imports, because ``--help`` must be instant. `atoll.client.options` declares the options of a job.
+It has only light imports, because ``--help`` must be instant. `atoll.client.job_options` declares the options of a job.
 """
 
 import argparse
@@ -11,7 +11,7 @@ import uuid
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NoReturn, TypeVar
 
-from atoll.client.options import GROUPS, MOST_WORKERS
+from atoll.client.job_options import GROUPS, MOST_WORKERS
 from atoll_core.command_line import (
     SHELLS,
     Parser,
