@@ -32,10 +32,11 @@ from atoll_core.data.dataset import FloatArray, IntArray
 
 LIMITS = SETTINGS.columns
 _RELEVANT: Final = SETTINGS.inference.part
-"""An influence other than the coordinates is relevant if it causes at least this share of a variance or of a standard
-deviation."""
+"""An influence other than the coordinates is relevant if it causes at least this share of the variance (or of the
+standard deviation) of a response."""
 _MOST_POSITIONS: Final = 4
-"""Most states for which neighbours are searched: with more states, no rows are close in positions and velocities."""
+"""Largest number of states for which neighbours are searched: with more states, no two rows are close in positions and
+velocities."""
 _FEWEST_PAIRS: Final = 20
 """Fewest pairs of neighbours that a finding needs."""
 _JUMPS: Final = 0.75

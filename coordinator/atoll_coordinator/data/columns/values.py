@@ -2,8 +2,8 @@
 
 Single columns: fill values, clipping, few levels, held inputs, row counters. Columns that determine each other: equal
 columns, multiples, totals, sums that stay constant. Such columns are found by least squares: each column is projected
-on the columns before it (modified Gram-Schmidt, applied twice). Any equation with such columns can be written in
-several ways, so the user should know them.
+on the columns before it (modified Gram-Schmidt, applied twice). An equation with such columns can be written in several
+ways, so the user should know these columns.
 """
 
 import math
