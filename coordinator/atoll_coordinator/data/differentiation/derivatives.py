@@ -41,7 +41,7 @@ from atoll_coordinator.data.differentiation.smoothing import (
 )
 from atoll_coordinator.data.recording import STENCIL_ROWS, StateQuantisation
 from atoll_coordinator.data.trajectories.measurements import Measurements
-from atoll_coordinator.data.trajectories.usable_rows import SMALLEST, check_size
+from atoll_coordinator.data.trajectories.table_checks import SMALLEST, check_size
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError
