@@ -1,6 +1,6 @@
 """The equation of one variable by regression on its target: the shortest description near the front (ADR 0012).
 
-`fit_equation` decides in two stages. *Shortening* (`shortening`): the members of the front are reduced and varied, and
+`refine_equation` decides in two stages. *Shortening* (`shortening`): members of the front are reduced and varied, and
 all programs are compared by their description length on the rows. *Finishing* (`_finish_equation`): constants of the
 shortest program become simple numbers where the data support them (`constants.rounding`, as for trajectories); the
 constants get standard errors, and the program its errors on all rows. The front itself is not changed.
@@ -87,7 +87,7 @@ def make_target_shortening(
     )  # fmt: skip
 
 
-def fit_equation(
+def refine_equation(
     problem: Problem, config: JobConfig, front: Sequence[FrontMember], counted: WeightedRows | None = None,
     deadline: Deadline | None = None, *, has_intervals: bool = False,
 ) -> Refined | None:  # fmt: skip
