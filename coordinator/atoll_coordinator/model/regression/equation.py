@@ -178,7 +178,7 @@ def _finish_equation(
     program = fitted.program
     if math.isfinite(fitted.mse):
         least = criterion.misfit(fitted.mse)
-        (program,) = _attach_estimates(fitted, criterion, restrictions).simplify(
+        (program,) = _attach_estimates(fitted, criterion, restrictions).accept_simple_numbers(
             lambda programs: criterion.misfit(least_squares.mse(programs[0])) - least
         )
     short = shortest_over(program, counted.problem.inputs) if bounds is None else bounds.written(program) or program
@@ -191,7 +191,7 @@ def _finish_equation(
         program = written if may_be_shown(written, config.space.max_size) else program
     fitted, simple, together = least_squares.fit(program), None, None
     if math.isfinite(fitted.mse):
-        rounded = _attach_estimates(fitted, criterion, restrictions).round_constants()
+        rounded = _attach_estimates(fitted, criterion, restrictions).round_equations()
         (program,), (simple,), (together,) = rounded.programs, rounded.simple, rounded.together
     error, mse = measure_errors(problem, program, config.evolution.loss)
     known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).with_simple_numbers(

@@ -1,7 +1,7 @@
 """Builds the result of a job from the outcome of the search and of refining; docs/result.md explains its keys.
 
-`build_result` decides everything in result.json: `select_shown_equation` chooses the equation that is shown (the refined
-one, or a member of the front), `_judge_equation` its grade and reason, and `_list_front` the members that are listed.
+`build_result` decides everything in result.json: `select_shown_equation` chooses the equation (the refined one, or a
+member of the front), `_judge_equation` its grade and reason, and `_list_front` the members that are listed.
 Programs become text with the names and units of the columns.
 
 Doubtful: an equation that refining did not judge is judged here, by its error on the target alone, when a client asks
