@@ -98,7 +98,7 @@ def show_process(chosen: ChosenProcess) -> ShownProcess:
     def misfit_increase(programs: Sequence[Program]) -> float:
         return likelihood.whiten(chosen.fitted.model.with_programs(programs)).misfit - chosen.fitted.misfit
 
-    programs: Sequence[Program] = _attach_estimates(chosen, chosen.fitted).simplify(misfit_increase)
+    programs: Sequence[Program] = _attach_estimates(chosen, chosen.fitted).accept_simple_numbers(misfit_increase)
     for _ in range(2):
         explicit = [
             make_explicit_if_free(program, restrictions, is_given=number in given)
@@ -112,7 +112,7 @@ def show_process(chosen: ChosenProcess) -> ShownProcess:
             break
         programs = written
     as_shown = likelihood.fit(chosen.fitted.model.with_programs(programs), chosen.free)
-    rounded = _attach_estimates(chosen, as_shown).round_constants()
+    rounded = _attach_estimates(chosen, as_shown).round_equations()
     known = describe_constants(given, explicit, rounded.programs, errors)
     known = [one.with_simple_numbers(simple) for one, simple in zip(known, rounded.simple, strict=True)]
     return ShownProcess(rounded, known, explicit, fitted, errors)
