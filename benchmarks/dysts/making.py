@@ -37,7 +37,7 @@ def make(folder: Path, names: Iterable[str], seed: int, say: Callable[[str], Non
     try:
         module = importlib.import_module("dysts.flows")
     except ImportError as error:
-        raise SystemExit(f"the package dysts is missing ({error}); pip install dysts sympy in this environment") from error
+        raise SystemExit(f"the package dysts is missing ({error}); pip install dysts sympy") from error
     for name in names:
         path = folder / f"{name}.npz"
         if path.exists():
