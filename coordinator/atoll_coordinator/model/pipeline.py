@@ -62,7 +62,7 @@ def refine_all(
     batches: Batches | None = None,
 ) -> Refinement:
     """Return the refined equation of each variable. A variable is missing if no equation replaces the best member of
-    its front (see `fit_equation`).
+    its front (see `refine_equation`).
 
     Args:
         preparation: the dataset of the search, and the recording unless left-hand sides were given.
