@@ -48,7 +48,8 @@ class BatchError(AtollError):
 
 @dataclass(frozen=True)
 class Listing:
-    """A command that lists jobs, and how to read its output; None as `state`: the output has the state of each job."""
+    """A command that lists jobs, and how to read its output. If `state` is None, the output has the state of each
+    job."""
 
     words: tuple[str, ...]
     state: BatchState | None = None
@@ -63,7 +64,7 @@ class BatchSystem:
 
     `submit` takes the script on stdin, and `number` finds the job's id in its output. The options `parallel` are added
     for more than one core, unless the user's options contain the first word of `parallel`. `states` maps words of
-    listings to states; other words mean pending. A listing that fails with a message that matches `nothing` has no
+    listings to states; other words mean pending. If a listing fails with a message that matches `nothing`, there are no
     jobs.
     """
 
@@ -239,7 +240,7 @@ class BatchJobs:
         return [*jobs.values()]
 
     def take_back(self, job: str) -> None:
-        """Cancel a pending job; with Slurm, a job that has started meanwhile continues."""
+        """Cancel a pending job. With Slurm, a job that has already started continues."""
         self._run(self._words(self._system.take_back, job))
 
     def drain(self, job: str) -> None:
@@ -316,7 +317,7 @@ def _words(text: str | None, option: str) -> list[str]:
 class Adapting:
     """Polls the coordinator and the batch system, and carries out the decisions of the policy.
 
-    Either may be unreachable for `patience_s` seconds; meanwhile no job is submitted or ended.
+    Either may be unreachable for `patience_s` seconds; during this time no job is submitted or ended.
     """
 
     def __init__(self, address: Destination, batch: BatchJobs, policy: AdaptPolicy, patience_s: float) -> None:
@@ -365,7 +366,8 @@ class Adapting:
         self._end(decision.drain, self._batch.drain, "asked to drain", need)
 
     def _end(self, jobs: Sequence[str], end: Callable[[str], None], done: str, need: Need) -> None:
-        """End each of these jobs. A failure usually means that a job has just ended; else the next poll tries again."""
+        """End each of these jobs. A failure usually means that a job has just ended; if not, the next poll tries
+        again."""
         for job in jobs:
             try:
                 end(job)

@@ -1,11 +1,11 @@
-"""Refining: from the fronts of a search to the displayed model and its verdict, on one page.
+"""An overview of refining: from the fronts of a search to the displayed model and its verdict.
 
 1. The programs of the search are decoded and joined with guesses and known equations (selection/candidates.py).
 2. A stochastic process is fitted by maximum likelihood (stochastic/). The steps below do not apply.
 3. Without trajectories, each variable's equation is fitted to its target and judged by its rows
    (regression/equation.py). The steps below do not apply.
-4. With trajectories, equations for noise-free targets whose search converged are first fitted to these targets. They
-   are candidates.
+4. With trajectories, some equations are first fitted to their targets: the target is noise-free, and its search has
+   converged. The fitted equations are candidates.
 5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model. The table
    in selection/model_selection.py lists the order of the proposals, and the condition of each.
 6. The model is compared with its alternatives, the errors of its constants are estimated, and it is simulated and
@@ -29,7 +29,7 @@ from atoll_coordinator.model.inference.target_checks import TargetChecks
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.pools import FrontMember, LawsByGroup, Pools
 from atoll_coordinator.model.refinement import Refined, Refinement
-from atoll_coordinator.model.regression.equation import WeightedRows, fit_equation
+from atoll_coordinator.model.regression.equation import WeightedRows, refine_equation
 from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.model_selection import operator_remarks, select_model
@@ -61,14 +61,16 @@ def refine_all(
     laws: LawsByGroup | None = None,
     batches: Batches | None = None,
 ) -> Refinement:
-    """Return the refined equation of each variable; a variable is missing if its front has no better equation.
+    """Return the refined equation of each variable. A variable is missing if no equation replaces the best member of
+    its front (see `refine_equation`).
 
     Args:
         preparation: the dataset of the search, and the recording unless left-hand sides were given.
         config: the resolved configuration of the job.
         pools: the programs passed from the search to refining, by variable.
         deadline: when refining must return its best result so far; None: never.
-        laws: laws among many variables that preparing found (`sparse.laws`); None: they are searched here.
+        laws: the laws that preparing found, if there are many variables (`sparse.laws`); None: the laws are searched
+            here.
         batches: sends batches to workers; None: threads of this process compute everything. The results are equal to
             the bit.
     """
@@ -176,7 +178,7 @@ def _fit_laws(task: ModellingTask, names: Sequence[str]) -> dict[str, Refined]:
             FrontMember(law.program, *measure_errors(problem, law.program, loss))
             for law in laws_at_noise_level(task, name)[:1]
         ]
-        equation = fit_equation(problem, task.config, members, deadline=task.deadline)
+        equation = refine_equation(problem, task.config, members, deadline=task.deadline)
         if equation is not None:
             member = task.candidates[name].member_of(equation.program)
             equations[name] = replace(equation, member=member, origin="library" if member is None else "front")
@@ -195,7 +197,7 @@ def _fit_by_regression(
     weights = preparation.weights if is_given else None
     counted = preparation.counted or preparation.dataset
     equations = {
-        name: fit_equation(
+        name: refine_equation(
             preparation.dataset.problem(name),
             config,
             candidate_set.front,

@@ -42,7 +42,7 @@ from atoll_coordinator.data.differentiation.smoothing import (
 )
 from atoll_coordinator.data.recording import STENCIL_ROWS, StateQuantisation
 from atoll_coordinator.data.trajectories.measurements import Measurements
-from atoll_coordinator.data.trajectories.usable_rows import SMALLEST, check_size
+from atoll_coordinator.data.trajectories.table_checks import SMALLEST, check_size
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError
@@ -183,7 +183,7 @@ def estimate_derivatives(
     _, exponent = math.frexp(max(float(np.max(np.abs(signal.values))) for signal in signals))
     scaled = [replace(signal, values=np.ldexp(signal.values, -exponent)) for signal in signals]
     least = math.ldexp(least_noise, -exponent)
-    estimate = _estimate(scaled, options, held_out or [False] * len(signals), least)
+    estimate = _by_loess_or_interpolation(scaled, options, held_out or [False] * len(signals), least)
     rescaled: dict[str, Any] = {}
     with np.errstate(over="ignore", under="ignore"):
         for name in ("values", "velocity", "derivative", "uncertainty", "total_uncertainty"):
@@ -193,9 +193,10 @@ def estimate_derivatives(
     return replace(estimate, **rescaled)
 
 
-def _estimate(
+def _by_loess_or_interpolation(
     signals: Sequence[Signal], options: Differentiation, held_out: Sequence[bool], least: float
 ) -> StateEstimate:
+    """Interpolate if noise is small and left-out rows are then predicted better than by loess; else use loess."""
     searched = [signal for signal in _searched(signals, held_out) if signal.is_long_enough]
     searched = [signal for signal in searched if signal.measured.values.any()] or searched
     smoother = select_smoother(searched, options.degrees)

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.trajectories.usable_rows import (
+from atoll_coordinator.data.trajectories.table_checks import (
     MIN_ROWS,
     check_no_turns,
     check_rates,
@@ -25,7 +25,7 @@ from atoll_coordinator.data.trajectories.usable_rows import (
     check_sizes,
     check_trajectory,
     check_varies,
-    select_usable_rows,
+    drop_incomplete_rows,
 )
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig
@@ -135,7 +135,7 @@ def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measure
     Raises UsageError if the column of ``--holdout`` does not distinguish trajectories. Raises DataError if the
     measurements cannot be used; the message names the place and gives advice.
     """
-    rows, warnings = select_usable_rows(table, roles, config)
+    rows, warnings = drop_incomplete_rows(table, roles, config)
     numbers = np.zeros(table.rows) if roles.trajectory is None else table.column(roles.trajectory)
     marks = [numbers] if roles.group is None else [numbers, table.column(roles.group)]
     segments = np.searchsorted(table.starts, rows, side="right")

@@ -1,8 +1,8 @@
 """Constants as they are shown: simple numbers if the data support them, or else estimates with few digits.
 
 `search_decisions` computes the odds of simple numbers, and `Estimates.accepted_numbers` decides which simple numbers
-replace estimates. `FittedEquations.simplify` and `FittedEquations.round_constants` write the accepted numbers into the
-equations.
+replace estimates. `FittedEquations.accept_simple_numbers` and `FittedEquations.round_equations` write the accepted
+numbers into the equations.
 
 *Simple numbers.* A simple number is p/q times a power of ten, or pi times such a number; p and q are whole numbers, and
 q is small. Whole numbers and short decimals have q = 1. Each simple number has a length in nats, the price of its
@@ -24,9 +24,9 @@ simple makes them less probable. The product of a constant and a constant that i
 0.9 (c + f) with c = 0.1111 is 0.1 + 0.9 f after expansion.
 
 *Doubtful.* The lengths are a convention: another law may really have an unusual constant that lies near a simple
-number. The quadratic form is only valid near the minimum, so `FittedEquations.simplify` measures the misfit again and
-keeps the estimates if the misfit grows more than predicted. The beam may miss the most probable decision. With more
-constants than `SETTINGS.effort.beam`, no constant becomes simple.
+number. The quadratic form is only valid near the minimum, so `FittedEquations.accept_simple_numbers` measures the
+misfit again and keeps the estimates if the misfit grows more than predicted. The beam may miss the most probable
+decision. With more constants than `SETTINGS.effort.beam`, no constant becomes simple.
 """
 
 import math
@@ -189,7 +189,7 @@ class Estimates:
         away = self._start.means[chosen] - [numbers[index] for index in chosen]
         return quadratic_misfit_increase(away, self._start.covariance[np.ix_(chosen, chosen)])
 
-    def round_constants(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> FloatArray:
+    def round_values(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> FloatArray:
         """Return the constants (K,) as they are shown.
 
         Estimates are rounded to `digits` digits of their standard errors, one after another. Before an estimate is
@@ -237,7 +237,7 @@ class FittedEquations:
     columns: Ints | None = None
     multiples: FloatArray | None = None
 
-    def simplify(self, misfit_increase: Callable[[Sequence[Program]], float]) -> tuple[Program, ...]:
+    def accept_simple_numbers(self, misfit_increase: Callable[[Sequence[Program]], float]) -> tuple[Program, ...]:
         """Return the programs with accepted simple numbers as constants. Terms that become zero and factors that become
         one are dropped.
 
@@ -248,7 +248,7 @@ class FittedEquations:
             misfit_increase: returns the misfit of programs in nats minus the misfit of the fitted programs.
         """
         numbers = self.estimates.accepted_numbers
-        simple = self.round_constants(ERROR_DIGITS[-1]).programs if numbers else ()
+        simple = self.round_equations(ERROR_DIGITS[-1]).programs if numbers else ()
         if (
             not simple
             or misfit_increase(simple) > self.estimates.misfit_increase(numbers) + SETTINGS.inference.distinct_nats
@@ -258,14 +258,14 @@ class FittedEquations:
             program if equation in self.given else collected(program) for equation, program in enumerate(simple)
         )
 
-    def round_constants(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> RoundedEquations:
+    def round_equations(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> RoundedEquations:
         """Return the equations with constants as they are shown.
 
         Args:
             digits: number of digits of the standard errors to which estimates are rounded.
             estimates: indices of the fitted numbers that remain estimates, even if a simple number is accepted.
         """
-        rounded, near = self.estimates.round_constants(digits, estimates), self.estimates.simple
+        rounded, near = self.estimates.round_values(digits, estimates), self.estimates.simple
         columns = (np.arange(self.estimates.count) if self.columns is None else self.columns).tolist()
         multiples = (np.ones(len(columns)) if self.multiples is None else self.multiples).tolist()
         programs, simple, together, first = [], [], [], 0

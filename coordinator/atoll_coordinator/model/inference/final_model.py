@@ -188,7 +188,7 @@ def _show_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
         fit = fit_initial_states(comparison, programs, best.fit)
         return np.inf if fit is None else comparison.score_fit(fit).misfit - best.misfit
 
-    for programs in (attach_estimates(comparison, best).simplify(misfit_increase), best.programs):
+    for programs in (attach_estimates(comparison, best).accept_simple_numbers(misfit_increase), best.programs):
         shown = _show_equations(comparison, best, _shortest_writings(whole, programs))
         if shown is None:
             continue
@@ -208,7 +208,7 @@ def _show_by_group(whole: SelectedModel) -> ShownEquations | None:
     comparison = whole.comparison
     model = choose_shared_constants(whole, lambda equation, program: _shortest_writing(whole, equation, program))
     errors = estimate_errors(comparison, model)
-    values = Estimates(errors.values, errors.finite_covariance).round_constants()
+    values = Estimates(errors.values, errors.finite_covariance).round_values()
     fixed = model.fit.system.with_values(values).with_fixed_constants()
     fit = comparison.estimator.fit(
         fixed, None, SETTINGS.effort.steps, model.fit.starts, model.fit.errors, is_stiff=model.fit.is_stiff
@@ -352,10 +352,10 @@ def _round_to_digits(
     digits: int,
     numbers_outside_intervals: _Outside,
 ) -> tuple[RoundedEquations, FittedModel] | None:
-    rounded, estimates = constants.round_constants(digits), frozenset[int]()
+    rounded, estimates = constants.round_equations(digits), frozenset[int]()
     while not (further := numbers_outside_intervals(rounded)) <= estimates:
         estimates |= further
-        rounded = constants.round_constants(digits, estimates)
+        rounded = constants.round_equations(digits, estimates)
     fit = fit_initial_states(comparison, rounded.programs, fitted.fit)
     return None if fit is None else (rounded, comparison.score_fit(fit))
 

@@ -1,7 +1,7 @@
 """The equation of one variable by regression on its target: the shortest description among programs similar to the
 front (ADR 0012).
 
-`fit_equation` decides in two stages. *Shortening* (`shortening`): the members of the front are reduced and varied, and
+`refine_equation` decides in two stages. *Shortening* (`shortening`): members of the front are reduced and varied, and
 all programs are compared by their description length on the rows. *Finishing* (`_finish_equation`): constants of the
 shortest program become simple numbers if the data support these numbers (`constants.rounding`, as for trajectories).
 Then the standard errors of the constants and the errors of the program on all rows are computed. The front itself is
@@ -91,7 +91,7 @@ def make_target_shortening(
     )  # fmt: skip
 
 
-def fit_equation(
+def refine_equation(
     problem: Problem, config: JobConfig, front: Sequence[FrontMember], counted: WeightedRows | None = None,
     deadline: Deadline | None = None, *, has_intervals: bool = False,
 ) -> Refined | None:  # fmt: skip
@@ -184,7 +184,7 @@ def _finish_equation(
     program = fitted.program
     if math.isfinite(fitted.mse):
         least = criterion.misfit(fitted.mse)
-        (program,) = _attach_estimates(fitted, criterion, restrictions).simplify(
+        (program,) = _attach_estimates(fitted, criterion, restrictions).accept_simple_numbers(
             lambda programs: criterion.misfit(least_squares.mse(programs[0])) - least
         )
     short = shortest_over(program, counted.problem.inputs) if bounds is None else bounds.written(program) or program
@@ -197,7 +197,7 @@ def _finish_equation(
         program = written if may_be_shown(written, config.space.max_size) else program
     fitted, simple, together = least_squares.fit(program), None, None
     if math.isfinite(fitted.mse):
-        rounded = _attach_estimates(fitted, criterion, restrictions).round_constants()
+        rounded = _attach_estimates(fitted, criterion, restrictions).round_equations()
         (program,), (simple,), (together,) = rounded.programs, rounded.simple, rounded.together
     error, mse = measure_errors(problem, program, config.evolution.loss)
     known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).with_simple_numbers(

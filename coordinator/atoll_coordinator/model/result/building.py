@@ -1,8 +1,8 @@
 """Builds the result of a job from the outcome of the search and of refining; docs/result.md explains its keys.
 
-`build_result` decides everything in result.json. `select_equation` chooses the equation that is shown: the refined
-equation, or a member of the front. `_judge_equation` decides its grade and the reason, and `_list_front` the members
-that are listed. Programs become text with the names and units of the columns.
+`build_result` decides everything in result.json. `select_shown_equation` chooses the equation that is shown: the
+refined equation, or a member of the front. `_judge_equation` decides its grade and the reason, and `_list_front` the
+members that are listed. Programs become text with the names and units of the columns.
 
 Doubtful: an equation that refining did not judge is judged here, by its error on the target alone, when a client asks
 for the result. `result_digest` covers the search only: results with equal digests can differ in refined equations.
@@ -33,7 +33,7 @@ from atoll_coordinator.model.result.tables import (
     describe_smoothing,
     describe_system,
 )
-from atoll_coordinator.model.selection.front_member import select_member
+from atoll_coordinator.model.selection.front_member import select_shortest_description
 from atoll_coordinator.model.thinning import curve, spread_places
 from atoll_coordinator.result.base import finite
 from atoll_coordinator.result.equations import (
@@ -151,7 +151,9 @@ def build_result(
     if is_final and recording is not None and recording.groups and not model.by_group:
         warnings.append(NOT_BY_GROUP)
     notes = {*dataset.notes, *notes_of(model.warnings)}
-    shown = {one.variable: select_equation(one, model.equations.get(one.variable), dataset, config) for one in outcomes}
+    shown = {
+        one.variable: select_shown_equation(one, model.equations.get(one.variable), dataset, config) for one in outcomes
+    }
     known = {name: equation for name, equation in shown.items() if equation is not None}
     first = next(iter(shown.values()), None)
     shared: tuple[SharedTerm, ...] = ()
@@ -332,7 +334,7 @@ def _judge_equation(
     return verdict
 
 
-def select_equation(
+def select_shown_equation(
     outcome: VariableOutcome, refined: Refined | None, dataset: Dataset, config: JobConfig
 ) -> Refined | None:
     """Return the equation that is shown: the `refined` equation if there is one, or else the selected member of the
@@ -347,7 +349,7 @@ def select_equation(
     if not printable:
         return None
     front = [outcome.front[index] for index in printable]
-    member = printable[select_member(front, len(target.values), target, config.budget.target_error)]
+    member = printable[select_shortest_description(front, len(target.values), target, config.budget.target_error)]
     entry = outcome.front[member]
     origin: Origin = "known" if outcome.why == KNOWN else "front"
     return Refined(member, _write_member(entry, outcome, dataset), entry.error, entry.mse, origin=origin)

@@ -38,7 +38,9 @@ def front_length(
     return 0.5 * rows * log(misfit) + entry.complexity * SETTINGS.criterion.node + 0.5 * constants * log(float(rows))
 
 
-def select_member(front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None) -> int:
+def select_shortest_description(
+    front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None
+) -> int:
     """Return the index of the member with the least description length; if several lengths are equal, the first of
     them.
 

@@ -358,7 +358,7 @@ def product_atoms(inputs: FloatArray, terms: Sequence[Product]) -> tuple[Atom, .
     return tuple(map(Atom, powers(inputs, terms)))
 
 
-def dictionary(
+def products_with_functions(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], most: int = SETTINGS.sparse.most_atoms
 ) -> list[Shape]:
     """Return products of a function and up to two variables; with fewer variables if there are more than `most` atoms.
@@ -366,16 +366,16 @@ def dictionary(
     If there are too many atoms with two variables, only quotients have two variables: most laws with many variables
     have quotients.
     """
-    both = _products_with_functions(inputs, columns, operators, 2, most)
+    both = _products_up_to_degree(inputs, columns, operators, 2, most)
     if both is not None:
         return both
-    quotients = _products_with_functions(inputs, columns, {DIVIDE} & set(operators), 2, most)
+    quotients = _products_up_to_degree(inputs, columns, {DIVIDE} & set(operators), 2, most)
     rest = set(operators) if quotients is None else set(operators) - {DIVIDE}
-    fewer = (_products_with_functions(inputs, columns, rest, degree, most) for degree in (1, 0))
+    fewer = (_products_up_to_degree(inputs, columns, rest, degree, most) for degree in (1, 0))
     return [*(quotients or ()), *next((found for found in fewer if found is not None), [])]
 
 
-def _products_with_functions(
+def _products_up_to_degree(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], degree: int, most: int
 ) -> list[Shape] | None:
     """Return products of variables up to a degree with functions; None if there are more atoms than `most`."""

@@ -24,7 +24,13 @@ from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.pools import Law
-from atoll_coordinator.model.sparse.atoms import Atom, Product, dictionary, polynomial_libraries, product_atoms
+from atoll_coordinator.model.sparse.atoms import (
+    Atom,
+    Product,
+    polynomial_libraries,
+    product_atoms,
+    products_with_functions,
+)
 from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum, make_grid, rank_further_terms
 from atoll_coordinator.model.sparse.regression import SparseRegression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
@@ -264,7 +270,7 @@ def _add_functions(
     """
     rows = equation.rows
     trusted = rows.trusted
-    shapes = dictionary(trusted.inputs, equation.columns, equation.operators) if sizes else []
+    shapes = products_with_functions(trusted.inputs, equation.columns, equation.operators) if sizes else []
     for _ in range(SETTINGS.sparse.functions if shapes else 0):
         if best is None or (rows.is_precise and equation.is_law(best)):
             break

@@ -23,7 +23,7 @@ import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.least_squares import coefficients_of
-from atoll_coordinator.model.sparse.atoms import Atom, Shape, dictionary, powers, products
+from atoll_coordinator.model.sparse.atoms import Atom, Shape, powers, products, products_with_functions
 from atoll_coordinator.model.sparse.regression import SparseRegression, Sum
 from atoll_coordinator.model.sparse.rows import NORMAL_DEVIATION, RegressionRows
 from atoll_coordinator.model.thinning import thinned_places
@@ -241,7 +241,7 @@ class _Pursuit:
         self._rows, self._needed = rows, needed
         self._sums: dict[_Terms, Sum] = {}
         shapes = powers(rows.inputs, products(columns, _DEGREE))
-        shapes += dictionary(rows.inputs, columns, operators, _MOST_ATOMS)
+        shapes += products_with_functions(rows.inputs, columns, operators, _MOST_ATOMS)
         self._prices = {shape: shape.price(rows.independent) for shape in shapes}
         needed_prices = [price for shape, price in self._prices.items() if self._is_needed(shape)]
         needed_price = min(needed_prices, default=math.inf) if needed else 0.0

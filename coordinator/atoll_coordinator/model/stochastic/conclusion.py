@@ -33,8 +33,8 @@ from atoll_coordinator.model.stochastic.checks import ProcessChecks, ProcessStep
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.path_ensembles import simulate_ensemble, simulate_stationary_density
 from atoll_coordinator.model.stochastic.process_choice import ChosenProcess
+from atoll_coordinator.process_steps.paths import Simulator
 from atoll_coordinator.result.findings import Covariance, MeasurementNoise, Process
-from atoll_coordinator.stochastic.paths import Simulator
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.expression.program import Program, constant_places
@@ -98,7 +98,7 @@ def show_process(chosen: ChosenProcess) -> ShownProcess:
     def misfit_increase(programs: Sequence[Program]) -> float:
         return likelihood.whiten(chosen.fitted.model.with_programs(programs)).misfit - chosen.fitted.misfit
 
-    programs: Sequence[Program] = _attach_estimates(chosen, chosen.fitted).simplify(misfit_increase)
+    programs: Sequence[Program] = _attach_estimates(chosen, chosen.fitted).accept_simple_numbers(misfit_increase)
     for _ in range(2):
         explicit = [
             make_explicit_if_free(program, restrictions, is_given=number in given)
@@ -112,7 +112,7 @@ def show_process(chosen: ChosenProcess) -> ShownProcess:
             break
         programs = written
     as_shown = likelihood.fit(chosen.fitted.model.with_programs(programs), chosen.free)
-    rounded = _attach_estimates(chosen, as_shown).round_constants()
+    rounded = _attach_estimates(chosen, as_shown).round_equations()
     known = describe_constants(given, explicit, rounded.programs, errors)
     known = [one.with_simple_numbers(simple) for one, simple in zip(known, rounded.simple, strict=True)]
     return ShownProcess(rounded, known, explicit, fitted, errors)

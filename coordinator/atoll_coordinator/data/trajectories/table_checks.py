@@ -1,4 +1,7 @@
-"""Selects the rows that can be used, and checks the measured values. Each failure is one sentence with advice. Pure."""
+"""Drops incomplete rows, and checks the measured values. Each failure is one sentence with advice. Pure.
+
+`data/searched_rows.py` leaves rows with uncertain derivatives out of the search.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -28,10 +31,10 @@ _TURNS: Final = ((6.283185307179586, "2 pi", ""), (360.0, "360", ":deg"))
 """A full turn, its name in messages, and the unit that `--angle` appends."""
 
 
-def select_usable_rows(table: Table, roles: Roles, config: DataConfig) -> tuple[list[int], list[str]]:
-    """Return the usable rows, and sentences for the user.
+def drop_incomplete_rows(table: Table, roles: Roles, config: DataConfig) -> tuple[list[int], list[str]]:
+    """Return the complete rows, and sentences for the user.
 
-    A usable row has a positive weight, and finite values of all columns that must be known. If states are measured in
+    A complete row has a positive weight, and finite values of all columns that must be known. If states are measured in
     time, one finite state is enough: a missing value of a state removes only this value. Raises DataError if there are
     too few rows, or if a weight is negative or not a number. Also raises DataError if a used column is not finite in a
     row with a weight, unless the options allow dropping such rows.
