@@ -238,7 +238,7 @@ def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
 
 @lru_cache(maxsize=8192)
 def _roles(bounds: tuple[ConstantBound, ...], program: Program) -> tuple[Role, ...] | None:
-    """Return the roles of the constants of a program that equals its expansion, None for other programs."""
+    """Return the roles of the constants of a program that is equal to its own expansion. None for other programs."""
     expansion = expand_program(program, EquationBounds(bounds).is_written)
     return expansion.roles if expansion is not None and structure(expansion.program) == structure(program) else None
 

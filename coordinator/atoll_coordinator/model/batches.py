@@ -7,8 +7,8 @@ has built. The result of an item depends on the item and the context alone. So r
 matter which machine computes a batch, in which order, or how often. Work is divided on one level only, into whole fits,
 searches of laws, or folds; no function computes a part of a fit (ADR 0078).
 
-Doubts. The batch size depends only on the number of workers, and not on the seconds that an item takes. So one slow
-item can delay a whole call.
+Doubts. The batch size follows from the numbers of workers and items, and not from the seconds that an item takes. So
+one slow item can delay a whole call.
 """
 
 import threading

@@ -101,7 +101,7 @@ class RegressionCriterion:
         return program_length(program) + constant_nats_of(self.rows) * len(constant_places(program))
 
     def length(self, mse: float, program: Program) -> float:
-        """Return the description length of a program with this mean squared error; infinite if the error is
+        """Return the description length of a program with this mean squared error; it is infinite if the error is
         infinite."""
         return self.misfit(mse) + self.length_of_program(program)
 
@@ -117,7 +117,7 @@ def system_length(misfit: float, programs: Sequence[Program], constants: int, co
 
     Args:
         misfit: see `TrajectoryMisfit`.
-        programs: the equations that were not given by the user.
+        programs: the equations, except the equations that the user gave.
         constants: k, the number of fitted constants.
         constant_nats: nats of one constant, see `constant_nats_of`.
     """

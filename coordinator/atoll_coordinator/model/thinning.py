@@ -29,8 +29,8 @@ def lattice_step(count: int) -> int:
 
 
 def thinned_places(places: int, most: int) -> npt.NDArray[np.int64]:
-    """Return about `most` row numbers below `places`, ascending, one in each of equal ranges. All row numbers are
-    returned if `places` is less than 2 `most`."""
+    """Return about `most` row numbers below `places`, in ascending order. The rows are divided into ranges of equal
+    length, and one row of each range is returned. All row numbers are returned if `places` is less than 2 `most`."""
     width = places // most
     if width < 2:
         return np.arange(places, dtype=np.int64)

@@ -215,7 +215,7 @@ class _Writer:
         return Signed(self.form(Kind.GROUP, operand)) if operand.form.kind is Kind.SUM else operand
 
     def _negated(self, operand: Signed) -> Signed:
-        # Not term by term: -(a - b) and b - a differ in the sign of zero.
+        # The sign is not moved into the terms: -(a - b) and b - a differ in the sign of zero.
         operand = self._grouped(operand)
         return Signed(operand.form, not operand.negative)
 
@@ -248,7 +248,7 @@ class _Writer:
         return Signed(left.form), Signed(right.form), left.negative != right.negative
 
     def _natural_power(self, left: Signed, right: Signed) -> Form | None:
-        """Return a product as a natural power; None if the parser would not read it as the same product."""
+        """Return a product as a natural power. None if the parser would not read this power as the same product."""
         if left.is_constant or right.is_constant:
             return None
         if left == right:

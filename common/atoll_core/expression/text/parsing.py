@@ -203,7 +203,7 @@ def _tokens(text: str) -> Iterator[_Token]:
 
 
 def _named(text: str, start: int) -> tuple[_Token, int]:
-    """Return the name at `start`, as a call when a bracket follows, and its end."""
+    """Return the name at `start`, and where the name ends. If a bracket follows, the name is a function call."""
     end = start + 1
     while end < len(text) and ("_" + text[end]).isidentifier():
         end += 1

@@ -266,7 +266,7 @@ class _Builder(ProgramBuilder):
 
 
 def _extended(path: Path, name: str, counts: Counter[str]) -> Path:
-    """Return the path to the next part with this name, and count it."""
+    """Return the path to the next part with this name, and increase the count of this name."""
     counts[name] += 1
     return (*path, (name, counts[name]))
 

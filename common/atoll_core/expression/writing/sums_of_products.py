@@ -290,7 +290,7 @@ def _reduced(coefficient: float, monomial: Monomial) -> Sum:
 
 
 def _multiplied(factors: dict[Atom, int], terms: Sum, exponent: int) -> float:
-    """Multiply factors by a power of a sum; return its remaining number."""
+    """Multiply `factors` by a power of a sum, and return the number that remains of this power."""
     if not exponent:
         return 1.0
     if not terms:

@@ -99,7 +99,8 @@ def _typical_size(errors: FloatArray, share: float) -> float:
 def interpolate_derivative(
     signals: Sequence[Signal], order: int, noise: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the derivative of the given order and its uncertainty, both (R,), over the rows of all signals.
+    """Return the derivative of this order, and the uncertainty of the derivative, both (R,), at the rows of all
+    signals.
 
     `noise` has the standard errors of the values of each signal.
     """

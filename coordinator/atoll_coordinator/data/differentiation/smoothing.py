@@ -169,9 +169,9 @@ def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
 def estimate_noise(signals: Sequence[Signal], smoother: Smoother) -> float:
     """Return the estimated standard deviation of the errors in a row of inverse variance 1, from residuals of loess.
 
-    The variance is the sum of squared residuals over the degrees of freedom (Cleveland & Devlin 1988, section 3):
-    number of rows, minus twice the trace of the smoother, plus the trace of its square. Rows without weight do not
-    count.
+    The variance is the sum of squared residuals divided by the degrees of freedom (Cleveland & Devlin 1988, section 3).
+    These are the number of rows, minus twice the trace of the smoother's matrix, plus the trace of its square. Rows
+    without weight do not count.
     """
     squares, degrees_of_freedom = 0.0, 0.0
     for signal in signals:

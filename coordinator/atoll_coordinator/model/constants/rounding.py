@@ -390,9 +390,10 @@ def number_length(numerator: int, denominator: int = 1) -> float:
 
 
 def simple_numbers(value: float, error: float) -> dict[float, float]:
-    """Return simple numbers within a few standard errors of `value`, each with its length in nats; 0 is excluded.
+    """Return simple numbers within a few standard errors of `value`, each with its length in nats. The number 0 is
+    excluded.
 
-    Numbers have as many digits as the error justifies, decimals one digit more.
+    The number of digits follows from the error; decimals may have one digit more.
 
     Args:
         value: not 0.

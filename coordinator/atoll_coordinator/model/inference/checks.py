@@ -1,11 +1,11 @@
 """The checks that apply to an equation in every kind of job. A check has a quantity, a limit, and a clause of the
 verdict's sentence. Pure.
 
-`EquationChecks` belongs to one equation. Its properties are quantities, such as the residuals over the noise; each is
-computed when a check first needs it. Each method `check_...` compares a quantity with a limit of `InferenceSettings`
-and returns a `Finding`: outcome, reason, value, limit, power. `verdict.RULES` lists the checks, and `verdict.judge`
-decides the grade from all findings. The subclasses in `trajectory_checks`, `target_checks` and `stochastic.checks` set
-the quantities and add checks.
+`EquationChecks` belongs to one equation. The properties of this class are quantities, such as the ratio of the
+residuals to the noise. Each quantity is computed when a check first needs it. Each method `check_...` compares a
+quantity with a limit of `InferenceSettings` and returns a `Finding`: outcome, reason, value, limit, power.
+`verdict.RULES` lists the checks, and `verdict.judge` decides the grade from all findings. The subclasses in
+`trajectory_checks`, `target_checks` and `stochastic.checks` set the quantities and add checks.
 
 Doubtful: most limits are conventions (a tenth of a variance, 3 nats, p < 0.01). They are not corrected for the number
 of checks. The power of a test is computed for a slow pattern and for larger noise, not for every possible departure.
@@ -161,7 +161,7 @@ class EquationChecks:
 
     @property
     def largest_departure(self) -> float:
-        """The largest departure that residuals of this size can hide: a 95 % bound of their variance."""
+        """The largest departure that residuals of this size can hide: the upper 95 % bound of their variance."""
         from scipy import special
 
         free = self.rows - self.parameters

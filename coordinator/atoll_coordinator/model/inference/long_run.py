@@ -152,12 +152,12 @@ def may_be_chaotic(measurements: TrajectoryMeasurements) -> bool:
 
 
 def compare_averages(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
-    """Compare a long simulation with the measured means and variances; None if the model has inputs.
+    """Compare a long simulation with the measured means and variances. The result is None if the model has inputs.
 
     Args:
         fit: the model as it is shown, along the measured trajectories.
-        rate: growth rate of errors in e-folds per unit of time, above zero.
-        tolerance: error of an integration step over a state's standard deviation.
+        rate: growth rate of errors, in e-folds per unit of time; it is above zero.
+        tolerance: the allowed error of an integration step, divided by the standard deviation of the state.
     """
     measurements = fit.estimator.measurements
     if len(measurements.inputs):
@@ -224,7 +224,8 @@ def make_simulator(
 
 
 def _block_means(values: FloatArray, block: int) -> FloatArray:
-    """Return the means (D, B) over B blocks of `block` rows each, of values (D, N); an incomplete block is dropped."""
+    """Return the means (D, B) of `values` (D, N) over B blocks, each of `block` rows. An incomplete block is
+    dropped."""
     count = max(values.shape[1] // block, 1)
     return np.array([part.mean(axis=1) for part in np.array_split(values[:, : count * block], count, axis=1)]).T
 

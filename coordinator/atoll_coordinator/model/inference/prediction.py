@@ -374,7 +374,7 @@ class _Disagreement:
         return min(below, 1.0 - below) <= wrong
 
     def most_disputed_place(self, state: int) -> int | None:
-        """Return the index of the initial state from which predictions differ most; None if none differ."""
+        """Return the index of the initial state from which predictions differ most. None if all predictions agree."""
         place = self._unlike[state][1]
         return place if place >= 0 else None
 

@@ -1,9 +1,9 @@
 """Warnings about a pattern of residuals: process noise, differences between trajectories, forcing, hidden states. Pure.
 
-`warn_of_random_walk` decides whether the residuals of a state grow like a random walk; then noise is part of the law.
-The mean square of second differences of rows l apart is constant for measurement errors. It grows with l for a random
-walk, and with l^4 for a smooth curve (compare variograms, Matheron 1963). Exponents between 1/2 and 5/2 count as a
-random walk. A mixture of errors and a smooth curve can also have an exponent in this range, but only over fewer than
+`warn_of_random_walk` decides whether the residuals of a state grow like a random walk. If so, noise is a part of the
+law. The mean square of second differences of rows l apart is constant for measurement errors. It grows with l for a
+random walk, and with l^4 for a smooth curve (compare variograms, Matheron 1963). Exponents between 1/2 and 5/2 count as
+a random walk. A mixture of errors and a smooth curve can also have an exponent in this range, but only over fewer than
 three doublings of the lag.
 
 `warn_of_residual_pattern` explains the residuals of rates: derivatives estimated from the data minus the derivatives by

@@ -8,8 +8,8 @@ exact for few rows.
 of constants. `expected_variance_inflation` averages the variances over correlations from 0 to 0.9, weighted by the
 probability of the residuals and a prior that favours small correlations.
 
-Doubtful: the prior was chosen by simulations, so that about 95 % of the intervals contain the truth, both for a
-correlation of 0 and for a correlation of 0.6. One correlation for all states is assumed.
+Doubtful: the prior was chosen by simulations, so that nearly the right share of the intervals contains the truth, both
+for a correlation of 0 and for a correlation of 0.6. One correlation for all states is assumed.
 
 Letters: N rows, O measured states, P fitted constants, L numbers of an initial state, G pieces, n rows of one state,
 M measured numbers, K fitted numbers.

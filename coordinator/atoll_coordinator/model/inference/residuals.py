@@ -77,8 +77,8 @@ def residual_statistics(
     Args:
         residuals: (R,) for each trajectory, measured minus simulated, finite.
         noise: standard deviation of the measurement errors, in the same unit. 0 gives an infinite ratio.
-        parameters: p, the number of constants and initial values fitted to these residuals; a number that several
-            states determine counts in part for each.
+        parameters: p, the number of constants and initial values fitted to these residuals. If several states determine
+            one fitted number, a part of it counts for each state.
         innovations: the whitened residuals if measurement errors are correlated; both probabilities are computed from
             them. None: errors are independent.
         reference: the smoother that estimates the noise from the same errors; `size_probability` depends on it. None:
@@ -125,7 +125,8 @@ def _normal_pattern(errors: Sequence[FloatArray], correlations: Sequence[float],
 
 
 def _count_lags(rows: float, parameters: float) -> int:
-    """Return the largest lag in rows: residuals after fitting p numbers change their sign within n/p rows."""
+    """Return the largest lag in rows. It is limited because, after a fit of p numbers, residuals change their sign
+    within n/p rows."""
     return max(1, min(_LAGS, int(rows / (2.0 * max(parameters, 1.0)))))
 
 

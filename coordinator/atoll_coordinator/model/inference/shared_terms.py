@@ -110,7 +110,8 @@ class _Occurrence:
 def _expand_equations(comparison: ModelComparison, shown: Sequence[Program]) -> list[Sum | None]:
     """Return the terms of each equation; None for equations that must not change.
 
-    A term n/(c + u) is written with n*u/(c + u) if another equation has a term of this shape.
+    If another equation has a term of the shape n*u/(c + u), a term n/(c + u) is written as a sum of n and a multiple of
+    n*u/(c + u).
     """
     sums = [_expand_equation(comparison, equation, program) for equation, program in enumerate(shown)]
     shapes = [{shape_of(monomial) for monomial, _ in summands or ()} for summands in sums]
@@ -123,9 +124,8 @@ def _expand_equations(comparison: ModelComparison, shown: Sequence[Program]) -> 
 
 
 def _price_of_repetition(shape: Shape, sums: Sequence[Sum | None]) -> float:
-    """Return the nats saved when a term with known numbers occurs again.
-
-    A repeated term then costs as little as a part that a program uses again within one equation.
+    """Return the nats that are saved if a term occurs again with the same numbers. The repeated term then costs as
+    little as the second use of a part within one equation.
     """
     monomials = (monomial for summands in sums for monomial, _ in summands or () if shape_of(monomial) == shape)
     expansion = write_expansion(((next(monomials), 1.0),))
@@ -133,7 +133,7 @@ def _price_of_repetition(shape: Shape, sums: Sequence[Sum | None]) -> float:
 
 
 def _expand_equation(comparison: ModelComparison, equation: int, program: Program) -> Sum | None:
-    """Return the terms of an equation; None if it must not change or has too many terms."""
+    """Return the terms of an equation. None if the equation must not change, or if it has too many terms."""
     if equation in comparison.fixed or comparison.restrictions(equation).bounds is not None:
         return None
     try:
@@ -297,7 +297,8 @@ def _group_equal_terms(
 
 
 def _decide_multiples(estimates: _PlacedEstimates, flux: Flux, constant_nats: float) -> _PlacedEstimates:
-    """Set the factors that are simple multiples of the smallest, and return the estimates given these decisions."""
+    """Decide which factors are simple multiples of the smallest factor, store them in `flux`, and return the estimates
+    under these decisions."""
     factors = {term.equation: term.factor for term in flux.terms if term.factor is not None}
     if len(factors) < 2:
         return estimates

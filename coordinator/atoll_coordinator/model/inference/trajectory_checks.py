@@ -118,9 +118,9 @@ class TrajectoryChecks(EquationChecks):
             self.reference = ReferenceSmoother(smoothing.narrower_span, smoothing.degree, narrower)
         covariance = None if final.residual_covariances is None else final.residual_covariances[index]
         self.covariance = covariance if sensor is None else None
-        # The number of parameters of each state: with few rows, it is the trace of the projection on all fitted
-        # numbers, over the rows of the state. With many rows, or without noise, fitted numbers are divided evenly
-        # between the states.
+        # The number of parameters that a state determines: with few rows, it is the part of the trace of the projection
+        # (on the derivatives by all fitted numbers) that belongs to the rows of the state. With many rows, or without
+        # noise, fitted numbers are divided evenly between the states.
         numbers = final.free.fit.system.count + final.shown_fit.starts.size
         self.parameters = numbers / len(measurements.observed)
         if covariance is not None and not is_free_of_noise:
@@ -443,7 +443,7 @@ class TrajectoryChecks(EquationChecks):
 
     @cached_property
     def odds_of_alternatives(self) -> float:
-        """The sum of the odds of all other equations for a table without noise; 0 with noise."""
+        """The sum of the odds of all other equations, for a table without noise. For a table with noise, it is 0."""
         if not self.final.task.is_nearly_clean:
             return 0.0
         return sum(math.exp(-max(one.nats, 0.0)) for one in self.shown.alternatives if not one.is_shown)
@@ -574,9 +574,9 @@ def _quoted(names: Sequence[str]) -> str:
 def share_of_rate(program: Program, points: FloatArray, column: int, by: float) -> float:
     """Return the share of the variance of a rate that is due to errors of size `by` in one variable.
 
-    The variable is changed by `by` in both directions at each of the points (V, R), and the larger change of the rate
-    counts. The share is relative to the sum of both variances. It is 1 if a changed rate has no finite value, and NaN
-    if `by` is not known.
+    At each of the points (V, R), `by` is added to the variable and also subtracted from it; the larger change of the
+    rate counts. The share is the mean square of these changes, divided by the sum of this mean square and the variance
+    of the rate. It is 1 if a changed rate has no finite value, and NaN if `by` is not known.
     """
     if not by > 0.0:
         return by

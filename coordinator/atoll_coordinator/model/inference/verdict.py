@@ -3,7 +3,7 @@
 `RULES` is the table: the name of each check, the quantity it measures, its limit, and the kinds of job to which it
 applies. The check is the method `check_` with this name, of `checks`, `trajectory_checks`, `target_checks` or
 `stochastic.checks`: it measures the quantity and returns a `Finding` with a clause for the sentence. A check has
-passed, has failed, is not applicable to this table, or was not made; the clause then says why and what to do.
+passed, has failed, does not apply to this table, or was not made. The clause gives the reason; it may also give advice.
 
 `judge` decides: an equation is `good` or `exact` only if every check that applies was made, could detect a relevant
 departure, and passed. A departure is relevant if it causes more than 0.1 of the variance of a state, since predictions

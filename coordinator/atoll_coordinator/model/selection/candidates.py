@@ -58,10 +58,9 @@ class CandidateSet:
         return [*(member.program for member in self.front), *self.guesses, *self.runners_up[: 2 * len(self.front)]]
 
     def origins(self, compared: Sequence[Program]) -> dict[bytes, Origin]:
-        """Return the origin of each structure; `compared` are all candidates. The first origin counts.
-
-        A guess that is also on the front has the origin "guess". A program of no listed structure was derived from
-        these programs by removing, adding or changing parts.
+        """Return the origin of each structure; `compared` are all candidates. If several programs have this structure,
+        the first origin counts: a guess that is also on the front has the origin "guess". If a structure is not in the
+        result, its program was derived from these programs by removing, adding or changing parts.
         """
         programs: dict[Origin, Sequence[Program]] = {
             "guess": self.guesses,

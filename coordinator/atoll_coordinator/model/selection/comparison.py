@@ -303,7 +303,7 @@ class ModelComparison:
 
     @classmethod
     def from_parts(cls, parts: ComparisonParts) -> "ModelComparison":
-        """Return the comparison with these parts; it cannot calibrate."""
+        """Return the comparison with these parts. It must not be calibrated."""
         estimator = MultipleShooting(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
         comparison = cls(estimator, parts.names, parts.fixed, parts.leading, constraints=parts.constraints)
         score = replace(comparison.score, roughness=parts.roughness, rows=parts.rows, errors=parts.errors)
@@ -507,8 +507,8 @@ class ModelComparison:
         """Tell whether the values of an equation in two models differ away from the measured curves, by more than a
         limit.
 
-        Without noise a relative difference of a thousandth counts; with noise, a difference that matters for
-        predictions.
+        If there is no noise, the limit is a relative difference of a thousandth. If there is noise, the limit is the
+        smallest difference that matters for predictions.
         """
         first, second = (values_of(one.programs[equation], self._points_off_trajectories) for one in (model, other))
         either = np.isfinite(first) | np.isfinite(second)

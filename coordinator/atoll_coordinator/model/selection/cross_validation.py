@@ -68,7 +68,8 @@ class Validation:
 
 
 def squared_errors(comparison: ModelComparison, fold: Fold) -> FloatArray:
-    """Return the sums of squared errors (O,) along trajectories left out; infinite where they cannot be simulated."""
+    """Return the sums of squared errors (O,) along trajectories left out; they are infinite if these trajectories
+    cannot be simulated."""
     whole, steps = comparison.estimator, SETTINGS.effort.steps
     measurements, left_out = whole.measurements, fold.left_out
     is_out = np.isin(measurements.owners, list(left_out))

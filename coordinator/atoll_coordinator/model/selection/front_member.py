@@ -29,7 +29,7 @@ def front_length(
     Args:
         entry: the member, with its complexity and mean squared error.
         rows: n, number of rows on which the error was measured, or number of rows with independent errors.
-        uncertainty: mean uncertainty of the target over its standard deviation.
+        uncertainty: mean uncertainty of the target, divided by the standard deviation of the target.
         standard_deviation: standard deviation of the target, in its unit.
         constants: k.
     """

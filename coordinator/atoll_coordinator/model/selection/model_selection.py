@@ -207,7 +207,8 @@ def improve(change: Callable[[SelectedModel], SelectedModel]) -> Callable[[Choic
 
 
 def try_reduced_candidates(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter selection with an equation that is a long candidate without one of its parts.
+    """Return the selection, or a selection with a shorter description. In the latter, one equation is a long candidate
+    from which one part was removed.
 
     If the residuals of a short equation are noise, longer candidates are not fitted. One of the longer candidates may
     be the law plus one term, for example a x**b - c x**d - 0.003 for the law 0.8 x**0.75 - 1.5 x**3.
@@ -224,8 +225,8 @@ def try_reduced_candidates(selection: SelectedModel) -> SelectedModel:
 
 
 def try_guesses(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter selection with the user's guesses. The guesses are tried one at a time and all
-    together.
+    """Return the selection, or a selection with the user's guesses that has a shorter description. The guesses are
+    tried one at a time and all together.
 
     All guesses are fitted along the trajectories, even if the search has rejected them, since the search compares
     derivatives.
@@ -246,7 +247,8 @@ def try_guesses(selection: SelectedModel) -> SelectedModel:
 
 
 def try_other_terms(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter selection with terms added or removed, see `search_terms`.
+    """Return the selection, or a selection with a shorter description after terms were added or removed, see
+    `search_terms`.
 
     Noise may have hidden a term, or caused an unnecessary term. When a better system is found, the errors of
     measurement are estimated again from its residuals. Without noise the stage does not run: no term is hidden then,
@@ -273,7 +275,8 @@ def _structures_of(model: FittedModel) -> tuple[bytes, ...]:
 
 
 def try_further_operators(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter selection with operators that a search does not use at first."""
+    """Return the selection, or a selection with a shorter description that has operators which a search does not use at
+    first."""
     task, comparison, before = selection.task, selection.comparison, selection.model
     widened = [name for name in task.variables if may_use_further_operators(task, name)]
     if not widened:
@@ -331,7 +334,8 @@ STAGES: Final = (
 
 
 def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> Iterator[str]:
-    """Yield a remark for the user: which further operators the `shown` equations have, or that none was useful."""
+    """Yield a remark for the user. It names the further operators that the `shown` equations have, or tells that no
+    further operator was useful."""
     programs = [shown[name] for name in selection.widened if name in shown]
     codes = {code for program in programs for code in program.operators.tolist()}
     taken = [name for name in FURTHER_OPERATORS if BY_NAME[name].code in codes]

@@ -67,7 +67,8 @@ def propose_reduced(
 
 
 def _with_whole_powers(program: Program) -> Iterator[Program]:
-    """Yield the program with each constant exponent rounded to a whole number, and with all of them rounded."""
+    """Yield copies of the program in which one constant exponent is rounded to a whole number, and a copy in which all
+    constant exponents are rounded."""
     nodes = program.nodes()
     exponents = {right: nodes[right][3] for code, _, right, _ in nodes if code == POW and nodes[right][0] == CONSTANT}
     whole = {place: float(round(value)) for place, value in exponents.items() if math.isfinite(value) and round(value)}

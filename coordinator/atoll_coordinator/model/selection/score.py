@@ -83,10 +83,10 @@ class Score:
         estimator: fits systems to the measurements.
         leading: number of equations of positions that come before the other equations (order 2); not scored.
         fixed: equations, by index, whose constants are given.
-        groups: groups of trajectories that may have their own constants; 1 without groups.
+        groups: number of groups of trajectories that may have their own constants; 1 if there are no groups.
         roughness: standard deviations (O,) of independent errors.
         rows: number of independent rows (O,) from which `roughness` was estimated.
-        errors: errors that are correlated between neighbouring rows; None if all are independent.
+        errors: errors that are correlated between neighbouring rows; None if all errors are independent.
     """
 
     estimator: MultipleShooting

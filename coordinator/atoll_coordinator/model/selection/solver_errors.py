@@ -1,9 +1,9 @@
 """Errors of the solver that computed a table: the table is computed again, and the errors are subtracted.
 
 How it works. The errors of a solver depend only on the equations, on the first row and on the solver (Zadunaisky 1976,
-Numerische Mathematik 27:21). So the same solver makes the same errors again. Each common solver is tried: constants are
-fitted so that the solutions of this solver reproduce the rows. The solutions of a solver depend on constants almost
-like exact solutions, so Gauss-Newton steps with exact sensitivities converge (defect correction, Stetter 1978,
+Numerische Mathematik 27:21). So the same solver makes the same errors again. Each common solver is tried. For each
+solver, constants are fitted so that its solutions reproduce the rows. The solutions of a solver depend on constants
+almost like exact solutions, so Gauss-Newton steps with exact sensitivities converge (defect correction, Stetter 1978,
 Numerische Mathematik 29:425). The fit begins with few rows, because the solutions jump where the solver accepts a step
 for some constants and rejects it for others. With wrong equations, or another solver, the residuals stay as large as
 before, and no errors are subtracted.
@@ -167,7 +167,8 @@ def _fit_constants(
 
 
 def _round_to_simple_numbers(system: OdeSystem) -> OdeSystem:
-    """Return the system with constants rounded to simple numbers within the errors of an exact model."""
+    """Return the system with constants rounded to simple numbers. The errors that constants have in an exact model
+    limit the rounding."""
     values = system.values.copy()
     simple = Estimates(values, np.diag((SETTINGS.inference.exact * values) ** 2)).accepted_numbers
     values[[*simple]] = [*simple.values()]

@@ -86,8 +86,8 @@ class Innovations:
         self._decays: Final = [1.0 - 1.0 / length for length in lengths]
 
     def squares(self, residuals: FloatArray, model: ErrorModel) -> tuple[FloatArray, FloatArray]:
-        """Return two sums for each state (O,). The first is over the squared innovations of `residuals` (O, N), each
-        divided by its relative variance. The second is over the logarithms of these relative variances."""
+        """Return two sums for each state (O,). The first is the sum of the squared innovations of `residuals` (O, N),
+        each divided by its relative variance. The second is the sum of the logarithms of these relative variances."""
         sums = np.empty((len(residuals), 2))
         for state, (share, decay) in enumerate(zip(model.shares.tolist(), model.decays.tolist(), strict=True)):
             self._innovate(state, residuals, share, decay, sums[state])

@@ -142,8 +142,8 @@ class TrajectoryMeasurements:
     def thin(self, most: int) -> "TrajectoryMeasurements":
         """Return pieces of the trajectories with about `most` rows in total; both early and late pieces are selected.
 
-        If groups have their own constants, the number of pieces follows from the rows of the pieces themselves. Then
-        each group has at least one piece, if possible.
+        If groups have their own constants, the actual numbers of rows determine the number of pieces. Then each group
+        has at least one piece, if possible.
         """
         if self.rows <= most:
             return self

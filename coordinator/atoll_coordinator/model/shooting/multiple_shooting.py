@@ -106,7 +106,7 @@ class MultipleShooting:
         deadline: Deadline | None = None,
         measured_rows: int = 0,
     ) -> None:
-        """After the `deadline` a fit takes no more steps. See `Integrator` for the other arguments."""
+        """A fit takes no more steps after the `deadline`. See `Integrator` for the other arguments."""
         self.integrator: Final = Integrator(measurements, tolerance, measured_rows)
         self.measurements: Final = measurements
         self.tolerance: Final = tolerance
@@ -148,7 +148,7 @@ class MultipleShooting:
         return fit
 
     def add_work(self, work: int) -> None:
-        """Add to the work; also used for fits on workers."""
+        """Add to the counted work. This method is also called for fits that workers have made."""
         self._of_thread.counted = self.work_of_thread + work
         with self._lock:
             self.work += work

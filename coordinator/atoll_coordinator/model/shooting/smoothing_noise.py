@@ -64,8 +64,8 @@ def _estimate_state(recording: Recording, state: int) -> tuple[VarianceModel, fl
     it saves compared with errors of equal size.
 
     A trajectory along which the state is always 0 is left out. Loess follows the errors of rows at the ends, so each
-    row counts by the share of its error that is in its residual. All proportional shares have the same prior
-    probability. There is no evidence if the state was interpolated, if outliers have reduced weights, or if rows have
+    row is weighted by the share of its error that remains in its residual. All proportional shares have the same prior
+    probability. The evidence is 0 if the state was interpolated, if outliers have reduced weights, or if rows have
     weights.
     """
     searched = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]

@@ -128,7 +128,8 @@ def polynomial_libraries(
 def polynomial_and_fourier_libraries(
     variables: Sequence[int], operators: Collection[int]
 ) -> Iterator[list[Expression]]:
-    """Yield libraries over these variables, as far as the operators (codes) allow them, the constant term first.
+    """Yield libraries of terms in these variables. A library is yielded if the operators (codes) allow its terms; its
+    first term is the constant term.
 
     The libraries are: products up to the second and up to the third degree; products with sines and cosines; products
     of sines and cosines; sines and cosines of sums and differences, as in coupled phases.
@@ -361,7 +362,8 @@ def product_atoms(inputs: FloatArray, terms: Sequence[Product]) -> tuple[Atom, .
 def products_with_functions(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], most: int = SETTINGS.sparse.most_atoms
 ) -> list[Shape]:
-    """Return products of a function and up to two variables; with fewer variables if there are more than `most` atoms.
+    """Return products of a function and up to two variables. If there are more than `most` atoms, products have fewer
+    variables.
 
     If there are too many atoms with two variables, only quotients have two variables: most laws with many variables
     have quotients.
@@ -378,7 +380,7 @@ def products_with_functions(
 def _products_up_to_degree(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], degree: int, most: int
 ) -> list[Shape] | None:
-    """Return products of variables up to a degree with functions; None if there are more atoms than `most`."""
+    """Return products of a function and of variables, up to this degree. None if there are more than `most` atoms."""
     plain = powers(inputs, products(columns, degree))
     arguments = list(_arguments(inputs, columns, set(operators)))
     single = [Shape((), plain[0].product, function, argument, u) for argument, u, of in arguments for function in of]

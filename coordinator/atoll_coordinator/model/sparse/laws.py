@@ -97,7 +97,7 @@ def find_laws_among_many(preparation: Preparation, config: JobConfig) -> LawsByG
 
 
 def _parts(preparation: Preparation) -> Sequence[Preparation]:
-    """Return the preparation of each group of trajectories; without groups, the whole preparation."""
+    """Return the preparation of each group of trajectories. If there are no groups, return the whole preparation."""
     return tuple(by_group(preparation)) or (preparation,)
 
 

@@ -171,7 +171,8 @@ def _short_windows(measured: MeasuredRows, target: int, half: int) -> ShortWindo
 def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
     """Return weights (W, L) of rows at `times` (W, L) for integrals with the test function, and with its slope.
 
-    Between two rows the function is the polynomial of this order through the nearest rows of the window.
+    Between two rows, the integrated function is approximated by the polynomial of this order through the nearest rows
+    of the window.
     """
     nodes, shares = np.polynomial.legendre.leggauss(_SMOOTHNESS + _CUBIC)
     middle, width = 0.5 * (times[:, :1] + times[:, -1:]), 0.5 * (times[:, -1:] - times[:, :1])

@@ -246,7 +246,8 @@ class _Pursuit:
         needed_prices = [price for shape, price in self._prices.items() if self._is_needed(shape)]
         needed_price = min(needed_prices, default=math.inf) if needed else 0.0
         self._most = most + needed_price
-        """Largest price of a sum: after elimination of a term, such a sum may be short enough."""
+        """Largest price of a sum. It is above the limit, because a sum may be short enough after a term is
+        eliminated."""
         self._tried = [
             shape
             for shape, price in self._prices.items()

@@ -45,7 +45,8 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program
 
 REWEIGHTINGS = 3
-"""Numerics: fits until the weights of windows settle; each fit uses the weights of the previous sum."""
+"""Numerics: number of fits after which the weights of windows have settled. Each fit uses the weights of the previous
+sum."""
 _SETTLED = 1e-3
 """Weights have settled when the size of the residuals changes by less than this share."""
 
@@ -230,7 +231,7 @@ class SparseRegression:
         return self.prune(self.refit(found.kept, weights))
 
     def prune(self, whole: Sum | None) -> Sum | None:
-        """Return the sum without the terms whose removal makes the description shorter."""
+        """Remove terms as long as this makes the description shorter, and return the remaining sum."""
         if whole is None or whole.assessment is None:
             return None
         weights = whole.assessment.weights
@@ -242,7 +243,8 @@ class SparseRegression:
         return descend(whole, fewer)
 
     def refit(self, places: Sequence[int], weights: FloatArray) -> Sum | None:
-        """Return the sum of these terms, alternately fitted and reweighted; None if a residual has no variance."""
+        """Return the sum of these terms after several fits, each with new weights. None if a residual has no
+        variance."""
         before, fit = math.inf, None
         for _ in range(self.rows.reweightings):
             path = self._path(places, weights, self._errors(weights, places), steps=1)

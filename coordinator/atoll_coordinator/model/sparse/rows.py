@@ -122,7 +122,7 @@ class RegressionRows:
         return values
 
     def gradients(self, atoms: Sequence[Atom]) -> FloatArray | None:
-        """Return the derivatives (K, V, ...) of terms by the variables; None if the variables have no errors."""
+        """Return the derivatives (K, V, ...) of terms by the variables. None if the variables have no errors."""
         del atoms
         return None
 

@@ -2,14 +2,14 @@
 deadline.
 
 `CandidateFinder.find` decides which candidates are fitted by the likelihood later. The mean of a step is linear in the
-drift, and the mean product of two residuals is linear in the diffusion, except for terms of higher order in the step.
-These terms are computed from the present model and subtracted:
+drift f. The mean product of two residuals r is linear in the diffusion B. Both also have terms of higher order in the
+length h of the step. These terms are computed from the present model and subtracted:
 
     drift       (increment - (mean - h f)) / h              variance B_ii / h
     diffusion   (r_i r_j - (covariance_ij - h B_ij)) / h    variance in proportion to B_ii B_jj
 
-So regression for one equation maximises its likelihood. `CandidateFinder.find` shortens sums of products and programs
-of the search (`regression.shortening`), and returns the shortest descriptions.
+With these variances, the regression maximises the likelihood of one equation. `CandidateFinder.find` shortens sums of
+products and programs of the search (`regression.shortening`), and returns the shortest descriptions.
 
 Doubtful: bins average over the states, so candidates with fine structure are fitted poorly. The weights use noise
 rates, which are estimated from differences of high order.
@@ -54,8 +54,8 @@ _STEPS: Final = 3
 class CandidateFinder:
     """Finds candidates for the equations of one process.
 
-    `names` are the symbols of variables and `variables` the names of equations; `config` says which operators and
-    variables are allowed. After the `deadline` no new program is tried.
+    `names` are the symbols of variables, and `variables` are the names of equations. `config` lists the allowed
+    operators and variables. After the `deadline` no new program is tried.
     """
 
     steps: Steps
@@ -80,7 +80,7 @@ class CandidateFinder:
 
         Args:
             number: number of the equation in `model`.
-            model: the other equations, by which the higher terms of moments are computed.
+            model: the present model; its equations are used to compute the higher terms of moments.
             starts: programs of the search, or of the previous round.
             tries_neighbours: whether neighbours of the best programs are tried as well.
         """
@@ -95,7 +95,8 @@ class CandidateFinder:
         shortening = make_target_shortening(least_squares, criterion, operators, columns, self.deadline)
 
         def length(measured: MeasuredProgram) -> float:
-            """Return the description length by the prices for the likelihood of steps."""
+            """Return the description length of a candidate. Its operators and constants have the same prices as in the
+            comparison by the likelihood of steps."""
             return system_length(measured.misfit, [measured.program], len(constant_places(measured.program)), nats)
 
         found = [

@@ -105,7 +105,7 @@ class WhitenedSteps:
 
     @property
     def misfit(self) -> float:
-        """Minus the log-likelihood in nats, without the constant N S/2 ln 2 pi; infinite if a covariance is not
+        """Minus the log-likelihood in nats, without the constant N S/2 ln 2 pi; it is infinite if a covariance is not
         positive definite."""
         with np.errstate(all="ignore"):
             total = float(0.5 * np.sum(self.residuals * self.residuals) + np.sum(self.logarithms))

@@ -123,7 +123,8 @@ class ProcessChoice:
         return system_length(fitted.misfit, programs, constants, constant_nats_of(len(self._steps.lengths)))
 
     def _exchange_until_settled(self, model: ProcessModel, *, tries_neighbours: bool) -> FittedProcess:
-        """Return the model after exchanging equations until none improves it; only round 1 tries neighbours."""
+        """Exchange equations in rounds until no exchange improves the model, and return this model. Neighbours of
+        candidates are tried in round 1 only."""
         length = math.inf
         for number_of_round in range(SETTINGS.effort.brief_steps):
             before = length
@@ -211,8 +212,8 @@ class ProcessChoice:
         return (without, length_without) if length_without < length else (model, length)
 
     def _measure(self, model: ProcessModel, number: int, program: Program, most: float) -> MeasuredProgram:
-        """Return `program` fitted as one equation of a model, with the other equations fixed; the length counts this
-        equation only."""
+        """Return `program` fitted as one equation of a model, while the other equations are fixed. The length counts
+        only this equation."""
         restrictions = self._restrictions[number]
         admitted = restrictions.admitted(program)
         if admitted is None:

@@ -34,7 +34,7 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
 
     Args:
         program: a program with as many variables as `scales`.
-        scales: the size of each variable; 0 for variables that may not be used.
+        scales: the mean absolute value of each variable; 0 for variables that may not be used.
         operators: codes of the operators that may be added.
     """
     nodes = _with_own_leaves(program.nodes())
@@ -51,7 +51,7 @@ def further_terms(program: Program, scales: Sequence[float], operators: Collecti
 
     Args:
         program: a program with as many variables as `scales`.
-        scales: the size of each variable; 0 for variables that may not be used.
+        scales: the mean absolute value of each variable; 0 for variables that may not be used.
         operators: codes of the operators that may be added.
     """
     nodes = _with_own_leaves(program.nodes())
