@@ -217,7 +217,7 @@ def place(path: str) -> str | None:
 
 def command_line() -> str:
     """Return the help of both programs and of every command."""
-    from atoll.cli.options import build_parser
+    from atoll.cli.parser import build_parser
 
     os.environ["COLUMNS"] = "100"
     parser = build_parser()

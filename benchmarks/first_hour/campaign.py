@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from atoll.cli.options import parse
+from atoll.cli.parser import parse
 from atoll.cli.request import JobRequest, request_of
 from atoll.terminal.output import table
 from atoll_coordinator.data.reading.files import read_table

@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from atoll.cli.options import parse
+from atoll.cli.parser import parse
 from atoll.cli.request import JobRequest, request_of
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.errors import AtollError, DataError, UsageError

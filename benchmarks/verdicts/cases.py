@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from atoll.cli.options import parse
+from atoll.cli.parser import parse
 from atoll.cli.request import JobRequest, request_of
 from atoll.terminal.output import clip, say, table
 from atoll_coordinator.data.reading.files import read_table

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.client.options import OPTIONS
+from atoll.client.job_options import OPTIONS
 from atoll_core.data.dataset import FloatArray
 from benchmarks.harness.solving import DivergedError
 from benchmarks.verdicts.drawn import FRESH, Drawn, Measured, with_errors

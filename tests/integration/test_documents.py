@@ -26,7 +26,7 @@ import pytest
 
 from atoll.api import discover as session
 from atoll.cli.main import main
-from atoll.cli.options import parse
+from atoll.cli.parser import parse
 from atoll.cli.request import config_of
 from atoll.cli.result_files import REPORT, write_report, write_result
 from atoll.terminal.output import say

@@ -54,7 +54,7 @@ def test_epochs_for_a_known_equation_are_refused(world: World) -> None:
     world.submit(config_of("y", max_epochs_of={"y": 3}))
     view = world.finish()
     assert (view.state, view.fault) == ("failed", "data")
-    assert view.reason == "--max-epochs names 'y', for which no equation is sought; sought are x"
+    assert view.reason == "--max-epochs names 'y', for which no equation is searched; equations are searched for: x"
 
 
 def test_what_cannot_be_read_fails_the_job_with_a_sentence(world: World) -> None:

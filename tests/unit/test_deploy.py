@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from atoll.cli import options as arguments
+from atoll.cli import parser as arguments
 from atoll_core.compilation.cache import cache_directory
 from atoll_core.wire.addresses import Address, parse_address
 from atoll_island_worker import cli as worker_cli

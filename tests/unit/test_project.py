@@ -15,7 +15,7 @@ import pytest
 
 import atoll
 from atoll.cli import exit_codes as exits
-from atoll.cli import options as arguments
+from atoll.cli import parser as arguments
 from atoll_island_worker import cli as worker_cli
 from tests.unit import documents
 from tests.unit.documents import ROOT

@@ -1,8 +1,10 @@
-"""Make coefficients equal to 1, which are not written, explicit: without them, standard errors would be too small.
+"""Write out the coefficients that are 1 and are not written: without these coefficients, standard errors would be too
+small.
 
 In ``3*x - x**2`` the coefficient 1 of x**2 was estimated from the data just like the 3 of x. Standard errors are
-therefore computed for all coefficients together: each term of a sum has one coefficient, and so has a product outside
-of a sum. Factors inside functions stay implicit. If several factors only scale each other, one of them stays implicit.
+therefore computed for all coefficients together: each term of a sum has one coefficient, and a product outside of a sum
+has one coefficient. Factors inside functions stay implicit. If one of several factors is redundant, as a in a*(b*x +
+c*y), one of these factors stays implicit.
 """
 
 from collections.abc import Collection, Iterator
@@ -106,8 +108,8 @@ class _CoefficientDraft:
     def _product(self, index: int, *, has_factor: bool) -> int:
         """Give a product a factor, and return its new place.
 
-        The factor is its constant if it has one; else the factors in a sum that the product contains; else a factor of
-        the whole product.
+        If the product has a constant, this constant is the factor. If not, and if the product contains a sum, the terms
+        of this sum get factors. In all other cases the whole product gets a factor.
         """
         _, left, right, _ = self._old[index]
         if has_factor or self._holds_factor(index):
@@ -131,7 +133,8 @@ class _CoefficientDraft:
         return self._holds_factor(left) if code == op.NEGATE else code == op.CONSTANT
 
     def _scales(self, index: int) -> bool:
-        """Tell whether constants scale a divisor: all of its terms, which together act as a factor of the numerator."""
+        """Tell whether every term of a divisor has a constant factor. These constants together act as a factor of the
+        numerator."""
         code, left, right, _ = self._old[index]
         if code in (op.ADD, op.SUBTRACT):
             return self._scales(left) and self._scales(right)

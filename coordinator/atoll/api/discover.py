@@ -26,8 +26,8 @@ from atoll.api.tables import NAME, files_of, in_python, python_words, table_of
 from atoll.client.client import connected
 from atoll.client.configure import configure
 from atoll.client.follower import Display, Follower
+from atoll.client.job_options import MOST_WORKERS, OPTIONS
 from atoll.client.local_processes import start_in_new_session
-from atoll.client.options import MOST_WORKERS, OPTIONS
 from atoll.client.over_http import Whereabouts, coordinator_at
 from atoll.terminal.output import note
 from atoll.terminal.progress import is_screen, open_display, plain_lines

@@ -51,7 +51,7 @@ from atoll.model.simulation import (
     process_of,
     simulate,
 )
-from atoll_coordinator.stochastic.paths import PATHS, Ensemble, StationaryDensity
+from atoll_coordinator.process_steps.paths import PATHS, Ensemble, StationaryDensity
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.data.table import Table

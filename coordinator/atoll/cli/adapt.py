@@ -48,7 +48,8 @@ class BatchError(AtollError):
 
 @dataclass(frozen=True)
 class Listing:
-    """A command that lists jobs, and how to read its output; None as `state`: the output has the state of each job."""
+    """A command that lists jobs, and how to read its output. If `state` is None, the output has the state of each
+    job."""
 
     words: tuple[str, ...]
     state: BatchState | None = None
@@ -63,7 +64,7 @@ class BatchSystem:
 
     `submit` takes the script on stdin, and `number` finds the job's id in its output. The options `parallel` are added
     for more than one core, unless the user's options contain the first word of `parallel`. `states` maps words of
-    listings to states; other words mean pending. A listing that fails with a message that matches `nothing` has no
+    listings to states; other words mean pending. If a listing fails with a message that matches `nothing`, there are no
     jobs.
     """
 
@@ -365,7 +366,8 @@ class Adapting:
         self._end(decision.drain, self._batch.drain, "asked to drain", need)
 
     def _end(self, jobs: Sequence[str], end: Callable[[str], None], done: str, need: Need) -> None:
-        """End each of these jobs. A failure usually means that a job has just ended; else the next poll tries again."""
+        """End each of these jobs. A failure usually means that a job has just ended; if not, the next poll tries
+        again."""
         for job in jobs:
             try:
                 end(job)

@@ -12,7 +12,8 @@ from typing import Final, Literal
 from atoll_core.errors import AtollError
 
 MOST_FAILURES: Final = 3
-"""Limit of consecutive jobs that end before one of their workers has joined; one or two may get a bad node."""
+"""Number of consecutive jobs that end before one of their workers has joined, after which `adapt` fails; one or two
+jobs may get a bad node."""
 
 BatchState = Literal["pending", "running", "ending", "failed"]
 """`failed`: the system could not start the job and keeps it until it is deleted, as Grid Engine does."""
@@ -39,7 +40,8 @@ class BatchJob:
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """The coordinator's need: the number of `workers` that could have work, and of `others` not started by our jobs.
+    """The coordinator's need: the number of `workers` that could have work, and the number of `others`, the workers
+    that our jobs did not start.
 
     `islands`: number of islands by batch job id, for each of our jobs from which a worker has joined.
     """
@@ -60,7 +62,7 @@ class AdaptDecision:
 
 class AdaptPolicy:
     """Decides at each poll. It remembers the recent needs, the state of each job when it was asked to end, and the jobs
-    from which a worker has joined.
+    from which no worker has joined yet.
     """
 
     def __init__(self, limits: AdaptLimits) -> None:
@@ -99,7 +101,7 @@ class AdaptPolicy:
         )
 
     def forget(self, job: str) -> None:
-        """Register that a job could not be ended, so that the next poll decides on it again."""
+        """Register that a job could not be ended, so that the next poll decides on this job again."""
         self._asked_to_end.pop(job, None)
 
     def _needed(self, need: Need) -> int:
@@ -130,7 +132,7 @@ class AdaptPolicy:
             for job in jobs
             if job.state != "ending" and job.id not in self._asked_to_end and job.id not in joined
         }
-        # A pending job that was cancelled may have started meanwhile.
+        # A pending job may have started before it was cancelled.
         self._asked_to_end = {
             job: state
             for job, state in self._asked_to_end.items()

@@ -107,7 +107,7 @@ def check_cores(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def check_memory(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Check that memory suffices for a worker per core."""
+    """Check that the available memory suffices for one worker per core."""
     free = available_memory()
     if free is None:
         yield fine("memory", "not known on this system")
@@ -122,7 +122,8 @@ def check_memory(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def available_memory(meminfo: Path = _MEMINFO, cgroup: Path = _CGROUP) -> int | None:
-    """Return the available bytes: the smaller limit of the system and its control group; None: unknown."""
+    """Return the available bytes: the smaller of the amounts that the system and our control group have; None:
+    unknown."""
     amounts = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         lines = [line.split() for line in meminfo.read_text("ascii").splitlines()]
@@ -172,7 +173,7 @@ def check_kernels(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def check_state(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Check that the state folder (by default the current folder) can hold a job store."""
+    """Check that a job store can be created in the state folder (by default the current folder)."""
     wanted = Path(options.state or ".").absolute()
     place = _existing(wanted)
     if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
@@ -202,7 +203,8 @@ LIMIT_S: Final = 3.0
 """How long a coordinator may take to answer."""
 
 CLOCK_S: Final = 5.0
-"""Largest accepted difference of clocks; with more, logs are hard to compare and certificates may be invalid."""
+"""Largest accepted difference of clocks, in seconds. If the difference is larger, logs are hard to compare, and
+certificates may seem invalid."""
 
 SILENT_S: Final = 5.0
 
@@ -342,7 +344,8 @@ def clock_findings(clock: str, now: datetime) -> Iterator[Diagnosis]:
     if abs(offset) <= CLOCK_S:
         yield fine("clock", "agrees with the coordinator's clock")
         return
-    fact = f"the coordinator's clock is {abs(offset):.0f} s {'ahead of' if offset > 0 else 'behind'} this machine's"
+    direction = "ahead of" if offset > 0 else "behind"
+    fact = f"the coordinator's clock is {abs(offset):.0f} s {direction} the clock of this machine"
     yield Diagnosis(
         "clock", "warning", fact, "synchronise both with a time server: logs and certificates need correct clocks"
     )
@@ -360,7 +363,7 @@ def worker_findings(workers: "Sequence[WorkerView]", address: str) -> Iterator[D
     silent = [worker for worker in here if worker.silent > SILENT_S]
     if silent:
         fact = ", ".join(f"{one.worker} on {one.host} has been silent for {one.silent:.0f} s" for one in silent[:5])
-        yield Diagnosis("workers", "warning", fact, "check these machines; their islands will soon be placed on others")
+        yield Diagnosis("workers", "warning", fact, "check these machines; their islands will soon move to others")
     late = [worker for worker in here if worker.state == "compiling"]
     if late:
         fact = ", ".join(f"{worker.worker}: {worker.detail or 'getting ready'}" for worker in late[:5])
@@ -394,7 +397,7 @@ def check_data(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Read the data files as ``submit`` does, but without smoothing."""
     if not options.data:
         return
-    from atoll.cli.options import parse
+    from atoll.cli.parser import parse
     from atoll.cli.request import request_of
     from atoll_coordinator.data.columns.examination import examine
     from atoll_coordinator.data.outline import describe

@@ -36,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(argv: Sequence[str]) -> int:
-    from atoll.cli.options import VERBS, parse
+    from atoll.cli.parser import VERBS, parse
 
     options = parse(argv)
     handler = getattr(importlib.import_module(f"atoll.cli.{VERBS[options.verb][0]}"), options.verb)

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.options import job_id
+from atoll.cli.parser import job_id
 from atoll.client.client import Client, connected
 from atoll.client.configure import configure
-from atoll.client.options import OPTIONS, Repeated
+from atoll.client.job_options import OPTIONS, Repeated
 from atoll.client.over_http import TOKEN, Whereabouts, coordinator_at
 from atoll.terminal.output import as_json, note, say
 from atoll_core.config import JobConfig
@@ -71,7 +71,8 @@ class JobRequest:
         return client.hand_in(self.job, self.name, self.config, table.to_bytes(), self.priority, shared=self.shared)
 
     def after(self, seconds: float) -> "JobRequest":
-        """Return the request with `seconds` subtracted from `--max-time`, but at most half of `--max-time`."""
+        """Return the request with a smaller `--max-time`: `seconds`, but at most half of `--max-time`, are
+        subtracted."""
         budget = self.config.budget
         if budget.max_time is None:
             return self
@@ -80,7 +81,7 @@ class JobRequest:
         return replace(self, config=self.config.model_copy(update={"budget": budget}))
 
     def result(self, client: Client, view: JobView) -> "Result | None":
-        """Return the result of the ended job, with the command line of this process; None without a result."""
+        """Return the result of the ended job, with the command line of this process; None: there is no result."""
         from atoll_coordinator.result.result import Result
 
         try:
@@ -129,7 +130,7 @@ def config_of(options: argparse.Namespace) -> JobConfig:
 
 
 def is_saved(name: str, options: argparse.Namespace) -> bool:
-    """Return whether `name` is a saved result; otherwise it is the id of a job of the given coordinator."""
+    """Return whether `name` is a saved result; if not, it is the id of a job of the given coordinator."""
     from atoll_coordinator.result.reading import RESULT
 
     is_connected = bool(options.connect or os.environ.get("ATOLL_CONNECT"))

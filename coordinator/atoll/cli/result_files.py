@@ -18,7 +18,7 @@ def refuse_existing_result(folder: Path) -> None:
     if (folder / "result.json").exists():
         raise UsageError(f"{folder / 'result.json'} exists already; name another folder with --out, or remove it")
     if folder.exists() and not folder.is_dir():
-        raise UsageError(f"{folder} is a file, but --out names a folder; name another one")
+        raise UsageError(f"{folder} is a file, but --out names a folder; name another folder")
 
 
 def write_result(folder: Path, result: "Result") -> Path:

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from atoll.client.options import OPTIONS
+from atoll.client.job_options import OPTIONS
 from atoll_coordinator.data.roles.names_and_options import check_options
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.errors import Field, UsageError

@@ -79,7 +79,7 @@ class Description:
     """The content of an exported model.
 
     `symbols` are the variables of all formulas. The simulation goes from `begin` to `end` in `steps` equal time steps.
-    For order 2, the velocities are `states` after the positions. For a process dx = f dt + g dW, `covariance` has the
+    For order 2, `states` has the positions, then the velocities. For a process dx = f dt + g dW, `covariance` has the
     entries of g gᵀ by row and column. A regression has a `value` and no states. `constants` are the constants with a
     name. `origin` has lines about the origin of the model. `zeros` has sentences about inputs that are set to 0 because
     their values are not known.

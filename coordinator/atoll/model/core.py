@@ -19,10 +19,10 @@ from atoll.model.equations import (
     remark_on_groups,
 )
 from atoll.model.vector_field import JointErrors, VectorField
+from atoll_coordinator.process_steps.moments import Pair
 from atoll_coordinator.result.equations import Candidate, Equation
 from atoll_coordinator.result.findings import InputKind
 from atoll_coordinator.result.result import Result
-from atoll_coordinator.stochastic.moments import Pair
 from atoll_core.errors import UsageError
 from atoll_core.quoting import write_text
 

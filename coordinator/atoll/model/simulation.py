@@ -28,9 +28,8 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.model.vector_field import JointErrors, VectorField
-from atoll_coordinator.result.findings import Process
-from atoll_coordinator.stochastic.moments import StepMoments, step_moments
-from atoll_coordinator.stochastic.paths import (
+from atoll_coordinator.process_steps.moments import StepMoments, predict_step_moments
+from atoll_coordinator.process_steps.paths import (
     STEPS,
     Ensemble,
     Simulator,
@@ -40,6 +39,7 @@ from atoll_coordinator.stochastic.paths import (
     settled_paths,
     step_counts,
 )
+from atoll_coordinator.result.findings import Process
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.errors import UsageError
@@ -529,6 +529,6 @@ def _simulator(model: "ModelCore", paths: int, seed: int, *, least: int = 1) -> 
     drift, discretisation = model.field.programs, process_of(model).discretisation
 
     def moments(points: FloatArray, lengths: FloatArray) -> StepMoments:
-        return step_moments(drift, diffusion, points, lengths, discretisation)
+        return predict_step_moments(drift, diffusion, points, lengths, discretisation)
 
     return Simulator(moments, np.random.default_rng(seed))

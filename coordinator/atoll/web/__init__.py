@@ -6,5 +6,5 @@
 - `gateway`: requests to the coordinator from threads; `feed`: events and changes for all pages
 - `reading`: uploaded files; `reading_process` reads them in forks with limits, by functions of `submission`;
   `reading_task` describes one such task
-- `options`: options of a job as pages send them; `pictures`: data for charts of pages; ``static``: the page
+- `page_options`: options of a job as pages send them; `pictures`: data for charts of pages; ``static``: the page
 """

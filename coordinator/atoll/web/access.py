@@ -77,7 +77,9 @@ class Access:
                 f"the header {twice} occurs twice" if twice else "content-length and transfer-encoding both occur"
             )
             return ProblemDetails(
-                400, sentence + ", so a proxy may read another request; send only one", {"connection": "close"}
+                400,
+                sentence + ", so a proxy may interpret the request differently; send only one of them",
+                {"connection": "close"},
             )
         host = _name(headers.get("host", ""))
         if host not in self.hosts:

@@ -45,7 +45,7 @@ from atoll.web.connections import most_connections
 from atoll.web.feed import MAX_LISTENERS, Feed
 from atoll.web.gateway import BusyError, Gateway
 from atoll.web.operations import Body, Operation, QueryParameters, operation, receive
-from atoll.web.options import options_by_heading, read_options, sizes_by_name
+from atoll.web.page_options import options_by_heading, read_options, sizes_by_name
 from atoll.web.pictures import progress, simulation_of
 from atoll.web.reading import PREFIX, Readers, locked, split_files
 from atoll.web.reading_task import MAX_BODY, TABLE

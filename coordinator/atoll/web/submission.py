@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.client.options import OPTIONS
-from atoll.web.options import read_options
+from atoll.client.job_options import OPTIONS
+from atoll.web.page_options import read_options
 from atoll.web.pictures import some
 from atoll.web.reading_task import TABLE
 from atoll_coordinator.data.outline import Outline, describe, outline

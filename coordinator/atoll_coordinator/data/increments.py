@@ -12,7 +12,7 @@ rounded sums, so that every machine gets the same bits.
 
 The targets are doubtful for long steps: moments are divided by the length h of a step, and terms of order h are
 neglected. Models are later fitted and judged by the likelihood of single steps, which includes these terms
-(`atoll_coordinator.stochastic.moments`).
+(`atoll_coordinator.process_steps.moments`).
 
 Letters: S states, N steps, V variables, W windows of neighbouring steps, M bins.
 """
@@ -133,11 +133,11 @@ def separate_windows(steps: Steps, count: int) -> StepWindows:
 _ROUGHNESS_STEPS: Final = 7
 """Number of steps of one divided difference, which combines eight rows and has order seven."""
 _OWN: Final = 2.0
-"""If the noise rate grows by more than this factor when the lag is doubled, the state has no noise of its own: the
-factor is 1 with noise of its own, and 4 for a state that follows a noisy state."""
+"""If the noise rate grows by more than this limit when the lag is doubled, the state has no noise of its own. The rate
+of a state with noise of its own does not grow; the rate of a state that follows a noisy state grows fourfold."""
 _SMOOTH: Final = 2.0**10
-"""If the rate grows by more than this factor when the lag is doubled, the state is smooth: the factor is 2^13 for
-smooth motion, and 2^8 for noise that is integrated four times."""
+"""If the noise rate grows by more than this limit when the lag is doubled, the state is smooth. The rate grows by 2^13
+for smooth motion, and by 2^8 for noise that is integrated four times."""
 
 
 def noise_shares(steps: Steps) -> FloatArray:
@@ -153,8 +153,8 @@ def is_driven(steps: Steps, state: int) -> bool:
     """Tell whether a state has no noise of its own but follows a state with noise.
 
     A state that only follows noisy states is an integral of their noise. The variance of its increments over a step h
-    grows as h^3 (as h^5 if it follows such a state, and so on), so that its rate grows fourfold when the lag is
-    doubled. The rate of a state with noise of its own stays the same.
+    grows as h^3, so its noise rate grows fourfold when the lag is doubled. For an integral of such an integral, the
+    variance grows as h^5, and so on. The rate of a state with noise of its own stays the same.
     """
     rate = noise_rate(steps, state)
     return _OWN * rate < noise_rate(steps, state, lag=2) < _SMOOTH * rate
@@ -178,7 +178,8 @@ that a process may have."""
 _TESTS: Final = 2
 """Tests of each pair: one for a correlation over all steps, one for correlations whose sign changes from bin to bin."""
 _DOUBLED: Final = 1.28
-"""Growth of the squared limit of a normal score when its probability, 0.0027 or less, is halved (1.25 to 1.28)."""
+"""How much the squared limit of a normal score grows when the probability that a score exceeds the limit is halved:
+1.25 to 1.28 for probabilities of 0.0027 or less."""
 
 
 def correlated_pairs(steps: Steps, bins: Sequence[Rows]) -> list[Pair]:
@@ -186,11 +187,11 @@ def correlated_pairs(steps: Steps, bins: Sequence[Rows]) -> list[Pair]:
 
     Only states with noise of their own are tested. Two effects look like correlated noise: during a step, the drift
     carries the noise of one state into the other, and both states share the part of the drift that bins do not resolve.
-    Differences of high order remove both. They weight the increments by weights w whose sum is zero, so that the
-    carried noise, J B h^2 (sum w)^2 / 2, vanishes and smooth motion almost vanishes. Let p be the product of two
-    states' differences, in windows without a common step. If the noises are not correlated, both signs of p are equally
-    probable. Then sum(p) / sqrt(sum(p^2)) has mean 0 and variance 1 for any sizes of p (Efron 1969), and is normal for
-    many windows.
+    Differences of high order remove both. They weight the increments by weights w whose sum is zero. With the Jacobian
+    J of the drift and the diffusion B, the carried noise is J B h^2 (sum w)^2 / 2, so it vanishes; smooth motion almost
+    vanishes. Let p be the product of two states' differences, in windows without a common step. If the noises are not
+    correlated, both signs of p are equally probable. Then sum(p) / sqrt(sum(p^2)) has mean 0 and variance 1 for any
+    sizes of p (Efron 1969), and is normal for many windows.
 
     All tests together have the false positive rate of one test at `significant` (Bonferroni).
     """
@@ -233,7 +234,8 @@ def total(values: FloatArray) -> float:
 
 
 def split_into_bins(positions: FloatArray, most: int) -> list[Rows]:
-    """Return the rows of `positions` (V, N) in at most `most` bins of nearly equal numbers of rows, a power of two.
+    """Return the rows of `positions` (V, N) in bins with nearly equal numbers of rows. The number of bins is a power of
+    two, at most `most`.
 
     Bins are the leaves of a k-d tree (Bentley 1975). Each node is halved at the median of the variable along which it
     is widest, relative to the variable's whole range.

@@ -1,11 +1,11 @@
-"""Refining: from the fronts of a search to the displayed model and its verdict, on one page.
+"""An overview of refining: from the fronts of a search to the displayed model and its verdict.
 
 1. The programs of the search are decoded and joined with guesses and known equations (selection/candidates.py).
 2. A stochastic process is fitted by maximum likelihood (stochastic/). The steps below do not apply.
 3. Without trajectories, each variable's equation is fitted to its target and judged by its rows
    (regression/equation.py). The steps below do not apply.
-4. With trajectories, equations for noise-free targets whose search converged are first fitted to these targets. They
-   are candidates.
+4. With trajectories, some equations are first fitted to their targets: the target is noise-free, and its search has
+   converged. The fitted equations are candidates.
 5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model. The table
    in selection/model_selection.py lists the order of the proposals, and the condition of each.
 6. The model is compared with its alternatives, the errors of its constants are estimated, and it is simulated and
@@ -61,14 +61,16 @@ def refine_all(
     laws: LawsByGroup | None = None,
     batches: Batches | None = None,
 ) -> Refinement:
-    """Return the refined equation of each variable; a variable is missing if its front has no better equation.
+    """Return the refined equation of each variable. A variable is missing if no equation replaces the best member of
+    its front (see `fit_equation`).
 
     Args:
         preparation: the dataset of the search, and the recording unless left-hand sides were given.
         config: the resolved configuration of the job.
         pools: the programs passed from the search to refining, by variable.
         deadline: when refining must return its best result so far; None: never.
-        laws: laws among many variables that preparing found (`sparse.laws`); None: they are searched here.
+        laws: the laws that preparing found, if there are many variables (`sparse.laws`); None: the laws are searched
+            here.
         batches: sends batches to workers; None: threads of this process compute everything. The results are equal to
             the bit.
     """

@@ -4,6 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from atoll_coordinator.process_steps import Discretisation
 from atoll_coordinator.result.base import (
     Count,
     Curve,
@@ -18,7 +19,6 @@ from atoll_coordinator.result.base import (
     inconsistent,
 )
 from atoll_coordinator.result.listed_trajectories import Recorded
-from atoll_coordinator.stochastic import Discretisation
 
 InputKind = Literal["smooth", "shape-preserving", "held"]
 """Interpolation of an input between rows, see `docs/data.md`."""

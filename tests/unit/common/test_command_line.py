@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from atoll.cli.main import main
-from atoll.cli.options import build_parser
+from atoll.cli.parser import build_parser
 from atoll_core.command_line import SHELLS, complete, duration, seconds, whole_number
 
 

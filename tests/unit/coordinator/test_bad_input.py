@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.cli.options import parse
+from atoll.cli.parser import parse
 from atoll.cli.request import request_of
 from atoll_coordinator.tasks.preparing import PreparationOutcome, prepare
 from atoll_core.errors import DataError, UsageError

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import pytest
 import yaml
 
-from atoll.cli import options as arguments
+from atoll.cli import parser as arguments
 from atoll_coordinator.service.scheduling.limits import MAX_RUNNING
 from atoll_core.config import JobConfig
 from atoll_core.wire.addresses import parse_address

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.cli import options as arguments
+from atoll.cli import parser as arguments
 from atoll_coordinator.result.result import Result
 from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import ROOT

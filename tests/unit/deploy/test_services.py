@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from atoll.cli import options as arguments
+from atoll.cli import parser as arguments
 from atoll_core.wire.addresses import bindable, parse_address
 from atoll_core.wire.bus.zenoh_bus import open_client
 from atoll_island_worker import cli as worker_cli

@@ -2,8 +2,8 @@
 
 The search is best-first: it applies all identities to the cheapest sum found so far, until a number of sums have been
 written (`_MOST_TRIED`). Arguments of functions and brackets are searched before the sum that contains them. The result
-is deterministic, but it may not be the shortest writing: the search stops at a limit, which was chosen for the time
-that printing may take.
+is deterministic, but it may not be the shortest writing: the search stops at a limit, so that printing does not take
+too long.
 """
 
 import heapq
@@ -69,7 +69,8 @@ def shortest(program: Program) -> Program:
 
 
 def shortened(program: Program) -> Program:
-    """Return a short expression of the function of `program` by a brief search, for hundreds of candidates."""
+    """Return a short writing of the function of `program`. The search for it is brief, so that hundreds of candidates
+    can be shortened."""
     return _shortest_of(program, 1)
 
 
@@ -149,7 +150,8 @@ def agree(before: Program, after: Program, points: FloatArray) -> bool:
     defined = np.isfinite(old)
     if not defined.any():
         return True
-    size = float(np.median(_TOLERANCE * np.abs(old[defined])))  # scaled first: the mean of two values may overflow
+    # scaled first: the median may add the two middle values, and their sum may overflow
+    size = float(np.median(_TOLERANCE * np.abs(old[defined])))
     return bool(np.allclose(new[defined], old[defined], rtol=_TOLERANCE, atol=size))
 
 

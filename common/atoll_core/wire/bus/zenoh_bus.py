@@ -10,11 +10,11 @@ is short enough to notice a lost machine within seconds. The size of messages is
 
 While one thread waits for a peer that reads nothing, other threads serve all other peers: the outbox sends answers, and
 a router gets more threads than zenoh starts by default. Closing a socket must not wait either. Zenoh sets SO_LINGER to
-10 s on each TCP socket, and the thread that closes a socket is one of the few that read messages for all clients: if
-the other side reads nothing, ``close`` blocks it for 10 s. Zenoh has no setting for this, so `LingerRemover` resets the
-option on each socket when its link comes up. ``close`` then returns at once, and the operating system still sends the
-buffered data. A later version of zenoh may make this unnecessary; only a test with clients that read nothing can show
-it.
+10 s on each TCP socket. The thread that closes a socket is one of the few threads that read messages for all clients:
+if the other side reads nothing, ``close`` blocks this thread for 10 s. Zenoh has no setting for this, so
+`LingerRemover` resets the option on each socket when its link comes up. ``close`` then returns at once, and the
+operating system still sends the buffered data. A later version of zenoh may make this unnecessary; only a test with
+clients that read nothing can show it.
 """
 
 import contextlib
@@ -89,7 +89,8 @@ class LingerRemover:
 
 
 def sockets_of(port: int) -> Iterator[socket.socket]:
-    """Yield this process's TCP sockets of local `port`, by descriptors that are closed again; none on Windows."""
+    """Yield this process's TCP sockets with the local port `port`, each as a duplicate of its descriptor, which is
+    closed after use. On Windows none is found."""
     folder = next((folder for folder in _FOLDERS if folder.is_dir()), None)
     for name in [path.name for path in folder.iterdir()] if folder is not None else []:
         try:
@@ -308,8 +309,9 @@ class ZenohBus:
     def _reply(self, query: Query, payload: bytes | None) -> None:
         """Send an answer and the end of its query; called by a thread of the outbox.
 
-        Zenoh gives up the link to an asker that reads nothing and closes it in the background. Sending the end before
-        the link is closed would wait as long again, and block threads of zenoh that serve all links.
+        If an asker reads nothing, zenoh gives up the link to this asker, and closes the link in the background. If the
+        end were sent before the link is closed, this thread would wait for the same time once more, and threads of
+        zenoh that serve all links would be blocked.
         """
         handle = _handle(query)
         begin = time.monotonic()
@@ -404,10 +406,10 @@ def _directly(callback: Callable[[Any], None]) -> Any:
 def _allow_more_threads() -> Iterator[None]:
     """Let zenoh start more threads, unless the user has set their number.
 
-    Zenoh reads the variable when it starts its first thread.
+    The environment variable `ZENOH_RUNTIME` sets this number; zenoh reads the variable when it starts its first thread.
 
-    By default one thread writes on all links and two read them, and each waits while it closes the link of a client
-    that reads nothing.
+    By default one thread writes on all links and two threads read from them. Each of these threads waits while it
+    closes the link of a client that reads nothing.
     """
     if _RUNTIME in os.environ:
         yield

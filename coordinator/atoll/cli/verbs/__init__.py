@@ -2,5 +2,5 @@
 
 ``run`` searches on this machine, ``submit`` on a coordinator. ``serve`` has the services, ``web`` the
 page. ``jobs`` asks a coordinator about jobs and workers, ``results`` analyses and exports results, ``texts`` prints
-schemas and shell completion. `atoll.cli.options.VERBS` maps verbs to modules.
+schemas and shell completion. `atoll.cli.parser.VERBS` maps verbs to modules.
 """

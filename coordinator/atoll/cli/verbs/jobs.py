@@ -14,7 +14,7 @@ from typing import Final
 from pydantic_core import to_jsonable_python
 
 from atoll.cli.exit_codes import DONE, end_of_cancelled, report_exit_code
-from atoll.cli.options import job_id
+from atoll.cli.parser import job_id
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.client.client import Client, connected
 from atoll.client.follower import Display, Follower, Subscription
@@ -151,14 +151,16 @@ def delete(options: argparse.Namespace) -> int:
 
 
 def _chosen_job(client: Client, prefix: str | None) -> str:
-    """Return the id of the job that begins with `prefix`; None: the only job that has not ended."""
+    """Return the id of the job whose id begins with `prefix`; if `prefix` is None, the id of the only job that has not
+    ended."""
     if prefix is not None:
         return client.resolve(prefix)
     views = client.jobs(is_open=True, last=_MOST_NAMED + 1)
     if len(views) != 1:
-        names = ", ".join(view.job for view in views[-_MOST_NAMED:]) or "none"
+        names = ", ".join(view.job for view in views[-_MOST_NAMED:])
         names += " and others" if len(views) > _MOST_NAMED else ""
-        raise UsageError(f"no job was named, and several jobs have not ended: {names}; name one")
+        found = f"several jobs have not ended: {names}" if names else "all jobs have ended"
+        raise UsageError(f"no job was named, and {found}; name one")
     return views[0].job
 
 
@@ -257,7 +259,8 @@ def line(event: EventView) -> str:
 
 
 def workers(options: argparse.Namespace) -> int:
-    """List all workers or those with names that begin with ``options.job``, or show the coordinator's counters."""
+    """List all workers, or the workers with names that begin with ``options.job``; or show the coordinator's
+    counters."""
     address = address_of(options)
     with connected(address, CONNECT_LIMIT_S) as client:
         views = client.workers(options.job or "")

@@ -1,8 +1,9 @@
 """The verbs about a saved result or the result of a job: ``result``, ``report``, ``compare``, ``simulate``,
 ``analyse``, ``suggest`` and ``export``.
 
-Analyses of a saved result run in this process; analyses of a coordinator's job run on a worker. Both go through `ask`.
-Modules that only some verbs need are imported in their functions, because ``coordinator result`` should print at once.
+Analyses of a saved result run in this process; analyses of a coordinator's job run on a worker. `ask` handles both
+cases. Modules that only some verbs need are imported in their functions, because ``coordinator result`` should print at
+once.
 """
 
 import argparse
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from atoll.api.model import Model
 from atoll.cli.exit_codes import DONE
-from atoll.cli.options import finite_number, if_given, interval, intervals, natural_number, numbers
+from atoll.cli.parser import finite_number, if_given, interval, intervals, natural_number, numbers
 from atoll.cli.request import CONNECT_LIMIT_S, address_of, is_saved, load_result, result_of
 from atoll.cli.result_files import REPORT, write_page
 from atoll.client.client import connected
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
 
 
 def result(options: argparse.Namespace) -> int:
-    """Print the result of ``options.job``, a job's id or a saved result; for a running job, the best so far."""
+    """Print the result of ``options.job``, which is a job's id or a saved result; for a running job, print the best
+    result so far."""
     from atoll.text.render import parse_picks, pick, render, render_text
 
     if options.json and options.format not in (None, "json"):
@@ -162,7 +164,8 @@ def ask(options: argparse.Namespace, *questions: "Question", name: str | None = 
 
 
 def analyse(options: argparse.Namespace) -> int:
-    """Analyse the dynamics of the model of ``options.result``, or how well the data determine its constants."""
+    """Analyse the dynamics of the model of ``options.result`` and, with ``--identifiability``, how well the data
+    determine its constants."""
     from atoll.tasks.analyses import AnalyseDynamics, Form, Profile, Question
 
     if (options.parameter is None) != (options.range is None):
@@ -324,7 +327,7 @@ def export(options: argparse.Namespace) -> int:
     if options.format == PETAB:
         model = _chosen_equations(_load(options), options)
         if options.output is None:
-            raise UsageError("petab is a folder of several files; name it with -o FOLDER")
+            raise UsageError("petab is a folder of several files; name the folder with -o FOLDER")
         model.to_petab(options.output, None if options.data is None else _trajectories(model, options.data))
         return DONE
     if options.data is not None:

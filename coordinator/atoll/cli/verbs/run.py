@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
-from atoll.cli.options import job_id
+from atoll.cli.parser import job_id
 from atoll.cli.result_files import refuse_existing_result
 from atoll.cli.verbs.web import web_process
 from atoll.client.local_processes import local_processes

@@ -43,7 +43,8 @@ _LOCAL: Final = ("127.0.0.1", "localhost")
 
 
 def read_options(options: argparse.Namespace, router: str | None = None) -> tuple[Destination, RoleBindings | None]:
-    """Start logging; return the address to listen at (or of the `router` to join) and the roles. Raises UsageError."""
+    """Start logging; return an address and the roles. The address is the one to listen at or, if `router` is given, the
+    address of this router. Raises UsageError."""
     credentials = credentials_of(vars(options), os.environ, "serve" if router is None else "connect")
     at = destination(options.listen if router is None else router, credentials, listens=router is None)
     if at.others:
@@ -89,7 +90,8 @@ def is_loopback(host: str) -> bool:
 
 
 def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
-    """Return the addresses to connect to, other machines' addresses first; with a certificate, only its host names."""
+    """Return the addresses at which programs connect: first the addresses that other machines can reach. With a
+    certificate, these are only its host names."""
     address = at.address
     if is_behind_router or address.is_socket:
         return [str(address)]
@@ -128,9 +130,9 @@ def _require_dialable(at: Destination) -> None:
 
 
 def _dialable_hosts(at: Destination) -> list[str]:
-    """Return the hosts at which clients connect: with a certificate, its names that resolve to the listener. A listener
-    on all interfaces also keeps names that do not resolve here, because they may resolve on other machines. If no name
-    resolves to a listener that other machines can reach, all names of other hosts are kept.
+    """Return the hosts at which clients connect. With a certificate, these are its names that resolve to the listener.
+    For a listener on all interfaces, names that do not resolve here are kept as well, because they may resolve on other
+    machines. If other machines can reach the listener, but no name resolves to it, all names of other hosts are kept.
     """
     address = at.address
     if at.credentials is None:
@@ -179,7 +181,7 @@ def _interface_address(name: str) -> str | None:
 _LOG = logging.getLogger(__name__)
 
 CHECK_INTERVAL_S: Final = 5.0
-"""Interval of the router's checks for a coordinator, until one answers and again after it was lost."""
+"""Seconds between two checks of the router whether a coordinator answers."""
 
 CHECK_LIMIT_S: Final = 1.0
 _REMIND_S: Final = 60.0
@@ -273,13 +275,14 @@ def restore(options: argparse.Namespace) -> int:
         f"{options.state}: restored from {options.file}, jobs {store.copy.jobs}; start it with: "
         f"coordinator serve --state {options.state}",
         f"it is now cluster {store.cluster}; if a coordinator still serves {store.copy.cluster} elsewhere, both "
-        "coordinators continue the same jobs without contact; stop one of them",
+        "coordinators continue the same jobs without contact with each other; stop one of them",
     ]
     lines += [f"the old store is now {former}; remove it when you no longer need it"] if former is not None else []
     if store.aside and former is None:
         lines.append(
             "the folder had SQLite files with the last writes of a store that is missing; these files are now "
-            f"{', '.join(map(str, store.aside))}; to open that store, move them next to it and rename them after it"
+            f"{', '.join(map(str, store.aside))}; to open that store, move these files into its folder and give them "
+            "its file name, with their present endings"
         )
     say(as_json(facts) if options.json else "\n".join(lines))
     return DONE
@@ -289,7 +292,7 @@ ANOTHER_LIMIT_S: Final = 0.5
 """How long another coordinator behind the same router may take to answer."""
 
 PREDECESSOR_CHECKS: Final = 10
-"""Number of checks, after a takeover of a store, whether its former coordinator has ended."""
+"""After the takeover of a store: how many times to check whether the former coordinator of the store has ended."""
 
 
 def serve(options: argparse.Namespace) -> int:
@@ -302,7 +305,8 @@ def serve(options: argparse.Namespace) -> int:
     limits = _limits(options)
     if options.http is not None and role_bindings is not None and options.http_users is None:
         raise UsageError(
-            "--http was given with --roster but without --http-users; give this file, which has the users of the page"
+            "--http was given with --roster, but without --http-users FILE; give this option: its file has the users "
+            "of the page"
         )
     if options.standby:
         refuse_network(Path(options.state))
@@ -386,7 +390,8 @@ def _open_bus(options: argparse.Namespace, wanted: Destination, role_bindings: R
 
 
 def _wait_for_store(options: argparse.Namespace, wanted: Destination, stop: threading.Event) -> "Store | None":
-    """Wait until no other coordinator serves the store in ``options.state``; None if `stop` was set before."""
+    """Wait until no other coordinator serves the store in ``options.state``, and return the store; None: `stop` was set
+    before."""
     from atoll_coordinator.service.store.standby import Standby
 
     def obstacle() -> str | None:
@@ -402,7 +407,8 @@ def _wait_for_store(options: argparse.Namespace, wanted: Destination, stop: thre
 
 
 def refuse_network(state: Path) -> None:
-    """Raise UsageError if the store is on a network file system, which may hide another coordinator's end or writes."""
+    """Raise UsageError if the store is on a network file system, which may hide that another coordinator ends or
+    writes."""
     kind = file_system(state.absolute())
     if is_networked(kind):
         raise UsageError(
@@ -413,7 +419,7 @@ def refuse_network(state: Path) -> None:
 
 
 def refuse_another(bus: "Bus", router: str) -> None:
-    """Raise NotNowError if another coordinator answers behind `router`: workers could not distinguish them."""
+    """Raise NotNowError if another coordinator answers behind `router`: workers could not distinguish the two."""
     from atoll.client.client import Client
 
     try:

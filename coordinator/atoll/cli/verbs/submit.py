@@ -27,7 +27,7 @@ from atoll_core.signals import raising_interrupts
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 _OPTION: Final = re.compile(r"--(robust|stochastic)\b")
-"""Finds options without a value in a warning or in the reason of a verdict."""
+"""Finds options that take no value, in a warning or in the reason of a verdict."""
 
 _ADDED: Final = re.compile(
     r"\badd --(missing-value|hold|order|per-trajectory|inputs|states)(?: ('[^']*'|[^\s;,.]\S*?))?(?=[;,.]?(?:\s|$))"
@@ -274,7 +274,7 @@ def submit(options: argparse.Namespace) -> int:
         try:
             view = request.submit(client, request.read())
         except KeyboardInterrupt:
-            note(f"interrupted before the coordinator confirmed job {request.job}: {look}")
+            note(f"interrupted before the coordinator confirmed job {request.job}; to look for it: {look}")
             return INTERRUPTED
         if options.no_wait:
             _print_waiting_reason(view, client, hint)

@@ -31,7 +31,8 @@ CHECKS: Final[Sequence[Callable[[ExaminedColumns], Iterable[ColumnFinding]]]] = 
     check_second_order,
     check_map,
 )
-"""The checks after `check_fill_values`, in order; fill values found by that check are missing in their columns."""
+"""The checks after `check_fill_values`, in order. In their columns, the fill values that `check_fill_values` found are
+treated as missing."""
 
 
 @dataclass(frozen=True, eq=False)

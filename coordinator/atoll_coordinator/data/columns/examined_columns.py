@@ -140,9 +140,9 @@ def upper_median(values: FloatArray) -> float:
 
 
 def roughness(parts: Parts) -> float:
-    """Return half of the mean squared step from row to row over the variance (von Neumann 1941); NaN is ignored.
+    """Return half of the mean squared step from row to row, divided by the variance (von Neumann 1941); NaN is ignored.
 
-    It is 1 for white noise, and small for smooth motion: 1 - cos(2 pi / n) for a wave of n rows.
+    It is 1 for white noise, and small for smooth motion: 1 - cos(2 pi / n) for a wave with n rows in a period.
     """
     begin = [part[: SETTINGS.rows.in_sums] for part in parts]
     steps = np.concatenate([np.diff(part) for part in begin])

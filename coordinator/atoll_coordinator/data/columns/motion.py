@@ -32,15 +32,16 @@ from atoll_core.data.dataset import FloatArray, IntArray
 
 LIMITS = SETTINGS.columns
 _RELEVANT: Final = SETTINGS.inference.part
-"""An influence other than the coordinates is relevant if it causes at least this share of a variance or of a standard
-deviation."""
+"""An influence other than the coordinates is relevant if it causes at least this share of the variance (or of the
+standard deviation) of a response."""
 _MOST_POSITIONS: Final = 4
-"""Most states for which neighbours are searched: with more states, no rows are close in positions and velocities."""
+"""Largest number of states for which neighbours are searched: with more states, no two rows are close in positions and
+velocities."""
 _FEWEST_PAIRS: Final = 20
 """Fewest pairs of neighbours that a finding needs."""
 _JUMPS: Final = 0.75
-"""A column jumps from row to row if its roughness is at least this: a wave then has fewer than five rows in a period (1
-- cos(2 pi / 5) = 0.69)."""
+"""A column jumps from row to row if its roughness is larger than this number: a wave then has fewer than five rows in a
+period (1 - cos(2 pi / 5) = 0.69)."""
 _ROOT_70: Final = math.sqrt(70.0)
 """Standard deviation of the fourth difference of white noise with standard deviation 1."""
 
@@ -79,7 +80,7 @@ def check_map(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     if is_jumping and all(_determines_next(columns, name) for name in states):
         yield ColumnFinding(
             f"{quoted(states)} jump{'s' if len(states) == 1 else ''} from row to row, but each row determines the "
-            "next, as in steps of a map x(n + 1) = f(x(n)) or where a period has few rows",
+            "next, as in steps of a map x(n + 1) = f(x(n)) or in a wave with few rows in a period",
             "sample more often, or, if it is a map, write the next row's value into each row, as "
             f"'{states[0]}_next', and use --target {states[0]}_next",
         )
@@ -107,8 +108,9 @@ def _determines_next(columns: ExaminedColumns, name: str) -> bool:
 class Disagreement:
     """How much neighbours differ in a response.
 
-    `share` is half of the mean squared difference over the variance of the response in these rows: near 0 if the
-    coordinates determine the response, near 1 if they do not. `size` is the same mean over the variance in all rows.
+    `share` is half of the mean squared difference, divided by the variance of the response in these rows: near 0 if the
+    coordinates determine the response, near 1 if they do not. `size` is half of the same mean, divided by the variance
+    of the response in all rows.
     """
 
     share: float
@@ -116,12 +118,13 @@ class Disagreement:
 
     @property
     def is_open(self) -> bool:
-        """Whether other influences cause at least half of the response's variance, and not a negligible part of it."""
+        """Whether other influences cause more than half of the response's variance in these rows, and more than a
+        quarter of its variance in all rows."""
         return self.share > 0.5 and self.size > 0.25
 
 
 def neighbours(coordinates: Sequence[FloatArray], part: IntArray, apart: int) -> tuple[list[int], list[int]] | None:
-    """Return pairs of a row and its nearest neighbour in another pass: of all pairs, the closer half.
+    """Return pairs of a row and its nearest neighbour in another pass; only the closer half of all pairs is returned.
 
     The result is None if there are too few pairs.
 
@@ -140,7 +143,8 @@ def neighbours(coordinates: Sequence[FloatArray], part: IntArray, apart: int) ->
 def _neighbour(
     coordinates: Sequence[FloatArray], part: IntArray, row: int, apart: int
 ) -> tuple[float, int, int] | None:
-    """Return the squared distance, the row and its nearest neighbour in another pass, if one is near enough."""
+    """Return the squared distance, the row and its nearest neighbour in another pass; None: no neighbour is near
+    enough."""
     distance = np.zeros(len(part))
     for values in coordinates:
         away = values - values[row]
@@ -156,7 +160,7 @@ def _neighbour(
 
 
 def disagreement(pairs: tuple[list[int], list[int]], response: FloatArray) -> Disagreement | None:
-    """Return how much `neighbours` differ in a response (n,); None if the response is constant."""
+    """Return how much the `pairs` of neighbours differ in a response (n,); None: the response is constant."""
     ones, others = response[pairs[0]], response[pairs[1]]
     both = np.concatenate([ones, others])
     about = both - mean(both)
@@ -168,7 +172,8 @@ def disagreement(pairs: tuple[list[int], list[int]], response: FloatArray) -> Di
 def disagreements(
     slopes: "LocalSlopes", columns: ExaminedColumns
 ) -> tuple[list[Disagreement | None], list[Disagreement | None]]:
-    """Return the disagreement of neighbours in each slope, and in each curvature if their slopes also agree."""
+    """Return the disagreement of neighbours in each slope, and the disagreement in each curvature of neighbours whose
+    slopes also agree."""
     states = columns.roles.states
     positions = [slopes.means[name] for name in (*states, *columns.roles.inputs)]
     velocities = [slopes.slopes[name] for name in states]
@@ -202,7 +207,7 @@ class LocalSlopes:
 
 
 def local_slopes(times: Parts, values: Mapping[str, Parts], states: Sequence[str]) -> LocalSlopes | None:
-    """Return slopes over the shortest windows in which noise does not hide curvatures; None: no such windows.
+    """Return slopes over the shortest windows in which noise does not hide curvatures; None: there are no such windows.
 
     Slopes are least-squares slopes with respect to the row number; time steps are treated as even within a window.
     """
@@ -212,7 +217,7 @@ def local_slopes(times: Parts, values: Mapping[str, Parts], states: Sequence[str
         slopes = _slopes_over(times, values, states, width)
         if slopes is None:
             return None
-        # noise of a curvature for unit noise of the rows
+        # noise of a curvature if the noise of the rows is 1
         gain = math.sqrt(720.0 / (width * (width**2 - 1.0) * (width**2 - 4.0)))
         if all(noises[name] * gain < LIMITS.clear * upper_median(slopes.bends[name]) for name in states):
             return slopes

@@ -2,8 +2,8 @@
 
 Single columns: fill values, clipping, few levels, held inputs, row counters. Columns that determine each other: equal
 columns, multiples, totals, sums that stay constant. Such columns are found by least squares: each column is projected
-on the columns before it (modified Gram-Schmidt, applied twice). Any equation with such columns can be written in
-several ways, so the user should know them.
+on the columns before it (modified Gram-Schmidt, applied twice). An equation with such columns can be written in several
+ways, so the user should know these columns.
 """
 
 import math
@@ -36,11 +36,11 @@ _REPEATS: Final = 2
 _RUN: Final = 3
 """Fewest consecutive equal rows that count as clipped: two may be a rounded turning point."""
 _STEEP_STEPS: Final = 10.0
-"""Next to clipped rows the column moves by more than this many rounding steps. At a smooth turning point a parabola
-stays within one step for m rows and moves by at most 2.7 steps (m = 3) in the next rows; at a flat turning point
-(fourth power) it moves by 7."""
+"""Next to clipped rows a column moves by more than this number of rounding steps. A column without clipping moves less:
+if a smooth turning point (a parabola) stays within one step for m rows, the column moves by at most 2.7 steps (m = 3)
+in the next rows; at a flat turning point (fourth power) it moves by 7 steps."""
 _MOST_CLIPPED: Final = 4
-"""Most clipped values for each unclipped value: with more, too little of the column is known."""
+"""Most clipped values for each unclipped value: with more clipped values, too little of the column is known."""
 _ROUNDING: Final = 1e-12
 """Guard: values that differ by less than this share of their size are one value."""
 
@@ -67,7 +67,8 @@ def fill_values(columns: ExaminedColumns) -> dict[str, float]:
 
 
 def _fill_value(values: FloatArray) -> float | None:
-    """Return the least or largest value if it is repeated and its distance from the others exceeds their range.
+    """Return the least or the largest value, if it is repeated and its distance from the other values exceeds their
+    range.
 
     A moving quantity would have passed through values in between. There must be several other values, because a column
     of two or three values may be switched. Most rows must have the other values. A number of nines, such as -9999, need
@@ -142,7 +143,7 @@ def _clipped(parts: Parts) -> list[float]:
 def check_counters(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     """Yield a finding for the states that count the rows.
 
-    Their equations are not searched unless no other state is left.
+    The equations of these states are not searched if another state remains.
     """
     states = columns.roles.states
     counters = tuple(
@@ -208,9 +209,10 @@ def check_few_levels(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
 def has_few_levels(parts: Parts) -> bool:
     """Tell whether so many values are repeated that the column is rounded or switched.
 
-    Suppose that a moving quantity was recorded in steps of half the size or less. Then a further value equals one of
-    the observed values with probability 1/2 at most, so that many repetitions are improbable. A wave whose period is a
-    whole number of rows also repeats its values, each once or twice in a period; such a wave does not count.
+    Suppose that a moving quantity was recorded in finer steps, at most half of the steps between the observed values.
+    Then a further value equals one of the observed values with probability 1/2 at most, so many repetitions are
+    improbable. A wave whose period is a whole number of rows also repeats its values, each once or twice in a period;
+    such a wave does not count.
     """
     values = _finite(parts)
     levels = len(np.unique(values))
@@ -245,9 +247,10 @@ def _finite(parts: Parts) -> FloatArray:
 def is_held(parts: Parts) -> bool:
     """Tell whether a column is constant from most rows to the next, and then jumps.
 
-    A column of few values always counts as held.
+    A column with only a few values always counts as held.
 
-    A rounded quantity that moves smoothly does not count: it changes to adjacent values, and jumps are larger.
+    A rounded quantity that moves smoothly does not count as held: it changes to adjacent values, while a held column
+    makes larger jumps.
     """
     if has_few_levels(parts):
         return True
@@ -291,7 +294,7 @@ Values = Mapping[str, FloatArray]
 class Relation:
     """``name = constant + sum of coefficient * column``, exact up to rounding, or valid up to noise.
 
-    `residual` is the standard deviation of the residuals over the standard deviation of the column `name`.
+    `residual` is the standard deviation of the residuals, divided by the standard deviation of the column `name`.
     """
 
     name: str
@@ -318,8 +321,9 @@ class Relation:
 def check_relations(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
     """Yield a finding for each column that other columns determine.
 
-    If a state is a multiple or a sum of others up to rounding, its equation is not searched: no information is lost. If
-    the relation has a constant (a sum that stays 1, degrees Celsius and kelvin), each column keeps its equation.
+    If a state is a multiple or a sum of other columns up to rounding, the equation of this state is not searched: no
+    information is lost. If the relation has a constant (a sum that stays 1, degrees Celsius and kelvin), each column
+    keeps its equation.
     """
     left_out: list[str] = []
     states = columns.roles.states
@@ -385,7 +389,7 @@ class _Basis:
     def _projected(self, values: FloatArray) -> tuple[list[float], FloatArray]:
         """Return the coefficients of the orthonormal columns in the values, and the residuals."""
         shares, rest = [0.0] * len(self._units), values - mean(values)
-        for _ in range(2):  # the second time removes the rounding errors of the first
+        for _ in range(2):  # the second time removes the rounding errors of the first time
             for place, unit in enumerate(self._units):
                 share = dot(unit, rest)
                 shares[place] += share
@@ -399,7 +403,7 @@ class _Basis:
         ]
 
     def relation(self, name: str, sampled: Values, whole: Values, deviation: float) -> Relation | None:
-        """Return how a column depends on the columns of the basis; None if it does not.
+        """Return how a column depends on the columns of the basis; None: it does not depend on them.
 
         `sampled` are the values of some rows. `whole` are the values of all rows, in which an exact relation must hold.
         """
@@ -465,7 +469,7 @@ def _weighted_sum(coefficients: Mapping[str, float], values: Values) -> FloatArr
 
 
 def _step(values: FloatArray) -> float:
-    """Return the step in which the largest values of a column were written down."""
+    """Return the rounding step with which the largest values of a column were written."""
     some = values[:: max(1, len(values) // SETTINGS.rows.compared)]
     largest = float(np.max(np.abs(values)))
     numbers = [Decimal(repr(value)).normalize() for value in some.tolist() if value != 0.0]

@@ -1,9 +1,9 @@
 """Cells of a file: missing, a number, or text; and the numbers of columns in any country's notation. Pure.
 
 Each column is read in one way: with decimal points or with decimal commas. If the cells of a column leave open whether
-``1,234`` is 1.234 or 1234, the other columns of the file decide, then the separator between cells. If these do not
-decide either, the file is refused. Cells that a file format stores as numbers (`NumberCell`) are no evidence for the
-notation of the text cells around them.
+``1,234`` is 1.234 or 1234, the other columns of the file decide. If they do not decide, the separator between cells
+decides. If this does not decide either, the file is refused. Cells that a file format stores as numbers (`NumberCell`)
+are no evidence for the notation of the text cells around them.
 """
 
 import datetime
@@ -208,7 +208,8 @@ def _is_plain_decimal(cell: str) -> bool:
 
 
 def _has_decimals(cells: Sequence[str]) -> bool:
-    """Tell whether any point in the text cells of a column is a decimal point, since it cannot separate thousands."""
+    """Tell whether the text cells of a column have a point that cannot separate thousands, and so must be a decimal
+    point."""
     return any("." in cell and not _THOUSANDS.fullmatch(cell) for cell in _text_cells(cells))
 
 

@@ -1,11 +1,11 @@
 """The closest alternatives to the chosen equations, and how well each predicts trajectories that were left out. Pure.
 
-How it works. For each equation, the programs that were already fitted in its place and programs that agree with it
-along the measured curves are fitted again. Equivalent equations are dropped. If an alternative is shorter than the
-model, it becomes the model, and its alternatives are ranked. So the model is the shortest description, with two
-exceptions: the allowed work may end first; and in a table with inputs, an equation may be replaced by a shorter
-equation that is equal on all rows. Alternatives that are nearly as short as the model make its verdict doubtful, even
-if they predict worse.
+How it works. For each equation, two kinds of programs are fitted again: programs that were already fitted in its place,
+and programs that agree with it along the measured curves. Equivalent equations are dropped. If an alternative is
+shorter than the model, it becomes the model, and its alternatives are ranked. So the model is the shortest description,
+with two exceptions: the allowed work may end first; and in a table with inputs, an equation may be replaced by a
+shorter equation that is equal on all rows. Alternatives that are nearly as short as the model make its verdict
+doubtful, even if they predict worse.
 
 Doubts. Only equations that a search has proposed can appear. Two equations are compared at the points of the dataset
 and at a few points away from the measured curves; a difference at other points is not noticed.
@@ -38,7 +38,8 @@ from atoll_core.expression.writing.shortest import shortest
 
 @dataclass(frozen=True, eq=False)
 class RankedAlternative:
-    """A system with another equation for one variable; if it is nearly as short, its R2 on trajectories left out."""
+    """A system with another equation for one variable. If it is nearly as short as the best system, `validated` is its
+    R2 on trajectories left out."""
 
     model: FittedModel
     validated: R2 | None = None
@@ -201,8 +202,8 @@ def fit_guesses(selection: SelectedModel, index: int) -> list[FittedModel]:
     """Return the user's guesses for one equation, each fitted along the trajectories.
 
     All other equations are unchanged. Each guess is fitted twice: from the initial states of the selection, and from
-    the smoothed states. The first fit may fail far from the selection, the second in long pieces. A guess is left out
-    if both fail.
+    the smoothed states. The first fit may fail if the guess differs much from the selected equation. The second fit may
+    fail on long pieces. A guess is left out if both fail.
     """
     comparison, best, steps = selection.comparison, selection.model, SETTINGS.effort.steps
     fitted = []
@@ -234,7 +235,7 @@ def _find_agreeing_programs(selection: SelectedModel, index: int) -> list[Progra
     columns, operators, candidates = task.columns(name), task.operators(name), task.candidates[name].programs
     most = comparison.score.length(own) + SETTINGS.inference.exact_nats
     if any(_are_dependent(terms, problem.inputs) for terms in polynomial_and_fourier_libraries(columns, operators)):
-        unfactored = most + SETTINGS.inference.exact_nats  # a pursuit prices sums term by term
+        unfactored = most + SETTINGS.inference.exact_nats  # a pursuit adds up the lengths of terms, without factoring
         candidates += [*neighbours(own, columns, operators), *pursue(problem, columns, operators, (), unfactored)]
     squares = LeastSquares(problem, restrictions=comparison.restrictions(index))
     short = {structure(program): program for program in candidates if structure_length(program) <= most}

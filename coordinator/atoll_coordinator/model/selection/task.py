@@ -69,7 +69,8 @@ class ModellingTask:
 
     @cached_property
     def rate_law_variables(self) -> frozenset[str]:
-        """The variables whose law was found among many variables by derivatives, chosen from all terms."""
+        """The variables with a law from the search among many variables (`Law.is_of_rates`): the law was fitted to
+        derivatives, and its terms were chosen from all terms."""
         return frozenset(name for name, laws in self.laws.items() if laws and laws[0].is_of_rates)
 
     @property
@@ -127,7 +128,7 @@ class ModellingTask:
 
     @property
     def longest(self) -> int:
-        """The rows of the longest trajectory that is not held out."""
+        """The number of rows of the longest trajectory that is not held out."""
         return max(len(part.times) for part in self.recording.trajectories if not part.held_out)
 
     @cached_property
@@ -140,14 +141,14 @@ class ModellingTask:
 
     @cached_property
     def sizes(self) -> list[float]:
-        """The size of each variable of the dataset."""
+        """The mean absolute value of each variable of the dataset."""
         measurements = self.compared_measurements
         sizes = dict(zip(measurements.variables, measurements.sizes.tolist(), strict=True))
         return [sizes[name] for name in self.dataset.names]
 
     def sizes_for(self, variable: str) -> list[float]:
-        """Return the size of each variable of the dataset; 0 for variables that the equation of `variable` may not
-        use."""
+        """Return the mean absolute value of each variable of the dataset; 0 for variables that the equation of
+        `variable` may not use."""
         columns = self.columns(variable)
         return [size if column in columns else 0.0 for column, size in enumerate(self.sizes)]
 
@@ -158,7 +159,7 @@ class ModellingTask:
         return self.make_comparison(self.compared_measurements, self.variables)
 
     def with_comparison(self, comparison: ModelComparison) -> "ModellingTask":
-        """Return the task with a calibrated `comparison`."""
+        """Return the task with this `comparison`, whose errors were calibrated (`ModelComparison.calibrate`)."""
         task = replace(self)
         task.__dict__["comparison"] = comparison  # the value of the cached property
         return task
@@ -167,12 +168,14 @@ class ModellingTask:
         self, measurements: TrajectoryMeasurements, variables: Sequence[str], *, is_precise: bool = False,
         has_noise: bool = True, measured_rows: int = 0,
     ) -> ModelComparison:  # fmt: skip
-        """Return a comparison over these measurements, which may represent more `measured_rows` of the same time span.
+        """Return a comparison over these measurements. They may represent a larger number of rows of the same time
+        span, `measured_rows`.
 
         The tolerated error of an integration step is a share of the noise; without `has_noise` the noise counts as
-        zero. The errors of all steps may have the same sign, while noise is averaged over the rows. So in a comparison
-        that `is_precise`, the sum of the errors along a piece is limited to this share of the standard error of a mean.
-        Interpolation errors do not count as noise then.
+        zero. The errors of all steps may have the same sign, while noise is averaged over the rows. So if the
+        comparison `is_precise`, the limit is lower: the sum of the integration errors along a piece is at most the
+        share `_TOLERATED_NOISE` of the standard error of a mean over the rows. In such a comparison, interpolation
+        errors do not count as noise.
         """
         noise = float(measurements.relative_noise.min()) if has_noise else 0.0
         if is_precise and not any(self.dataset.problem(name).target.is_noisy for name in self.candidates):

@@ -8,5 +8,5 @@
 - `conclusion`: `summarize_process` prepares the shown equations and the reported model
 
 `pipeline` calls `process_choice` and `conclusion`. The moments of a step and the paths of a process are in
-`atoll_coordinator.stochastic`. The reasons and figures: ADR 0044.
+`atoll_coordinator.process_steps`. The reasons and figures: ADR 0044.
 """

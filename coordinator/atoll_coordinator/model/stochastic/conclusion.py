@@ -33,8 +33,8 @@ from atoll_coordinator.model.stochastic.checks import ProcessChecks, ProcessStep
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.path_ensembles import simulate_ensemble, simulate_stationary_density
 from atoll_coordinator.model.stochastic.process_choice import ChosenProcess
+from atoll_coordinator.process_steps.paths import Simulator
 from atoll_coordinator.result.findings import Covariance, MeasurementNoise, Process
-from atoll_coordinator.stochastic.paths import Simulator
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.expression.program import Program, constant_places

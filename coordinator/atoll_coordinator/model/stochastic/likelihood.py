@@ -33,9 +33,9 @@ import numpy as np
 from atoll_coordinator.data.increments import Steps
 from atoll_coordinator.model.constants.standard_errors import ConstantErrors
 from atoll_coordinator.model.least_squares import Fitter, Solver, minimize, solver
+from atoll_coordinator.process_steps import Discretisation
+from atoll_coordinator.process_steps.moments import Pair, StepMoments, factors_of, predict_step_moments
 from atoll_coordinator.settings import SETTINGS
-from atoll_coordinator.stochastic import Discretisation
-from atoll_coordinator.stochastic.moments import Pair, StepMoments, factors_of, step_moments
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants
 from atoll_core.expression.restrictions import NONE, Restrictions
@@ -74,7 +74,7 @@ class ProcessModel:
     def moments(self, points: FloatArray, lengths: FloatArray) -> StepMoments:
         """Return the moments of steps of these `lengths` (N,) from `points` (V, N)."""
         diffusion = dict(zip(self.pairs, self.diffusion, strict=True))
-        return step_moments(self.drift, diffusion, points, lengths, self.discretisation)
+        return predict_step_moments(self.drift, diffusion, points, lengths, self.discretisation)
 
     def parameters(self, free: Sequence[int]) -> FloatArray:
         """Return the constants of the equations `free`, by index, then the log standard deviations of noise."""

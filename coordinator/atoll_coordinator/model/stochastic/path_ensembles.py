@@ -14,8 +14,8 @@ import numpy as np
 from atoll_coordinator.data.increments import Steps
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.thinning import curve, spread_places
+from atoll_coordinator.process_steps.paths import PATHS, Ensemble, Simulator, density_of, histograms, settled_paths
 from atoll_coordinator.result.findings import Density, PathEnsemble
-from atoll_coordinator.stochastic.paths import PATHS, Ensemble, Simulator, density_of, histograms, settled_paths
 from atoll_core.data.dataset import FloatArray
 
 _STEPS: Final = 500

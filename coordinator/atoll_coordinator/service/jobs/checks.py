@@ -38,13 +38,13 @@ def lost_states_reason(variable: str) -> str:
 
 
 def epoch_limit_reason(config: JobConfig, prepared: Prepared) -> str | None:
-    """Return why `--max-epochs` does not fit the variables whose equations are sought; None: it fits."""
+    """Return why `--max-epochs` does not fit the variables whose equations are searched; None: it fits."""
     sought = [target.variable for target in prepared.sought]
     unknown = sorted(set(config.budget.max_epochs_of) - set(sought))
     if not unknown:
         return None
     there = ", ".join(sought) or "none"
-    return f"--max-epochs names {unknown[0]!r}, for which no equation is sought; sought are {there}"
+    return f"--max-epochs names {unknown[0]!r}, for which no equation is searched; equations are searched for: {there}"
 
 
 def resume_reason(
@@ -55,7 +55,9 @@ def resume_reason(
     `dataset_digest` is the digest of the dataset that was prepared earlier; None: no dataset was prepared earlier.
     """
     if (has_cuts or resumed) and dataset_digest not in (None, prepared.blob):
-        return "its data, prepared again after a restart, came out differently; submit it again under another id"
+        return (
+            "its data were prepared again after a restart, and came out differently; submit it again under another id"
+        )
     engines = {state.engine for state in resumed.values()} - {ENGINE_REVISION}
     if engines:
         return (

@@ -43,8 +43,8 @@ as columns have no trajectories with which refining could improve an approximate
 
 STAGNATION_CLEAN: Final = 5
 """Fewest epochs without improvement after which the search for a clean target ends. The number grows with the epochs
-until the last improvement. On random systems simulated at solver tolerances, 3, 5, 8 and 12 find the same 48 equations
-in 24 to 30 epochs (ADR 0033)."""
+until the last improvement. On random systems simulated at solver tolerances, searches with 3, 5, 8 and 12 find the same
+48 equations, in 24 to 30 epochs (ADR 0033)."""
 
 STAGNATION_NOISY: Final = 3
 
@@ -174,8 +174,8 @@ class Job:
         self, prepared: Prepared, cuts: Mapping[str, Cut], now: float,
         resumed: Mapping[str, StoredSearchState] | None = None,
     ) -> list[JobAction]:  # fmt: skip
-        """Set up the archipelagos. The searches of variables in `cuts` have ended before; variables in `resumed` have a
-        checkpoint."""
+        """Set up the archipelagos. The searches of variables in `cuts` have already ended; variables in `resumed` have
+        a checkpoint."""
         self._step("prepared")
         self.prepared = prepared
         self.preparation_seconds = self._preparing_seconds(now)
@@ -191,7 +191,7 @@ class Job:
         return self._refine_if_cut(now)
 
     def wait_to_be_refined(self, seconds: float) -> None:
-        """Do not count these seconds, in which the job waited for a worker that refines it."""
+        """Do not count `seconds`, for which the job has waited for a worker that refines it."""
         if self.refining_since is not None:
             self.refining_since += seconds
 
@@ -212,8 +212,8 @@ class Job:
     def spent_seconds(self, now: float) -> float:
         """Return the time that counts towards `--max-time`: preparing, searching and refining.
 
-        Waiting does not count: neither for the job's turn, nor for a process that loads or compiles, nor for workers
-        before islands are placed, nor for a worker that refines.
+        Waiting times do not count: waiting for the job's turn, for a process that loads or compiles, for workers before
+        islands are placed, and for a worker that refines.
         """
         if self.state == "preparing":
             return self._preparing_seconds(now)
@@ -225,7 +225,7 @@ class Job:
         return now - self.preparing_since if self.preparing_since is not None else 0.0
 
     def add_report(self, worker: str, report: EpochReport, now: float) -> list[JobAction]:
-        """Add a report; raises RemoteProtocolError when it is impossible."""
+        """Add a report; raises RemoteProtocolError if the job has no such variable or the report is impossible."""
         archipelago = self.archipelagos.get(report.variable)
         if self.state != "running":
             return []
@@ -275,7 +275,8 @@ class Job:
         return [CommitResult()]
 
     def finish_unrefined(self, refinement: Refinement) -> list[JobAction]:
-        """End with equations as found and the warnings of `refinement`; without effect on a job that is not refined."""
+        """End with the equations as the search found them, and the warnings of `refinement`; without effect on a job
+        that is not being refined."""
         if self.state != "refining":
             return []
         self.refinement = refinement

@@ -50,7 +50,7 @@ class CounterRegistry:
         )
 
     def set_waited(self, worker: str, assignment_status: AssignmentStatus) -> None:
-        """Set the seconds for which the islands of a placement have waited on a worker."""
+        """Set the seconds for which those islands of a placement that run on this worker have waited."""
         self._waited_s[assignment_status.job, assignment_status.variable, assignment_status.term, worker] = (
             assignment_status.waited_s
         )
@@ -69,7 +69,7 @@ class CounterRegistry:
 
 
 def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int, analyses: int = 0) -> QueueDepth:
-    """Return the numbers of jobs by state, and of islands and tasks that could be computed at once.
+    """Return the number of jobs in each state, and the number of islands and tasks that could be computed now.
 
     Before its data are prepared, the number of equations of a job is unknown: the job counts with the islands of one
     equation. A job that is refined counts the same, because its batches occupy about as many workers. Waiting jobs
@@ -79,7 +79,7 @@ def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int, anal
         begun: The jobs that have begun.
         queued: Number of jobs that wait for their turn.
         ready: Number of queued jobs that wait only for their turn: neither the job nor the queue is paused.
-        places: Number of jobs that may be prepared and searched at once.
+        places: Number of jobs that may be prepared and searched at the same time.
         analyses: Number of open questions about results.
     """
     jobs = tuple(begun)
@@ -104,7 +104,7 @@ def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int, anal
 
 
 def outcomes_of(job: Job) -> list[VariableOutcome]:
-    """Return the outcomes of the searches of a job so far and its known equations, in the order of the dataset."""
+    """Return the present outcomes of a job's searches, and its known equations, in the order of the dataset."""
     if job.prepared is None:
         return []
     outcomes = {name: outcome_of(archipelago) for name, archipelago in job.archipelagos.items()}
@@ -435,7 +435,7 @@ class JobViews:
             as_it_was = {"state": ending.was, "reason": None, "fault": None}
             return self._live_view(ending.job, now).model_copy(update=as_it_was)
         if kept is not None:
-            with contextlib.suppress(ValidationError):  # otherwise another version has stored the result
+            with contextlib.suppress(ValidationError):  # if the view is not valid, another version has stored it
                 return JobView.model_validate_json(kept)
         record = self._store.job(job_id)
         if record is None:

@@ -8,22 +8,23 @@ in the same authors' surplus round robin.
 A user's *round* is the number of quanta that the user has used up. Users in the lowest round are served first, in the
 order of their arrival. A user who was idle enters the lowest round, behind the users who are in it: idle time gives no
 credit, and an excess remains a debt. The lowest round is determined only by users who want more service than they have.
-A user who already has all the service that it can use gets no credit, and owes nothing for service that no other user
-wanted. While such a user is served in an earlier round, the lowest round is one less, so that no user loses the rest of
-a quantum.
+A user who already has all the service that the user can use gets no credit, and owes nothing for service that no other
+user wanted. If such a user is still served in an earlier round, the lowest round is one less than the lowest round of
+the users who want more service, so that no user loses the rest of a quantum.
 
 **The longest wait.** Let N users have jobs, let S jobs be served at once, let Q be the quantum in seconds, and let each
-user be charged after at most t seconds. A new user with one job enters the lowest round, v. The users before it are the
-other users in round v, each with one job (the second job of a user counts one round later). Each of them leaves the
-round after at most Q + t seconds of service. Users who arrive later are behind the new user, and returning users keep
-their debts. While the new user waits, all S places are used by the users before it. So its job begins within
+user be charged after at most t seconds. A new user with one job enters the lowest round, v. The users before the new
+user are the other users in round v, each with one job (the second job of a user counts one round later). Each of them
+leaves the round after at most Q + t seconds of service. Users who arrive later are behind the new user, and returning
+users keep their debts. While the new user waits, all S places are used by these users. So the job of the new user
+begins within
 
     (N - 1) (Q + t) / S
 
-seconds, for any number of jobs of the others, and no user overtakes it before it has been served for Q. A job that
-takes c seconds of service needs k = ceil(c / Q) rounds. In these rounds each other user has at most k quanta, and is
-charged late for at most S places. So the job ends within (N - 1) (k Q + S t) / S + c seconds. Service that cannot be
-interrupted (preparing a table, computing up to the next checkpoint) is added once per round.
+seconds, for any number of jobs of the other users. No user overtakes the new user before the new user has been served
+for Q. A job that takes c seconds of service needs k = ceil(c / Q) rounds. In these rounds each other user has at most k
+quanta, and is charged late for at most S places. So the job ends within (N - 1) (k Q + S t) / S + c seconds. Service
+that cannot be interrupted (preparing a table, computing up to the next checkpoint) is added once per round.
 """
 
 from collections.abc import Collection, Iterable
@@ -37,16 +38,17 @@ states to other workers). This should be at most 3 % of a turn, as much as check
 
 AGE_S: Final = 3600.0
 """Among the jobs of one user, each step of priority is worth this number of seconds of waiting. Nearly all jobs take
-less, so that priority decides among jobs submitted together. After 20 hours a job of the lowest priority comes before a
-new job of the highest priority."""
+less time than one step is worth, so that priority decides among jobs submitted together. After 20 hours a job of the
+lowest priority comes before a new job of the highest priority."""
 
 _RUNNING_S: Final = 1e10
-"""More seconds than any age or priority is worth: running tasks come before waiting tasks."""
+"""A number of seconds that is larger than the worth of any age or priority: running tasks come before waiting tasks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """A job of a user (None: without a certificate) that has waited `since` a time in seconds, of any origin."""
+    """A job of a user (None: a user without a certificate). `since` is the time from which the job has waited, in
+    seconds from any origin."""
 
     id: str
     user: str | None
@@ -82,8 +84,8 @@ class FairShare:
         """Return the ids of jobs in the order in which they are served, in O(n log n) for n jobs.
 
         `content` are the users who have all the service that they can use now. The second job of a user counts one
-        round later than the first, as if each took a quantum. The jobs of one user are ordered by age, where each step
-        of priority is worth `AGE_S`.
+        round later than the first, as if each job took one quantum. The jobs of one user are ordered by age, where each
+        step of priority is worth `AGE_S`.
         """
         by_user: dict[str | None, list[Turn]] = {}
         for job in jobs:
@@ -121,7 +123,7 @@ class FairShare:
         return (self._round_of(share), share.number) if share is not None else (self._round, self._next_number)
 
     def _raise_round(self, users: Collection[str | None], content: Collection[str | None]) -> None:
-        """Raise the lowest round; if no user wants more, all debts are cancelled."""
+        """Raise the lowest round; if no user wants more service, all debts are cancelled."""
         wanting = [self.turn(user)[0] for user in users if user not in content]
         lowest = min(wanting) if wanting else max((self.turn(user)[0] for user in users), default=self._round)
         if wanting and any(self.turn(user)[0] < lowest for user in content):

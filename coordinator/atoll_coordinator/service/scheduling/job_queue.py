@@ -2,9 +2,9 @@
 
 A job that is prepared or searched has a *place*; refining needs no place. `FairShare` decides which jobs have places,
 and charges users for the time for which their jobs have places. A job that loses its place to the job of another user
-is *held*: its islands stop at a checkpoint, and it continues there at its user's next turn. The jobs of one user are
-ordered: jobs that have begun come first, then priority and age decide. A paused job keeps its position in the queue,
-but other jobs are started before it.
+is *held*: its islands stop at a checkpoint, and the job continues there at the next turn of its user. The jobs of one
+user are ordered: jobs that have begun come first, then priority and age decide. A paused job keeps its position in the
+queue, but other jobs are started before it.
 
 The time of a decision grows with the product of users and places, and not with the number of waiting jobs. A change of
 the queue takes O(log n) comparisons for n waiting jobs of one user.
@@ -24,7 +24,8 @@ Stage = Literal["waiting", "preparing", "searching", "held"]
 NO_TIME: Final = "waits: the task time that limits allow for a day is used up"
 
 _BEFORE_S: Final = 1e10
-"""More seconds than any age or priority is worth: jobs with a place come first, then held jobs, then waiting jobs."""
+"""A number of seconds that is larger than the worth of any age or priority: jobs with a place come first, then held
+jobs, then waiting jobs."""
 
 
 @dataclass(slots=True)
@@ -52,7 +53,7 @@ class _Entry:
 
     @property
     def key(self) -> tuple[float, int, str]:
-        """Its position among the waiting jobs of its user."""
+        """The position of the job among the waiting jobs of its user."""
         return self.asked_at - AGE_S * self.priority, self.number, self.id
 
 
@@ -67,7 +68,7 @@ class _User:
 
 @dataclass(frozen=True, slots=True)
 class SchedulingDecision:
-    """Jobs to prepare, jobs that lose their places, held jobs that get places again."""
+    """The jobs to prepare, the jobs that lose their places, and the held jobs that get places again."""
 
     take_up: tuple[str, ...] = ()
     hold: tuple[str, ...] = ()
@@ -172,7 +173,8 @@ class JobQueue:
     # ------------------------------------------------------------------------------------------ decisions
 
     def decide(self) -> SchedulingDecision:
-        """Return the changes to make now. Jobs count as held or released at once, but as started only after `begin`."""
+        """Return the changes to make now. This call already marks jobs as held or released; a job is marked as started
+        only by `begin`."""
         preparing = [entry for entry in self._holders() if entry.stage == "preparing"]
         chosen = {entry.id: entry for entry in preparing}
         busy = Counter(entry.user for entry in preparing)
@@ -261,7 +263,8 @@ class JobQueue:
         return entry is not None and entry.stage == "held"
 
     def ahead_of(self, job: str) -> int | None:
-        """Return how many waiting jobs will start before this one in the present order; None: it does not wait."""
+        """Return how many waiting jobs will start before this job in the present order; None: this job does not
+        wait."""
         entry = self._entries.get(job)
         if entry is None or entry.has_begun or entry.is_paused:
             return None
@@ -278,7 +281,7 @@ class JobQueue:
         return ahead
 
     def waiting_reason(self, job: str) -> str | None:
-        """Return a sentence on why a job without a place waits; None: it has a place, or is unknown."""
+        """Return a sentence on why a job without a place waits; None: the job has a place, or is unknown."""
         entry = self._entries.get(job)
         if entry is None or entry.stage in ("preparing", "searching"):
             return None

@@ -38,7 +38,7 @@ MAX_RUNNING: Final = 4
 """Default number of jobs that are prepared or searched: each has its table and fronts in memory."""
 
 MAX_QUEUED: Final = 100_000
-"""Default number of waiting jobs: each takes 11 kB of memory, and none slows down the loop."""
+"""Default number of waiting jobs: each takes 11 kB of memory; waiting jobs do not slow down the loop."""
 
 DAY_S: Final = 86_400.0
 """A day of service: the task time is reset whenever the store has been served for this number of seconds."""
@@ -117,14 +117,16 @@ class Limits(Frozen):
     time: Times = Times()
 
     def of(self, user: str | None) -> Allowance:
-        """Return the limits of a user: its own limits, and elsewhere the general limits of users."""
+        """Return the limits of a user: the user's own limits, and the general limits of users where the user has
+        none."""
         own = self.users.get(user) if user is not None else None
         if own is None:
             return self.user
         return self.user.model_copy(update=own.model_dump(exclude_unset=True))
 
     def with_time(self, config: JobConfig) -> JobConfig:
-        """Return a job's configuration with its time limit; raises RefusedError if it asks for more than allowed."""
+        """Return a job's configuration with its time limit; raises RefusedError if the job asks for more time than
+        allowed."""
         asked, most = config.budget.max_time, self.time.most
         if asked is not None and most is not None and asked > most:
             raise RefusedError(

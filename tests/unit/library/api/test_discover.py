@@ -12,7 +12,7 @@ import pytest
 from atoll.api import discover
 from atoll.api import discover as session
 from atoll.api.discover import config_of
-from atoll.cli.options import build_parser, parse
+from atoll.cli.parser import build_parser, parse
 from atoll.cli.request import config_of as configure
 from atoll_core.errors import AtollError, RefusedError, UsageError
 from atoll_core.wire.messages.views import JobView

@@ -13,7 +13,7 @@ import pytest
 from atoll.cli import main as entry
 from atoll.cli.exit_codes import exit_code_and_reason
 from atoll.cli.main import main
-from atoll.cli.options import VERBS, build_parser, parse
+from atoll.cli.parser import VERBS, build_parser, parse
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.errors import AtollError, DataError, StoreError, UnreachableError, UsageError
 from atoll_core.wire.messages.views import VariableView

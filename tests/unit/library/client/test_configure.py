@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.cli.options import job_id, parse
+from atoll.cli.parser import job_id, parse
 from atoll.cli.request import config_of as configure
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, PRESETS, JobConfig
 from atoll_core.errors import UsageError

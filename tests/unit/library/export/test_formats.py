@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from atoll.api.model import Model
-from atoll.cli.options import EXPORT_FORMATS
+from atoll.cli.parser import EXPORT_FORMATS
 from atoll.export.formats import LANGUAGES, NAMES
 from atoll.model.arguments import times_of
 from atoll_core.errors import UsageError

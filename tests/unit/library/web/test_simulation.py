@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from atoll.client.options import OPTIONS
+from atoll.client.job_options import OPTIONS
 from atoll.text.render import pick
-from atoll.web.options import LABELS
+from atoll.web.page_options import LABELS
 from atoll.web.pictures import progress, simulation_of
 from atoll_coordinator.result.result import Result
 from tests.unit.library.report.results import dynamics, regression

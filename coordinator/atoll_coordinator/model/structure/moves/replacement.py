@@ -1,4 +1,4 @@
-"""Replacement of one node of a program by an expression, which every structural move uses."""
+"""Replace one node of a program with an expression. Every structural move uses this replacement."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Final
@@ -32,7 +32,8 @@ def replace_nodes(nodes: list[Node], replacements: Mapping[int, Expression]) -> 
 def replace_each(
     program: Program, nodes: list[Node], operators: Collection[int], replacements: Callable[[int], Iterable[Expression]]
 ) -> Iterator[Program]:
-    """Yield the programs in which one node is replaced by one of its `replacements`, collected; each structure once.
+    """Yield, as sums of products, the programs in which one node is replaced by one of its `replacements`. Each
+    structure is yielded once.
 
     Args:
         program: the program to be changed, which is not yielded.

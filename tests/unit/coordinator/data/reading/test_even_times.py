@@ -5,7 +5,7 @@ import shlex
 
 import pytest
 
-from atoll.cli.options import parse
+from atoll.cli.parser import parse
 from atoll.cli.request import config_of
 from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.reading.files import read_table

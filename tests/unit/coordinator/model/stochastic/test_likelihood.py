@@ -1,7 +1,7 @@
 import numpy as np
 
 from atoll_coordinator.model.stochastic.likelihood import ProcessLikelihood, ProcessModel
-from atoll_coordinator.stochastic.moments import step_moments
+from atoll_coordinator.process_steps.moments import predict_step_moments
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.stochastic.processes import model_of, ornstein_uhlenbeck, steps_of
 
@@ -24,7 +24,7 @@ def test_with_errors_of_measurement_it_is_that_of_all_rows_together() -> None:
     states = ornstein_uhlenbeck(40, 0.1, seed=2, noise=0.2)
     model = model_of("-1*x", "0.25", noise=0.04)
     steps = steps_of(states[None], 0.1)
-    moments = step_moments(model.drift, {(0, 0): model.diffusion[0]}, steps.points, steps.lengths)
+    moments = predict_step_moments(model.drift, {(0, 0): model.diffusion[0]}, steps.points, steps.lengths)
     decay, variance = float(moments.jacobian[0, 0, 0]), float(moments.covariance[0, 0, 0])
     move = np.eye(39, 40, 1) - decay * np.eye(39, 40)
     covariance = variance * np.eye(39) + 0.04 * move @ move.T

@@ -3,7 +3,7 @@ import numpy as np
 from atoll_coordinator.data.increments import take_steps
 from atoll_coordinator.data.recording import ProcessRecording, SampledPath
 from atoll_coordinator.model.stochastic.path_ensembles import simulate_ensemble, simulate_stationary_density
-from atoll_coordinator.stochastic.paths import Simulator
+from atoll_coordinator.process_steps.paths import Simulator
 from tests.unit.coordinator.model.stochastic.processes import model_of, ornstein_uhlenbeck
 
 

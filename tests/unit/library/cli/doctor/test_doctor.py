@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from atoll.cli import doctor
-from atoll.cli import options as arguments
+from atoll.cli import parser as arguments
 from atoll.cli.doctor import Diagnosis, as_text, as_tree, check_data, fine
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store

@@ -434,7 +434,12 @@ def noisy(tmp_path: Path) -> Path:
         ("found", "suggest", "--rival x", "--rival must be dx=EXPR"),
         ("found", "suggest", "--rival ;", "--rival must be dx=EXPR, but an empty text was given"),
         ("found", "suggest", "--rival dx=z", "z"),
-        ("exportable", "export", "--format petab", "petab is a folder of several files; name it with -o FOLDER"),
+        (
+            "exportable",
+            "export",
+            "--format petab",
+            "petab is a folder of several files; name the folder with -o FOLDER",
+        ),
         (
             "exportable",
             "export",

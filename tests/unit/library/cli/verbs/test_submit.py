@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from atoll.cli.options import parse
+from atoll.cli.parser import parse
 from atoll.cli.request import JobRequest, request_of
 from atoll.cli.result_files import refuse_existing_result, write_result
 from atoll.cli.verbs.submit import next_step

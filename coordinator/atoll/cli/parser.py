@@ -1,7 +1,7 @@
 """The command line: one table (`VERBS`) with the module, help and arguments of every verb, its parser, and functions
 that convert values which argparse does not convert.
 
-It has only light imports, because ``--help`` must be instant. `atoll.client.options` declares the options of a job.
+It has only light imports, because ``--help`` must be instant. `atoll.client.job_options` declares the options of a job.
 """
 
 import argparse
@@ -11,7 +11,7 @@ import uuid
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NoReturn, TypeVar
 
-from atoll.client.options import GROUPS, MOST_WORKERS
+from atoll.client.job_options import GROUPS, MOST_WORKERS
 from atoll_core.command_line import (
     SHELLS,
     Parser,
@@ -177,7 +177,8 @@ def _keep(text: str) -> tuple[int | None, int | None]:
 _JSON: Final = _switch("--json", "print JSON")
 _CONNECT: Final = (
     _value(
-        "--connect", "tcp/HOST:PORT", "address of the coordinator, or several as a,b (default: $ATOLL_CONNECT)",
+        "--connect", "tcp/HOST:PORT",
+        "address of the coordinator, or several addresses separated by commas (default: $ATOLL_CONNECT)",
     ),
     add_tls_options,
 )  # fmt: skip
@@ -191,7 +192,7 @@ _STATE: Final = _value(
 _SERVICE: Final = (
     _value(
         "--connect-file", "FILE",
-        "write the addresses to connect to into this file, once they are ready; for island-worker --connect-file",
+        "write the addresses for workers and clients into this file when ready; for island-worker --connect-file",
     ),
     add_tls_options,
     _value("--roster", "FILE", 'roles of the names in certificates (TOML: lab1 = "worker")'),
@@ -203,7 +204,7 @@ _JOB: Final = (
     _switch("--report", "also write the result as a page, report.html"),
     _value("--name", "NAME", "a label for lists of jobs (default: the first file's name)"),
     _value("--id", "ID", "the job's id (default: random)"),
-    _value("--config", "job.toml", "a file with the same settings; options override it"),
+    _value("--config", "job.toml", "a file with settings of the job; options override these settings"),
     _switch("--dry-run", "show how the data are read and the plan of the search; start nothing"),
     *(_job_options(heading) for heading in GROUPS),
 )
@@ -251,8 +252,9 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _STATE,
         _value(
             "--keep", "AGE,SIZE", type=_keep, default="90d,8G",
-            text="keep ended jobs for this time (30m, 12h, 90d) and up to this total size (500M, 8G); older jobs are "
-            "deleted, the oldest first; one of the two may be left out, and `all` keeps all (default: %(default)s)",
+            text="keep ended jobs for this time (30m, 12h, 90d) and up to this total size (500M, 8G); beyond these "
+            "limits, the oldest jobs are deleted; one of the limits may be left out; `all` keeps all jobs (default: "
+            "%(default)s)",
         ),
         _switch(
             "--standby",
@@ -266,9 +268,9 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
             "--http", "HOST:PORT", "also start coordinator web here, such as 127.0.0.1:7480 (default: not started)",
             type=_host_and_port,
         ),
-        _value("--http-users", "FILE", "like --users of coordinator web; required for --http with --roster"),
+        _value("--http-users", "FILE", "like --users of coordinator web; required if --http and --roster are given"),
         *_SERVICE,
-        _value("--limits", "FILE", "limits of users (TOML; SIGHUP reads it again, like --roster)"),
+        _value("--limits", "FILE", "limits of users (TOML); SIGHUP makes serve read this file and --roster again"),
         _value(
             "--wait", "SECONDS", "how long to wait for --router (default: %(default)g)",
             type=seconds, default=10.0,
@@ -367,7 +369,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         *_of_coordinator("only workers with names that begin with this text"),
         _switch("--coordinator", "show the coordinator's own counters"),
     )),
-    "result": ("verbs.results", "print the equations of a job; while it runs, the best so far", (
+    "result": ("verbs.results", "print the equations of a job; for a running job, the best equations so far", (
         *_of_coordinator("id or its beginning, or PATH/result.json", nargs=None),
         _value("--format", None, "form of the output (default: text)", choices=_RESULT_FORMATS),
         _PICK,
@@ -438,14 +440,18 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
     "analyse": ("verbs.results", "fixed points, limit cycles, basins and bifurcations of the model of a result", (
         _RESULT,
         *_CONNECT,
-        _repeatable("--box", "x=0:3", "bounds of a state (default: the measured range and half its width per side)"),
+        _repeatable(
+            "--box", "x=0:3",
+            "bounds of a state (default: the measured range, extended on each side by half of its width)",
+        ),
         _GROUP,
         _HOLD,
         _switch("--identifiability", "show which constants the data determine, by profile likelihood"),
         _DATA,
         _value(
             "--parameter", "c1",
-            "parameter to vary: a constant, several in a fixed ratio (c1,c2), a coefficient (y:x*y in dy/dt), an input",
+            "parameter to vary: a constant, several constants in a fixed ratio (c1,c2), a coefficient (y:x*y in dy/dt),"
+            " or an input",
         ),
         _value("--range", "A:B", "range of --parameter"),
         _OUTPUT,
@@ -474,7 +480,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _value("--count", "N", "number of experiments (default: 3)", default="3"),
         _repeatable(
             "--rival", "dx=EXPR",
-            "an alternative system, its equations separated by ';'; its constants are fitted",
+            "the equations of an alternative system, separated by ';'; their constants are fitted",
         ),
         _value("--seed", "S", "random seed for the trial experiments (default: 0)", default="0"),
         _DATA,

@@ -1,7 +1,7 @@
 import numpy as np
 from scipy import linalg
 
-from atoll_coordinator.stochastic.moments import step_moments
+from atoll_coordinator.process_steps.moments import predict_step_moments
 from atoll_core.expression.text.parsing import from_infix
 
 
@@ -9,7 +9,7 @@ def test_a_step_of_ornstein_and_uhlenbeck_is_their_transition_density_to_third_o
     drift, diffusion = from_infix("-2*x", ["x"]), from_infix("0.25", ["x"])
     points = np.array([[1.0, 1.0, -3.0]])
     steps = np.array([0.01, 0.1, 0.1])
-    moments = step_moments([drift], {(0, 0): diffusion}, points, steps)
+    moments = predict_step_moments([drift], {(0, 0): diffusion}, points, steps)
     mean, variance = points[0] * (np.exp(-2.0 * steps) - 1.0), 0.25 * (1.0 - np.exp(-4.0 * steps)) / 4.0
     assert np.allclose(moments.mean[0], mean, rtol=(2.0 * 0.1) ** 3 / 20.0)
     assert np.allclose(moments.covariance[0, 0], variance, rtol=(2.0 * 0.1) ** 3 / 4.0)
@@ -19,7 +19,7 @@ def test_a_step_of_ornstein_and_uhlenbeck_is_their_transition_density_to_third_o
 def test_a_step_of_geometric_brownian_motion_is_right_to_second_order() -> None:
     names = ["x"]
     points, step = np.array([[0.5, 2.0]]), 0.05
-    moments = step_moments(
+    moments = predict_step_moments(
         [from_infix("0.3*x", names)], {(0, 0): from_infix("0.16*x*x", names)}, points, np.full(2, step)
     )
     x = points[0]
@@ -33,7 +33,7 @@ def test_a_step_of_geometric_brownian_motion_is_right_to_second_order() -> None:
 def test_noise_that_acts_on_a_velocity_alone_reaches_the_position() -> None:
     """The covariance of x' = v, dv = s dW is s^2 (h^3/3, h^2/2; h^2/2, h), which Euler's is not."""
     names = ["x", "v"]
-    moments = step_moments(
+    moments = predict_step_moments(
         [from_infix("v", names), from_infix("0*v", names)],
         {(1, 1): from_infix("4", names)},
         np.zeros((2, 1)),
@@ -47,7 +47,7 @@ def test_noise_reaches_a_state_two_equations_away_without_a_singular_covariance(
     """Of x' = v, v' = a, da = dW it is that of Brownian motion integrated: h^5/20, h^4/8, h^3/6 in its first row."""
     names, step = ["x", "v", "a"], 0.1
     drift = [from_infix(text, names) for text in ("v", "a", "0*a")]
-    moments = step_moments(drift, {(2, 2): from_infix("1", names)}, np.zeros((3, 1)), np.array([step]))
+    moments = predict_step_moments(drift, {(2, 2): from_infix("1", names)}, np.zeros((3, 1)), np.array([step]))
     assert np.allclose(moments.covariance[0, :, 0], [step**5 / 20.0, step**4 / 8.0, step**3 / 6.0], rtol=1e-12)
     assert np.linalg.eigvalsh(moments.covariance[:, :, 0]).min() > 0.0
 
@@ -59,7 +59,7 @@ def test_what_other_states_leave_of_a_state_two_equations_away_is_right() -> Non
     block = linalg.expm(step * np.block([[-jacobian, noise], [np.zeros((3, 3)), jacobian.T]]))
     exact = np.linalg.inv(block[3:, 3:].T @ block[:3, 3:])
     drift = [from_infix(text, names) for text in ("v", "-x - 0.5*v", "x - w")]
-    moments = step_moments(drift, {(1, 1): from_infix("0.25", names)}, np.zeros((3, 1)), np.array([step]))
+    moments = predict_step_moments(drift, {(1, 1): from_infix("0.25", names)}, np.zeros((3, 1)), np.array([step]))
     assert np.allclose(np.linalg.inv(moments.covariance[:, :, 0]), exact, rtol=0.01)
 
 
@@ -71,7 +71,7 @@ def test_what_the_drift_alone_moves_is_right_to_fourth_order() -> None:
     for _ in range(20_000):
         half_x, half_v = x + 0.5 * v * 5e-6, v + 0.5 * (x - x**3 - 0.5 * v) * 5e-6
         x, v = x + half_v * 5e-6, v + (half_x - half_x**3 - 0.5 * half_v) * 5e-6
-    moments = step_moments(drift, noise, begins, np.array([0.1]))
+    moments = predict_step_moments(drift, noise, begins, np.array([0.1]))
     assert np.allclose(moments.mean[:, 0], [x - 0.8, v - 0.3], atol=1e-7)
 
 
@@ -79,14 +79,14 @@ def test_a_negative_diffusion_is_none_though_the_covariance_of_a_step_is_positiv
     names = ["x", "v"]
     drift = [from_infix(text, names) for text in ("v", "0*v")]
     noise = {(0, 0): from_infix("-1e-6", names), (1, 1): from_infix("0.25", names)}
-    moments = step_moments(drift, noise, np.zeros((2, 1)), np.array([0.1]))
+    moments = predict_step_moments(drift, noise, np.zeros((2, 1)), np.array([0.1]))
     assert not np.isfinite(moments.covariance).any()
 
 
 def test_a_step_of_euler_and_maruyama_carries_no_noise_from_state_to_state() -> None:
     names = ["x", "v"]
     drift, noise = [from_infix(text, names) for text in ("v", "-x")], {(1, 1): from_infix("4", names)}
-    moments = step_moments(drift, noise, np.array([[1.0], [3.0]]), np.array([0.1]), "Euler-Maruyama")
+    moments = predict_step_moments(drift, noise, np.array([[1.0], [3.0]]), np.array([0.1]), "Euler-Maruyama")
     assert np.allclose(moments.mean[:, 0], [0.3, -0.1])
     assert np.allclose(moments.covariance[:, :, 0], [[0.0, 0.0], [0.0, 0.4]])
     assert np.allclose(moments.jacobian[:, :, 0], [[1.0, 0.1], [-0.1, 1.0]])

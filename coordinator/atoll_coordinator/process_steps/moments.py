@@ -30,7 +30,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.stochastic import Discretisation
+from atoll_coordinator.process_steps import Discretisation
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.derivative import derivative, with_variables
 from atoll_core.expression.evaluation import NUMPY, function_of, values_of
@@ -58,7 +58,7 @@ class StepMoments:
     jacobian: FloatArray
 
 
-def step_moments(
+def predict_step_moments(
     drift: Sequence[Program],
     diffusion: Mapping[Pair, Program],
     points: FloatArray,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.stochastic.moments import StepMoments, factors_of
+from atoll_coordinator.process_steps.moments import StepMoments, factors_of
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
 

@@ -1,7 +1,7 @@
 import numpy as np
 
-from atoll_coordinator.stochastic.moments import StepMoments, step_moments
-from atoll_coordinator.stochastic.paths import Ensemble, Simulator, divided
+from atoll_coordinator.process_steps.moments import StepMoments, predict_step_moments
+from atoll_coordinator.process_steps.paths import Ensemble, Simulator, divided
 from atoll_core.expression.text.parsing import from_infix
 
 
@@ -18,7 +18,7 @@ def test_a_state_without_noise_in_a_step_follows_the_drift_alone() -> None:
     drift, noise = [from_infix(text, names) for text in ("v", "-x")], {(1, 1): from_infix("4", names)}
 
     def moments(points: np.ndarray, lengths: np.ndarray) -> StepMoments:
-        return step_moments(drift, noise, points, lengths, "Euler-Maruyama")
+        return predict_step_moments(drift, noise, points, lengths, "Euler-Maruyama")
 
     simulator = Simulator(moments, np.random.default_rng(1))
     simulated_paths = simulator.paths(np.ones((2, 400)), np.zeros((0, 2)), np.full(2, 0.25))

@@ -6,7 +6,7 @@ from pathlib import PurePath
 from typing import Any, Final
 
 from atoll.client.configure import configure
-from atoll.client.options import GROUPS, OPTIONS, Repeated
+from atoll.client.job_options import GROUPS, OPTIONS, Repeated
 from atoll_core.config import JobConfig
 from atoll_core.errors import UsageError
 
