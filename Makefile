@@ -23,11 +23,11 @@ help:
 	@echo "             make soak SCHEDULES=10000 CASES=10000"
 	@echo "make bench   the short benchmarks; benchmarks/RESULTS.md has the long ones"
 	@echo "             with STROGATZ=folder also the label files there"
-	@echo "make compare REVISION=v0.1.0   quick benchmarks of this tree beside another revision, in turn, ten minutes:"
+	@echo "make compare REVISION=v0.1.0   quick benchmarks of this tree and of another revision in turn, ten minutes:"
 	@echo "             times, ratios, digests; also OTHER=revision MINUTES=5 ROUNDS=1 STROGATZ=folder ONLY=name"
 	@echo "             RESULTS=1: sixty small jobs instead, compared in all that is written and printed; or once"
-	@echo "             make compare RECORD=file, which goes on with it, and later make compare AGAINST=file"
-	@echo "make judge   refine 127 stored pools again: right forms, grades, seconds beside the reference, under ten minutes;"
+	@echo "             make compare RECORD=file (continues if the file exists), and later make compare AGAINST=file"
+	@echo "make judge   refine 128 stored pools again: right forms, grades and seconds next to the reference, under ten minutes;"
 	@echo "             with TABLES=folder REAL=folder also the tables there; ACCEPT=1 writes the reference anew"
 	@echo "make figures STROGATZ=folder DYSTS=folder   measure again what README and docs quote, about 100 minutes;"
 	@echo "             QUICK=1 few seeds, half an hour; MINUTES=35 a bound; then python -m benchmarks.figures quote"
@@ -65,7 +65,7 @@ test-all: $(STAMP)
 	@$(BIN)/python -m tests.kernels --generic
 	@$(PYTEST)
 
-# Against the wheel in an environment of its own, beside a foreign package `common`; also with options of pytest in WORDS.
+# Against the wheel in a separate environment, next to a foreign package `common`; also with options of pytest in WORDS.
 test-wheel: $(STAMP) kernels
 	@$(BIN)/python -m tests.wheel -n $(AT_A_TIME) --dist loadfile $(WORDS)
 

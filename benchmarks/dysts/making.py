@@ -34,7 +34,10 @@ _MOST_CALLS: Final = 400_000
 def make(folder: Path, names: Iterable[str], seed: int, say: Callable[[str], None]) -> None:
     """Write ``NAME.npz`` for each flow into `folder`, unless it is there."""
     folder.mkdir(parents=True, exist_ok=True)
-    module = importlib.import_module("dysts.flows")
+    try:
+        module = importlib.import_module("dysts.flows")
+    except ImportError as error:
+        raise SystemExit(f"the package dysts is missing ({error}); pip install dysts sympy") from error
     for name in names:
         path = folder / f"{name}.npz"
         if path.exists():

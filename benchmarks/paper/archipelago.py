@@ -13,7 +13,7 @@ import numpy as np
 from atoll_core.config import JobConfig, Preset
 from atoll_core.data.dataset import FloatArray, Problem, Target
 from atoll_core.search.pareto import FrontEntry
-from atoll_island_worker.evolution.island import Island, reshuffle
+from atoll_island_worker.evolution.island import Island, reshuffle_without_blocks
 from benchmarks.harness import jobs
 
 TERMINALS: Final = 7
@@ -68,7 +68,7 @@ class Archipelago:
         """
         while True:
             yield from self._epoch(generations)
-            reshuffle(self.islands)
+            reshuffle_without_blocks(self.islands)
 
     def _epoch(self, generations: int) -> Iterator[Stride]:
         seen = [0] * len(self.islands)

@@ -58,7 +58,8 @@ FOLDERS: Final = (
         verb(
             "settings", "halve and double each setting, and count the changes", workers(),
             option("--stages", nargs="+", default=[], metavar="STAGE", help="such as selection; default: all"),
-            option("--pools", type=whole, default=12, help="drawn pools, the quickest of each kind (%(default)d)"),
+            option("--only", nargs="+", default=[], metavar="WORD", help="drawn pools, by parts of their titles"),
+            option("--pools", type=whole, default=12, help="else the quickest drawn pools of each kind (%(default)d)"),
             option("--out", type=Path, metavar="FILE", help="file of lines, gone on with if it exists"),
         ),
         verb(
@@ -95,7 +96,8 @@ def main(options: Namespace) -> int:
 
 def _try_settings(options: Namespace) -> int:
     reference = read_reference(REFERENCE)
-    wanted = sample(reference, options.pools, 5.0)
+    named = [title for title in titles() if any(word in title for word in options.only)]
+    wanted = named or sample(reference, options.pools, 5.0)
     before = with_settings("", wanted, options.workers)
     baseline = {one.title: one for one in before}
     heads = ("setting", "right, gained", "lost", "grades changed", "newly false", "failed", "seconds, ratio")

@@ -29,7 +29,7 @@ class CommonSettings:
     """Noise or uncertainty below this share counts as zero: bias and rounding of noise-free data are about as large."""
     fewest_rows: int = 5
     """Fewest rows of a differentiated trajectory, of a span, and of any search: four rows determine a cubic, one more
-    tests it."""
+    tests it. An odd number, since it is the shortest span of a smoother."""
     few_values: int = 8
     """Fewest distinct values of a column: with fewer values, a pattern such as a common step is often due to chance."""
     significant: float = 3.0

@@ -1,8 +1,8 @@
 """Derivatives of programs, as programs: reverse-mode differentiation with the table of operators.
 
-The partial derivatives of the table are called with nodes of a program under construction; arithmetic on these nodes
-adds further nodes. For derivatives with respect to constants, replace the constants by variables first, see
-`with_variables`.
+The table has functions for the partial derivatives. These functions are called with nodes of an unfinished program;
+arithmetic on these nodes adds further nodes. For derivatives with respect to constants, replace the constants by
+variables first, see `with_variables`.
 """
 
 from collections.abc import Callable
@@ -18,8 +18,8 @@ from atoll_core.expression.program import Program, ProgramBuilder, constant_plac
 def derivative(program: Program, variable: int) -> Program:
     """Return the derivative with respect to the input variable of this index; 0 if the program does not contain it.
 
-    The derivative may contain `PARTIAL_OPERATORS`, and more nodes than a message allows. It has no finite value where a
-    partial derivative in the table of operators has none.
+    The derivative may contain `PARTIAL_OPERATORS`, and more nodes than a message allows. The derivative is not finite
+    where a partial derivative in the table of operators is not finite.
     """
     draft = _DerivativeDraft()
     output = draft.copy(program.nodes())[-1]
@@ -41,7 +41,8 @@ def derivative(program: Program, variable: int) -> Program:
 
 
 def with_variables(program: Program, first: int) -> Program:
-    """Return `program` with variables instead of its constants, with indices from `first` on in node order."""
+    """Return `program` with its constants replaced by variables. The new variables have the indices `first`, `first` +
+    1, ... in node order."""
     operators, left, constants = program.operators.copy(), program.left.copy(), program.constants.copy()
     places = constant_places(program)
     operators[places], left[places], constants[places] = op.VARIABLE, range(first, first + len(places)), 0.0
@@ -49,9 +50,9 @@ def with_variables(program: Program, first: int) -> Program:
 
 
 class _DerivativeDraft(ProgramBuilder):
-    """A program under construction without factors equal to 1, double signs and operators on constants.
+    """An unfinished program.
 
-    Every bit of the values stays the same.
+    Factors equal to 1, double signs and operators on constants are left out; this does not change a bit of the values.
     """
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
@@ -112,7 +113,8 @@ _OPERATORS: Final = {**definitions(_FUNCTIONS), **partial_definitions(_FUNCTIONS
 
 
 def _share(part: _Part, partial: Partial, a: _Part, b: _Part, v: _Part) -> _Part:
-    """Return the adjoint of an operator, `part`, times a partial derivative: a part of the adjoint of an argument."""
+    """Return `part`, the adjoint of an operator, times a partial derivative. The product is a part of the adjoint of an
+    argument."""
     for factor in partial.factors:
         part = part * factor(a, b, v)
     if partial.divisor is not None:

@@ -1,7 +1,8 @@
-"""Values of programs and their derivatives with respect to constants: by numpy on all rows, or as a Python function.
+"""Values of programs, and their derivatives with respect to constants: computed by numpy on all rows, or by a Python
+function.
 
-For use after the search, where the last bit does not matter; the search uses `atoll_core.expression.kernels.tape`.
-Letters: N nodes, R rows, K constants.
+This module is for the work after the search, which does not depend on the last bit. The search uses
+`atoll_core.expression.kernels.tape`. Letters: N nodes, R rows, K constants.
 """
 
 import math
@@ -25,7 +26,7 @@ from atoll_core.expression.program import Program, ProgramBuilder, dependent_nod
 
 
 def _periodic(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatArray], FloatArray]:
-    """Return sine or cosine as in programs: NaN beyond `TRIGONOMETRIC_LIMIT`."""
+    """Return the sine or cosine function of programs: its value is NaN for arguments beyond `TRIGONOMETRIC_LIMIT`."""
     return lambda a: np.where(np.abs(a) > TRIGONOMETRIC_LIMIT, np.nan, function(a))
 
 
@@ -44,13 +45,14 @@ DEFINITIONS: Final = {**definitions(NUMPY), **partial_definitions(NUMPY)}
 
 
 def value_of(code: int, left: float, right: float) -> float:
-    """Return the value of operator `code`; NaN or infinity if it has no finite value."""
+    """Return the value of operator `code`. If there is no finite value, return NaN or infinity."""
     with np.errstate(all="ignore"):
         return float(DEFINITIONS[code].value(np.array([left]), np.array([right]))[0])
 
 
 def values_of(program: Program, inputs: FloatArray) -> FloatArray:
-    """Return the values of `program` at all rows of `inputs` (V, R), shape (R,); NaN or infinity where undefined."""
+    """Return the values of `program` at all rows of `inputs` (V, R), with the shape (R,). Values that are not defined
+    are NaN or infinity."""
     return node_values(program, inputs)[-1]
 
 
@@ -72,7 +74,7 @@ def node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
 def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
     """Return the values (R,), and d(output)/d(constant) (K, R) for the K constants at the indices `places`.
 
-    One reverse sweep gives all derivatives; NaN or infinity where a derivative does not exist.
+    One reverse sweep computes all derivatives. A derivative that does not exist is NaN or infinity.
     """
     values = node_values(program, inputs)
     nodes = program.nodes()
@@ -100,15 +102,17 @@ def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[i
 
 
 _LONGEST: Final = 200
-"""Longest text of a part without a name: Python reads at most 200 nested brackets."""
+"""A part with a longer text gets a name of its own: Python reads at most 200 nested brackets."""
 
 
 def function_of(programs: Sequence[Program], variables: int, functions: Functions) -> Callable[..., tuple[Any, ...]]:
-    """Return a function of this many variables (numbers or arrays) that returns the values of `programs`.
+    """Return a function that returns the values of `programs`.
 
-    It raises the errors of `functions` and of divisions where there is no value.
+    Its arguments are the values of `variables` variables, numbers or arrays. If there is no value, it raises the error
+    of the division or of the function in `functions`.
     """
-    # Any, because the types depend on the arguments and on `functions`, and the text is compiled here.
+    # The type is `Any`, because the types depend on the arguments and on `functions`, and the text is only compiled
+    # here.
     builder = ProgramBuilder()
     outputs = [builder.copy(program.nodes())[-1] for program in programs]
     uses = Counter(argument for code, *pair, _ in builder.nodes for argument in pair[: ARITY[code]]) + Counter(outputs)

@@ -1,7 +1,8 @@
-"""A program as an operation list of a given shape and given operators, to put a user's guess into a population.
+"""Writes a program as an operation list of a given shape with given operators, so that a user's guess can be put into a
+population.
 
-An operation list begins with its terminals and ends with its output. Guesses contain squares, minus signs and quotients
-that may not be among the operators of a job; these operators are replaced by other operators where possible. Pure.
+An operation list begins with its terminals and ends with its output. The operators of a job may not include the
+squares, minus signs and quotients of a guess; if possible, these are replaced by other operators. Pure.
 """
 
 from collections.abc import Collection, Sequence
@@ -16,7 +17,7 @@ from atoll_core.expression.text.parsing import from_infix
 
 @dataclass(frozen=True, slots=True)
 class PlacedNode:
-    """Node `index` of a list; for terminals and operators `left` and `right` are as in `Program`."""
+    """Node `index` of a list. `left` and `right` have the same meaning as in `Program`."""
 
     index: int
     code: int
@@ -30,7 +31,7 @@ def placed_text(
 ) -> tuple[PlacedNode, ...]:
     """Return the nodes of a list that computes `text` over the symbols `names`, see `placed`.
 
-    Every number becomes a separate constant; if there is no room, equal numbers share one constant.
+    Every number becomes a separate constant. If the list has too few nodes for this, equal numbers share one constant.
 
     Raises:
         UsageError: the text cannot be read or placed.
@@ -42,13 +43,15 @@ def placed_text(
 
 
 def placed(program: Program, operators: Collection[int], terminals: int, operator_nodes: int) -> tuple[PlacedNode, ...]:
-    """Return the nodes of a list that has the values of `program` with these operators, up to rounding.
+    """Return the nodes of a list with these operators. The values of the list are the values of `program`, up to
+    rounding.
 
-    A list has `terminals` nodes for variables and constants and then `operator_nodes`, the last of which is the output.
-    Terminals are placed at its beginning, operators at its end; the caller fills the nodes between.
+    A list has `terminals` nodes for variables and constants, then `operator_nodes` nodes for operators; its last node
+    is the output. Terminals are placed at the beginning of the list, operators at its end. The caller fills the nodes
+    between them.
 
     Raises:
-        UsageError: other operators or more nodes are needed; the sentence has no subject: ``has 30 operators, …``.
+        UsageError: other operators or more nodes are needed. The message has no subject, as in ``has 30 operators, …``.
     """
     nodes = _Rewriting(frozenset(operators)).rewritten(simplify_program(program, merges_constants=False))
     leaves = [index for index, node in enumerate(nodes) if not op.ARITY[node[0]]]
@@ -66,7 +69,7 @@ def placed(program: Program, operators: Collection[int], terminals: int, operato
 
 
 class _Rewriting(ProgramBuilder):
-    """Builds a program with the allowed operators; each constant of the original stays a separate node."""
+    """Builds a program with the allowed operators. Each constant of the original program has a separate node."""
 
     def __init__(self, operators: frozenset[int]) -> None:
         super().__init__()
@@ -87,7 +90,7 @@ class _Rewriting(ProgramBuilder):
         return live_nodes(self.nodes, output)
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
-        """Return the index of a node with the value of an operator, by other operators if necessary."""
+        """Return the index of a node that has the value of an operator. If necessary, other operators are used."""
         if code in self._operators:
             return self.add(code, left, right)
         node = self._substitute(code, left, right)
@@ -99,7 +102,8 @@ class _Rewriting(ProgramBuilder):
         return node
 
     def _substitute(self, code: int, left: int, right: int) -> int | None:
-        """Return a node with the value of an operator that is not allowed; None: it cannot be replaced."""
+        """Return a node that has the value of an operator that is not allowed. None: the operator cannot be
+        replaced."""
         match op.OPERATORS[code].name:
             case "square":
                 return self._product(left, left)
@@ -133,7 +137,7 @@ class _Rewriting(ProgramBuilder):
 
     def _negated(self, node: int) -> int | None:
         value = self._value(node)
-        if value is not None:  # a new constant, which is fitted separately from equal constants
+        if value is not None:  # a new constant: it is fitted separately, even if others are equal
             return self.append(op.CONSTANT, value=-value)
         if op.NEGATE in self._operators:
             return self.add(op.NEGATE, node)

@@ -1,9 +1,9 @@
 """A program: one expression as a list of operations. Fronts hold programs, and messages carry them.
 
-Each node refers to earlier nodes only, so that a program is an acyclic graph that can always be evaluated; the last
-node is the output. In a `Program` the output depends on every node. The lists of the search, which also have unused
-nodes, are in `atoll_island_worker.evolution`. `ProgramBuilder` makes programs node by node; a subclass may override
-`operate`, through which all operators are added, to simplify on the way.
+Each node refers to earlier nodes only, so a program is an acyclic graph that can always be evaluated. The last node is
+the output. In a `Program` the output depends on every node. The lists of the search, which also have unused nodes, are
+in `atoll_island_worker.evolution`. `ProgramBuilder` makes programs node by node. All operators are added by its method
+`operate`; a subclass may override this method to simplify the program.
 """
 
 import struct
@@ -20,16 +20,17 @@ from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, OPER
 MAX_NODES = 240
 
 Node = tuple[int, int, int, float]
-"""Operator code, arguments (or the variable's index; 0 where there is none), value of a constant."""
+"""Four numbers: the code of the operator, its two arguments, and the value of a constant. For a variable, the first
+argument is the variable's index; a missing argument is 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
     """Operation list of N nodes.
 
-    `operators`: (N,) int8 codes. `left`, `right`: (N,) int16; for VARIABLE `left` is the index of the input variable,
-    for CONSTANT both are 0, for operators they are indices of earlier nodes (`right` is 0 when unary).
-    `constants`: (N,) float64, the value at CONSTANT nodes and 0.0 elsewhere.
+    `operators`: (N,) int8 codes. `left`, `right`: (N,) int16; for VARIABLE, `left` is the index of the input variable.
+    For CONSTANT, both are 0. For operators, they are indices of earlier nodes (`right` is 0 for a unary operator).
+    `constants`: (N,) float64, the values of CONSTANT nodes, and 0.0 for other nodes.
     """
 
     operators: npt.NDArray[np.int8]
@@ -39,12 +40,12 @@ class Program:
 
     @classmethod
     def of(cls, nodes: Iterable[Node]) -> "Program":
-        """Return the program of these nodes; at least one."""
+        """Return the program of these nodes; there must be at least one node."""
         codes, lefts, rights, values = zip(*nodes, strict=True)
         return cls(np.array(codes, np.int8), np.array(lefts, np.int16), np.array(rights, np.int16), np.array(values))
 
     def nodes(self) -> list[Node]:
-        """Return the nodes, whose last is the output."""
+        """Return the nodes; the last node is the output."""
         columns = (self.operators, self.left, self.right, self.constants)
         return list(zip(*(column.tolist() for column in columns), strict=True))
 
@@ -95,7 +96,7 @@ def with_constants(program: Program, values: Mapping[int, float]) -> Program:
 
 
 def dependent_nodes(nodes: Sequence[Node], leaves: Collection[int]) -> list[bool]:
-    """Return for every node whether it depends on one of these variables and constants."""
+    """Return, for each node, whether it depends on one of the `leaves` (variables and constants)."""
     depends: list[bool] = []
     for index, (code, left, right, _) in enumerate(nodes):
         is_leaf = not ARITY[code]
@@ -112,7 +113,8 @@ def moved(node: Node, place: Mapping[int, int]) -> Node:
 
 
 def structure(program: Program) -> bytes:
-    """Return a program without the values of its constants: equal for programs that differ only in these values."""
+    """Return a key of a program without the values of its constants. Programs that differ only in these values have
+    equal keys."""
     return program.operators.tobytes() + program.left.tobytes() + program.right.tobytes()
 
 
@@ -140,8 +142,8 @@ def check_program_bytes(data: bytes, variables: int) -> None:
 
 
 Expression: TypeAlias = "int | float | tuple[Expression, ...]"
-"""An expression to be built: a node by its index (int), a constant (float), ``(VARIABLE, index)``, or an operator's
-code with its arguments, each an expression itself."""
+"""An expression from which nodes are built. It is the index of a node (int), a constant (float), ``(VARIABLE, index)``,
+or the code of an operator followed by its arguments, which are expressions themselves."""
 
 
 class ProgramBuilder:
@@ -152,14 +154,14 @@ class ProgramBuilder:
         self._places: dict[Hashable, int] = {}
 
     def add(self, code: int, left: int = 0, right: int = 0, value: float = 0.0) -> int:
-        """Return the index of a node; if an earlier node is equal (see `key`), its index."""
+        """Return the index of a node. If an earlier node is equal (see `key`), return the index of the earlier node."""
         key = self.key(code, left, right, value)
         if key not in self._places:
             self._places[key] = self.append(code, left, right, value)
         return self._places[key]
 
     def key(self, code: int, left: int, right: int, value: float) -> Hashable:
-        """Return a key that is equal for equal nodes; equal constants have the same bits."""
+        """Return a key that is the same for equal nodes. Two constants are equal if all their bits are equal."""
         return code, left, right, value.hex()
 
     def append(self, code: int, left: int = 0, right: int = 0, value: float = 0.0) -> int:
@@ -176,7 +178,8 @@ class ProgramBuilder:
         return self.add(code, left, right)
 
     def copy(self, nodes: Iterable[Node], places: Sequence[int] = (), *, merges_constants: bool = True) -> list[int]:
-        """Append nodes of another list, whose first nodes are at `places`; return the new places of all its nodes."""
+        """Append nodes of another list, and return the new places of all nodes of this list. Its first nodes are
+        already at `places`."""
         new = list(places)
         for code, left, right, value in nodes:
             if ARITY[code]:
@@ -188,7 +191,8 @@ class ProgramBuilder:
         return new
 
     def build(self, expression: Expression, places: Sequence[int] | None = None) -> int:
-        """Add an expression and return its index; with `places`, node indices in it refer to another list."""
+        """Add an expression and return the index of its node. If `places` are given, node indices in the expression
+        refer to another list, whose nodes are at `places`."""
         if isinstance(expression, int):
             return expression if places is None else places[expression]
         if isinstance(expression, float):
@@ -228,7 +232,8 @@ def operators_in(expression: Expression) -> Iterator[int]:
 
 
 def tree_size(program: Program) -> int:
-    """Return the number of nodes of `program` printed as a tree; both operands of a*a and a + a count once."""
+    """Return the number of nodes of `program` if it is printed as a tree. In a*a and a + a, the two operands count as
+    one."""
     sizes: list[int] = []
     for code, left, right, _ in program.nodes():
         size = 1

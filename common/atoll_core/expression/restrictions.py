@@ -1,9 +1,9 @@
-"""Conditions of users on an equation: bounds on its constants, and variables that it must contain.
+"""Users' conditions on an equation: bounds on its constants, and variables that it must contain.
 
 A bound is a text such as ``c > 0`` (every constant), ``0 < c < 10``, ``|c| < 5`` (every magnitude), ``x*y < 0`` (the
 coefficient of the term x*y) or ``inner > 0`` (the numbers inside terms). The constants are the constants of the
 expanded equation (`atoll_core.expression.writing.expansion`), each with its sign: in ``3*x - 2*x*y`` they are 3 and -2.
-A bound says nothing about terms that an equation does not contain. Ranges include their ends: a constant may lie on its
+A bound on a term has no effect on an equation without this term. Ranges include their ends: a constant may lie on its
 bound.
 """
 
@@ -26,20 +26,20 @@ from atoll_core.expression.writing.expansion import Role, Shape, expand_program,
 from atoll_core.expression.writing.sums_of_products import ONE, UndefinedError
 
 EVERY: Final = "c"
-"""In a bound, this name means every constant, unless a variable has the name."""
+"""In a bound, this name means every constant, unless a variable has the same name."""
 ALSO_EVERY: Final = "constants"
 INNER: Final = "inner"
 """In a bound, this name means the numbers inside terms."""
 ALL_EQUATIONS: Final = "*"
-"""This text stands for all equations, in place of the name of one equation."""
+"""This text is used instead of the name of one equation, and means all equations."""
 EXAMPLES: Final = "c > 0, 0 < c < 10, |c| < 5, x: x*y < 0 or inner > 0"
 ROUNDING: Final = 1e-9
-"""Relative tolerance of a bound: the rounding errors of rewriting an equation."""
+"""Relative tolerance of a bound, for the rounding errors of rewriting an equation."""
 
 _FIRST: Final = 0.0101
 _STEP: Final = 0.0007
-"""Constants for `_roles_of`: numbers that no rewriting treats specially. Integers, halves and multiples of pi/4 are
-treated specially."""
+"""Constants for `_roles_of`. No rule of rewriting treats these numbers specially; there are such rules for integers,
+halves and multiples of pi/4."""
 
 Scope = Literal["every", "inner", "term"]
 _COMPARISON: Final = re.compile(r"<=|>=|<|>")
@@ -48,7 +48,8 @@ _SIZE: Final = re.compile(r"\|(.+)\|")
 
 @dataclass(frozen=True)
 class ConstantBound:
-    """One bound: numbers of this `scope` lie between `lower` and `upper`; `shape` is the shape of its term."""
+    """One bound: all numbers in its `scope` lie between `lower` and `upper`. If the bound is for one term, `shape` is
+    the shape of this term."""
 
     text: str
     scope: Scope
@@ -122,7 +123,8 @@ def _number(text: str, whole: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Governed:
-    """A bound and the numbers to which it applies in an equation; `is_active` if one lies on a limit."""
+    """A bound, and the numbers in an equation to which it applies. `is_active` tells whether one of these numbers lies
+    on a limit of the bound."""
 
     bound: ConstantBound
     values: tuple[float, ...]
@@ -136,15 +138,17 @@ class EquationBounds:
     bounds: tuple[ConstantBound, ...]
 
     def range_of(self, shape: Shape, *, is_inner: bool) -> tuple[float, float]:
-        """Return the smallest and the largest allowed number; if no number is allowed, the first is larger."""
+        """Return the smallest and the largest allowed number. If no number is allowed, the first returned number is
+        larger than the second."""
         covering = [bound for bound in self.bounds if bound.covers(shape, is_inner=is_inner)]
         lower = max((bound.lower for bound in covering), default=-math.inf)
         return lower, min((bound.upper for bound in covering), default=math.inf)
 
     def laid_out(self, program: Program) -> Program | None:
-        """Return `program` with brackets expanded and bounded factors equal to 1 as constants; None if impossible.
+        """Return `program` with brackets expanded, and with those factors equal to 1 written as constants that have a
+        bound. None if this is impossible.
 
-        A program that is laid out already is returned unchanged, for any values of its constants.
+        A program that is already laid out is returned unchanged, for any values of its constants.
         """
         laid_out = program if self._roles_of(program) is not None else self.written(program)
         roles = None if laid_out is None else self._roles_of(laid_out)
@@ -153,7 +157,8 @@ class EquationBounds:
         return laid_out
 
     def written(self, program: Program) -> Program | None:
-        """Return `program` laid out again, with signs where a reader expects them; None when that is impossible."""
+        """Return `program` laid out again, with signs in the places where a reader expects them. None if this is
+        impossible."""
         expansion = expand_program(program, self.is_written)
         return None if expansion is None else expansion.program
 
@@ -162,10 +167,10 @@ class EquationBounds:
         return not self._holds(shape, value, is_inner=False)
 
     def _roles_of(self, program: Program) -> tuple[Role, ...] | None:
-        """Return the roles of the constants of a laid-out program, None for other programs.
+        """Return the roles of the constants of a laid-out program; None for other programs.
 
-        Only the structure of the program decides: with the constants `_FIRST`, `_FIRST + _STEP`, ... it must be equal
-        to its own expansion.
+        Whether a program is laid out depends only on its structure: when its constants are replaced by `_FIRST`,
+        `_FIRST + _STEP`, ..., it must be equal to its own expansion.
         """
         numbers = {place: _FIRST + _STEP * number for number, place in enumerate(constant_places(program))}
         return _roles(self.bounds, with_constants(program, numbers))
@@ -174,7 +179,8 @@ class EquationBounds:
         return self.range_of(role.shape, is_inner=role.is_inner)
 
     def ranges(self, program: Program) -> tuple[FloatArray, FloatArray] | None:
-        """Return the smallest and largest values (K,) of the constants of a laid-out program, None for others."""
+        """Return the smallest and largest values (K,) of the constants of a laid-out program; None for other
+        programs."""
         roles = self._roles_of(program)
         if roles is None:
             return None
@@ -204,7 +210,7 @@ class EquationBounds:
         return lower - ROUNDING * abs(lower) <= value <= upper + ROUNDING * abs(upper)
 
     def governed(self, program: Program) -> tuple[Governed, ...]:
-        """Return the bounds with the numbers of `program` to which each applies."""
+        """Return each bound with the numbers of `program` to which the bound applies."""
         try:
             numbers = _numbers_of(program)
         except UndefinedError:
@@ -221,7 +227,7 @@ class EquationBounds:
 
 
 def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
-    """Return each number with the shape of its term and whether it is inside the term; raises UndefinedError."""
+    """Return each number with the shape of its term, and whether it is inside the term. Raises UndefinedError."""
     numbers: list[tuple[Shape, float, bool]] = []
     for monomial, coefficient in terms_of(program):
         shape = shape_of(monomial)
@@ -232,16 +238,16 @@ def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
 
 @lru_cache(maxsize=8192)
 def _roles(bounds: tuple[ConstantBound, ...], program: Program) -> tuple[Role, ...] | None:
-    """Return the roles of the constants of a program that equals its expansion, None for other programs."""
+    """Return the roles of the constants of a program that is equal to its own expansion. None for other programs."""
     expansion = expand_program(program, EquationBounds(bounds).is_written)
     return expansion.roles if expansion is not None and structure(expansion.program) == structure(program) else None
 
 
 def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Sequence[str]) -> EquationBounds | None:
-    """Return the bounds on the equation of `variable`, None without bounds.
+    """Return the bounds on the equation of `variable`; None if there are no bounds.
 
-    `texts` are valid bounds by equation, with bounds on all equations repeated for each. A bound on a term of variables
-    that are not in `names`, which the equation may use, has no effect.
+    `texts` are valid bounds by equation; a bound on all equations is repeated for each equation. `names` are the
+    variables that the equation may use. A bound has no effect if its term has another variable.
     """
     bounds = []
     for text in texts.get(variable, ()):
@@ -252,18 +258,19 @@ def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Se
 
 @dataclass(frozen=True, eq=False)
 class Restrictions:
-    """`bounds` on the constants of an equation, if any; `required` are indices of variables that it must contain."""
+    """The conditions on one equation. `bounds` are the bounds on its constants; None: there are no bounds. `required`
+    are the indices of the variables that it must contain."""
 
     bounds: EquationBounds | None = None
     required: frozenset[int] = frozenset()
 
     @property
     def are_none(self) -> bool:
-        """Whether every program satisfies them."""
+        """Whether there are no restrictions, so that every program satisfies them."""
         return self.bounds is None and not self.required
 
     def admitted(self, program: Program) -> Program | None:
-        """Return `program` laid out for fitting within the bounds; None when it is not allowed."""
+        """Return `program` laid out for a fit within the bounds. None if the program is not allowed."""
         if not self.has_required(program):
             return None
         return program if self.bounds is None else self.bounds.laid_out(program)
@@ -273,7 +280,8 @@ class Restrictions:
         return self.has_required(program) and (self.bounds is None or self.bounds.are_kept(program))
 
     def ranges(self, program: Program, fixed: Collection[int] = ()) -> FloatArray:
-        """Return smallest and largest values (2, K) of the constants of an admitted program, infinite without bounds.
+        """Return the smallest and the largest values (2, K) of the constants of an admitted program. They are infinite
+        if there are no bounds.
 
         Constants at the nodes `fixed` are left out.
         """

@@ -1,7 +1,8 @@
-"""Simplify programs without changing a bit of their values: unused nodes, constant parts, equal parts.
+"""Simplify programs without changing a bit of their values: remove unused nodes, evaluate constant parts, and join
+equal parts.
 
-No algebra of real numbers is used: ``x - x`` stays, because it is NaN where x is infinite. The result is the canonical
-program: nodes in reading order, left operand first.
+No algebra of real numbers is used: ``x - x`` is kept, because it is NaN if x is infinite. The result is the canonical
+program: its nodes are in reading order, left operand first.
 """
 
 import math
@@ -18,7 +19,7 @@ def _strict(name: str) -> Callable[..., float]:
     """Return the elementary function of this name that the kernels use."""
 
     def function(*arguments: float) -> float:
-        # Imported here: it loads the compiler, which is not needed to print expressions.
+        # Imported here, because the import loads the compiler, which is not needed to print expressions.
         from atoll_core.expression.kernels import elementary
 
         value: float = getattr(elementary, f"strict_{name}")(*arguments)
@@ -35,11 +36,12 @@ _OPERATORS: Final = definitions(
 
 
 def simplify_program(program: Program, *, merges_constants: bool = True) -> Program:
-    """Return the canonical program of the same function: equal on every row, bit for bit.
+    """Return the canonical program of the same function; its values are equal on every row, bit for bit.
 
-    Nodes on which the output does not depend are removed; an operator on constants becomes its value, if finite; equal
-    nodes become one, where ``a + b`` equals ``b + a`` and ``a*a`` equals ``a**2``. With `merges_constants` equal
-    constants are merged as well; without it they can be fitted separately. Pure and deterministic.
+    Nodes on which the output does not depend are removed. An operator on constants is replaced by its value, if this
+    value is finite. Equal nodes are joined; ``a + b`` counts as equal to ``b + a``, and ``a*a`` as equal to ``a**2``.
+    If `merges_constants`, equal constants are also joined; otherwise they are kept, and can be fitted separately. Pure
+    and deterministic.
     """
     builder = _Simplifier(merges_constants)
     output = builder.copy(program.nodes(), merges_constants=merges_constants)[-1]
@@ -67,7 +69,8 @@ class _Simplifier(ProgramBuilder):
         return super().key(code, left, right, value)
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
-        """Return the index of an operator, or of its value as the kernels compute it."""
+        """Return the index of an operator. If its arguments are constants, return the index of its value, computed as
+        in the kernels."""
         (kind, _, _, a), (other_kind, _, _, b) = self.nodes[left], self.nodes[right]
         if kind == CONSTANT and (ARITY[code] == 1 or other_kind == CONSTANT):
             with np.errstate(all="ignore"):

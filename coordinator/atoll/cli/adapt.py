@@ -240,7 +240,7 @@ class BatchJobs:
         return [*jobs.values()]
 
     def take_back(self, job: str) -> None:
-        """Cancel a pending job; with Slurm, a job that has started meanwhile continues."""
+        """Cancel a pending job. With Slurm, a job that has already started continues."""
         self._run(self._words(self._system.take_back, job))
 
     def drain(self, job: str) -> None:
@@ -317,7 +317,7 @@ def _words(text: str | None, option: str) -> list[str]:
 class Adapting:
     """Polls the coordinator and the batch system, and carries out the decisions of the policy.
 
-    Either may be unreachable for `patience_s` seconds; meanwhile no job is submitted or ended.
+    Either may be unreachable for `patience_s` seconds; during this time no job is submitted or ended.
     """
 
     def __init__(self, address: Destination, batch: BatchJobs, policy: AdaptPolicy, patience_s: float) -> None:

@@ -6,7 +6,8 @@
 - `trajectories`: `Table` and `Roles` -> `Measurements`: rows, trajectories, times, states, split at gaps
 - `columns`: checks of the columns before anything is searched
 - `differentiation`: `Measurements` -> one `StateEstimate` for each state: values, derivatives, uncertainties
-- `selected_rows`: estimates -> `SelectedRows`, with reasons for excluded rows; oversampled rows are averaged
+- `row_means`: oversampled rows -> means
+- `searched_rows`: estimates -> `SelectedRows`, with reasons for excluded rows
 - `increments`: `Measurements` of a stochastic process -> `Preparation`, without smoothing
 - `recording`: all of these as a `Preparation`: the dataset of the search and the recording
 - `outline`: text for users before a job: how the table was read, and the equations of a search

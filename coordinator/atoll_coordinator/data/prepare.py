@@ -42,12 +42,11 @@ from atoll_coordinator.data.recording import (
     Trajectory,
 )
 from atoll_coordinator.data.roles.roles import assign_symbols
-from atoll_coordinator.data.selected_rows import (
+from atoll_coordinator.data.row_means import average_oversampled_rows, estimates_of_means
+from atoll_coordinator.data.searched_rows import (
     SelectedRows,
-    average_oversampled_rows,
-    estimates_of_means,
     normalize_weights,
-    select_rows,
+    select_searched_rows,
     select_weighty_rows,
     thin_searched_rows,
 )
@@ -319,7 +318,7 @@ def _prepare(examination: Examination, config: JobConfig) -> Preparation:
             weights = normalize_weights(measurements.weights)
             estimates = estimates_of_means(estimate_driven_states(measurements, weights, differentiation), estimates)
 
-    selected = select_rows(measurements, estimates, paper=differentiation.paper)
+    selected = select_searched_rows(measurements, estimates, paper=differentiation.paper)
     if not differentiation.paper:
         selected = thin_searched_rows(selected, [estimate.values for estimate in estimates])
     return assemble_differentiated(measurements, weights, estimates, selected, equations, symbols)

@@ -1,19 +1,19 @@
 """Refining: from the programs of a search to the displayed equations and their verdicts.
 
-`pipeline` has the whole way on one page. The packages, in the order in which it uses them:
+`pipeline` has an overview of all steps. The packages, in the order in which `pipeline` uses them:
 
 - `pools`: the input of refining (the `Pool` of each variable, laws); `refinement`: its result (`Refinement`)
 - `description_length`: the three description lengths and their prices
 - `batches`: named pure functions; any worker may compute a batch of their items (`BatchFunction`, `Batches`, `Spread`)
 - `deadline`: the end set by ``--max-time``
 - `thinning`: subsets of many rows
-- `least_squares`, `cholesky`: the Levenberg-Marquardt driver of every fit, and its linear equations
-- `structure`: changes of a program at one node, units of constants, poles. Algebra without data
+- `least_squares`, `cholesky`: the Levenberg-Marquardt loop of every fit, and the linear equations of its steps
+- `structure`: algebra without data: changes of a program at one node, units of constants, poles
 - `regression`: the equation of one variable fitted to its target
 - `sparse`: laws of one variable as sparse sums of products, by regression alone
 - `shooting`: a system of equations fitted to the measured trajectories
 - `selection`: which equations together are the model, and their closest alternatives
-- `inference`: errors of constants, simulations, residuals, the verdict
+- `inference`: the errors of constants, simulations, checks of residuals, the verdict
 - `result`: ``result.json``, and its text
 
 An import contract in pyproject.toml lists the imports that are allowed between these packages.

@@ -1,14 +1,14 @@
-"""Batches of work that may be computed on any machine: named pure functions of a context and of items.
+"""Batches of work that any machine may compute: items of a named pure function, which share a context.
 
 How it works. A `BatchFunction` has a name, a context (the data that all items share) and items. `Spread.map` computes
 the results of items: threads of this process take the values directly; with workers, context and items are encoded as
 bytes, and any worker that pulls a batch (`Batches`) decodes and computes it. A worker keeps the last contexts that it
-has built. The result of an item depends on the item and the context alone. So results are equal to the bit, whichever
-machine computes a batch, in any order, once or twice. Work is divided on one level only, into whole fits, searches of
-laws, or folds; no function computes a part of a fit (ADR 0078).
+has built. The result of an item depends on the item and the context alone. So results are equal to the bit: it does not
+matter which machine computes a batch, in which order, or how often. Work is divided on one level only, into whole fits,
+searches of laws, or folds; no function computes a part of a fit (ADR 0078).
 
-Doubts. The batch size follows from the number of workers, and not from the measured seconds of an item: one slow item
-can delay a whole call.
+Doubts. The batch size follows from the numbers of workers and items, and not from the seconds that an item takes. So
+one slow item can delay a whole call.
 """
 
 import threading
@@ -27,15 +27,17 @@ Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
 FUNCTIONS: Final[dict[str, Callable[[bytes, bytes], bytes]]] = {}
-"""Batch functions by name; each takes the bytes of a context and of a batch. Complete once `pipeline` is imported."""
+"""Batch functions by name; each takes the bytes of a context and of a batch. All functions are registered after the
+import of `pipeline`."""
 
 CANCELLED: Final = b""
-"""The result of a batch that was not computed before the deadline; no other result is empty."""
+"""The result of a batch that was not computed before the deadline: empty bytes. No other result is empty."""
 
 _BATCHES_OF_A_WORKER: Final = 2
 """Batches for each worker in one call. With two, a slow batch delays the call by less than with one."""
 _CONTEXTS: Final = 8
-"""Number of built contexts that are kept: enough for one comparison for each state and one for the whole system."""
+"""Number of built contexts that are kept. In many jobs this is enough for one comparison for each state and one for the
+whole system."""
 _CALLERS: Final = 16
 """Most calls that run at the same time. The Python interpreter executes only one call at a time, but with several calls
 there are always batches for the workers."""
@@ -46,7 +48,7 @@ class Batches(Protocol):
 
     @property
     def workers(self) -> int:
-        """About the number of workers that pull batches; 0: there are none, and values are not encoded."""
+        """The approximate number of workers that pull batches. If it is 0, values are not encoded."""
         ...
 
     @property
@@ -63,7 +65,7 @@ class Batches(Protocol):
             function: a name in `FUNCTIONS`.
             context: bytes of the context, which many calls share.
             items: bytes of each batch.
-            cancel_after: seconds from now after which missing results are `CANCELLED`; None: never.
+            cancel_after: number of seconds from now; results that are missing then are `CANCELLED`. None: no limit.
         """
         ...
 
@@ -124,7 +126,8 @@ class _BuiltContexts:
         self._kept: OrderedDict[tuple[Any, bytes], Any] = OrderedDict()
 
     def get(self, build: Callable[[Any], Any], context: bytes, kind: Any) -> Any:
-        """Return the context that `build` makes from a value of type `kind`, which is decoded from bytes."""
+        """Return the context that `build` makes from a value of type `kind`; the bytes in `context` are this value,
+        encoded."""
         key = (build, context)
         with self._lock:
             if key in self._kept:
@@ -147,7 +150,7 @@ class Spread:
     def __init__(
         self, batches: Batches | None = None, executor: Executor | None = None, deadline: Deadline | None = None
     ) -> None:
-        """Without `batches`, threads of `executor` do the work; without both, items are computed one after another.
+        """Without `batches`, threads of `executor` do the work. Without both, items are computed one after another.
 
         Results that are missing at the `deadline` are None.
         """
@@ -173,12 +176,12 @@ class Spread:
         self, function: BatchFunction[Context, Item, Outcome], context: Callable[[], Context], items: Sequence[Item],
         size: int = 1, parts: Callable[[], Any] | None = None,
     ) -> list[Outcome | None]:  # fmt: skip
-        """Return the results of items, computed in batches by workers if there are any, else in this process.
+        """Return the results of items. Workers compute them in batches; without workers, this process computes them.
 
         Args:
             function: computes an item.
             context: returns the context for this process.
-            items: with workers, even a single item is sent.
+            items: the items; with workers, even a single item is sent.
             size: most items of a batch.
             parts: returns the parts of the context that are sent; by default the context itself.
 
@@ -193,7 +196,7 @@ class Spread:
     def map_workers(
         self, function: BatchFunction[Context, Item, Outcome], context: bytes, items: Sequence[Item], size: int
     ) -> list[Outcome | None]:
-        """Return the results of items, computed by workers, for an encoded context; see `map`."""
+        """Return the results of items, which workers compute with an encoded context; see `map`."""
         if self._batches is None or not items:
             return []
         size = self.batch_size(len(items), size)
@@ -207,15 +210,18 @@ class Spread:
         return results
 
     def batch_size(self, count: int, most: int) -> int:
-        """Return the number of items in a batch: two batches for each worker, at most `most` items in one.
+        """Return the number of items in a batch: there are two batches for each worker, and a batch has at most `most`
+        items.
 
-        Results do not depend on it, since the result of an item does not depend on the other items of its batch.
+        Results do not depend on the batch size, since the result of an item does not depend on the other items of its
+        batch.
         """
         workers = self._batches.workers if self._batches is not None else 1
         return max(1, min(most, -(-count // (_BATCHES_OF_A_WORKER * max(workers, 1)))))
 
     def run_calls(self, calls: Sequence[Callable[[], Outcome]]) -> list[Outcome]:
-        """Return the result of each call; with workers the calls run at the same time, else one after another."""
+        """Return the result of each call. With workers the calls run at the same time; without workers they run one
+        after another."""
         if not self.is_shared or len(calls) < 2:
             return [call() for call in calls]
         with ThreadPoolExecutor(min(len(calls), _CALLERS)) as callers:

@@ -14,9 +14,10 @@ RIDGE = 1e-13
 
 @kernel
 def factorize(matrix: FloatArray, size: int, scale: FloatArray, damping: float) -> bool:
-    """Overwrite the lower triangle of a symmetric `matrix` by its Cholesky factor, diagonal scaled to 1 + damping.
+    """Scale a symmetric `matrix` to the diagonal 1 + damping, and overwrite its lower triangle with the Cholesky
+    factor.
 
-    `scale` (size,) takes the square roots of the diagonal. Returns False when it is not positive definite.
+    `scale` (size,) takes the square roots of the diagonal. Returns False if the scaled matrix is not positive definite.
     """
     for i in range(size):
         scale[i] = math.sqrt(max(matrix[i, i], SMALLEST))
@@ -40,7 +41,8 @@ def factorize(matrix: FloatArray, size: int, scale: FloatArray, damping: float) 
 
 @kernel
 def substitute(factor: FloatArray, size: int, scale: FloatArray, vector: FloatArray) -> None:
-    """Overwrite `vector` (size,) by the solution of the system that `factorize` prepared."""
+    """Overwrite `vector` (size,), a right-hand side, with the solution of the linear system that `factorize`
+    prepared."""
     for i in range(size):
         total = vector[i] / scale[i]
         for k in range(i):
@@ -57,9 +59,10 @@ def substitute(factor: FloatArray, size: int, scale: FloatArray, vector: FloatAr
 
 @allocating_kernel
 def solve_damped(matrix: FloatArray, damping: float, vector: FloatArray) -> bool:
-    """Overwrite `vector` (K,) by the solution of the system of `matrix` (K, K), diagonal raised by a share `damping`.
+    """Overwrite `vector` (K,), a right-hand side, with the solution of the linear system of `matrix` (K, K), whose
+    diagonal is first raised by the share `damping`.
 
-    Returns False, and leaves the vector as it is, when that is not positive definite.
+    If the raised matrix is not positive definite, returns False and does not change the vector.
     """
     factor, scale = matrix.copy(), np.empty(len(vector))
     if not factorize(factor, len(vector), scale, damping):

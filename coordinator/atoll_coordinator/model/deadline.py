@@ -1,7 +1,7 @@
-"""The time limit of refining, ``--max-time``. No other clock may change a result.
+"""The time limit of refining, ``--max-time``. Nothing else in refining may depend on a clock.
 
-The choice of equations ends first; the remaining time is for constants, errors and verdicts. After the end of its time,
-a stage tries nothing new and returns the best result so far.
+The choice of equations ends first; the remaining time is for constants, errors and verdicts. When the time of a stage
+is over, the stage tries nothing new and returns the best result so far.
 """
 
 import time
@@ -10,7 +10,7 @@ from typing import Final
 
 CHOICE_SHARE: Final = 0.6
 """Share of the seconds in which equations are chosen. The later stages take about a tenth of that time. With many rows
-they take more, since the choice uses a subset of the rows."""
+their share of the time is larger, since the choice uses only a subset of the rows."""
 
 _LAST_SHARE: Final = 0.9
 """Share of the seconds after which the last stage starts nothing new. The rest is for the report."""

@@ -1,16 +1,17 @@
 """The three description lengths by which equations are compared, in nats; the shortest wins.
 
-Each is the length of the data given the model plus the length of the model (Rissanen 1978). They differ in the data and
-in the prices of operators and constants. So lengths of different criteria are never compared.
+Each is the length of the data given the model plus the length of the model (Rissanen 1978). The three lengths differ in
+the data and in the prices (nats) of operators and constants. So two lengths of different kinds are never compared.
 
 - `selection.front_member.front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It decides
   which member of a front is shown while the search runs, and whether the search stagnates.
 - `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of a node 1.4, each constant
   1/2 ln n. It decides which equation is shown if there are no trajectories.
-- `system_length`: errors of simulated states; operators cost by their kind (`structure_length`), each constant
-  1/2 ln N. It decides which equations together are the model.
+- `system_length`: errors of simulated states; the price of an operator depends on its kind (`structure_length`); each
+  constant costs 1/2 ln N. It decides which equations together are the model.
 
-Letters: n rows, N rows over their correlation length, k constants, O measured states.
+Letters: n, the number of rows; N, the number of rows divided by their correlation length (in rows); k, the number of
+constants; O, the number of measured states.
 """
 
 import math
@@ -53,8 +54,8 @@ _TINY: Final = 1e-290
 
 
 def program_length(program: Program) -> float:
-    """Return the nats of a program without the values of its constants: nodes ln 8 + 1.4 for each further use of a
-    node."""
+    """Return the nats of a program without the values of its constants: ln 8 for each node, and 1.4 for each further
+    use of a node."""
     codes: list[int] = program.operators.tolist()
     uses = sum(ARITY[code] for code in codes)
     return SETTINGS.criterion.node * len(program) + SETTINGS.criterion.common * (uses + 1 - len(program))
@@ -66,8 +67,8 @@ class RegressionCriterion:
 
         n/2 (ln v + MSE/v - 1) + nodes ln 8 + 1.4 for each further use of a node + k/2 ln n
 
-    The misfit is minus the log-likelihood of independent Gaussian errors, up to a constant; their variance v is fitted,
-    but not less than `least_variance`, the square of the target's uncertainty: v = max(MSE, least variance).
+    The misfit is minus the log-likelihood of independent Gaussian errors, up to a constant. Their variance v is fitted,
+    but it is at least `least_variance`, the square of the target's uncertainty: v = max(MSE, least variance).
     """
 
     rows: int
@@ -91,7 +92,8 @@ class RegressionCriterion:
         return 0.5 * self.rows * (math.log(variance) + mse / variance - 1.0)
 
     def mse_of(self, misfit: float) -> float:
-        """Return the mean squared error of a misfit, the inverse of `misfit`; at least twice the least variance."""
+        """Return the mean squared error that has this misfit (the inverse of the method `misfit`), at least twice
+        `least_variance`."""
         return max(math.exp(min(2.0 * misfit / self.rows, 700.0)), 2.0 * self.least_variance)
 
     def length_of_program(self, program: Program) -> float:
@@ -99,7 +101,7 @@ class RegressionCriterion:
         return program_length(program) + constant_nats_of(self.rows) * len(constant_places(program))
 
     def length(self, mse: float, program: Program) -> float:
-        """Return the description length of a program with this mean squared error; infinite if the error is
+        """Return the description length of a program with this mean squared error; it is infinite if the error is
         infinite."""
         return self.misfit(mse) + self.length_of_program(program)
 
@@ -107,7 +109,7 @@ class RegressionCriterion:
 # -------------------------------------------------------------------------------------- a system along trajectories
 
 _SMALLEST_COUNT: Final = 1e-6
-"""Guard: least number of independent rows, if as many numbers as rows are fitted."""
+"""Guard: the smallest number of independent rows. It counts if there are as many fitted numbers as rows."""
 
 
 def system_length(misfit: float, programs: Sequence[Program], constants: int, constant_nats: float) -> float:
@@ -115,7 +117,7 @@ def system_length(misfit: float, programs: Sequence[Program], constants: int, co
 
     Args:
         misfit: see `TrajectoryMisfit`.
-        programs: the equations that were not given by the user.
+        programs: the equations, except the equations that the user gave.
         constants: k, the number of fitted constants.
         constant_nats: nats of one constant, see `constant_nats_of`.
     """
@@ -128,7 +130,7 @@ def least_term_length(constant_nats: float) -> float:
 
 
 def constant_nats_of(rows: float) -> float:
-    """Return the nats of a constant, 1/2 ln N, for N `rows` over their correlation length."""
+    """Return the nats of a constant, 1/2 ln N. `rows` is N, the number of rows divided by their correlation length."""
     return 0.5 * log(max(rows, 2.0))
 
 
@@ -137,25 +139,25 @@ class TrajectoryMisfit:
     """Nats of the errors of simulations of O states: minus their log-likelihood up to a constant (ADR 0032).
 
     An error is the sum of two parts. Independent errors have the variance v in each of n rows. Systematic errors (of a
-    solver, of a filter, of terms that a law lacks) vary no faster than the state itself, and hence consist of m < n
-    independent numbers. With the mean square s of the residuals, and v known to lie between a and b, the nats are
+    solver, of a filter, of terms that a law lacks) vary no faster than the state itself, so they consist of m < n
+    independent numbers. The mean square of the residuals is s, and v is known to lie between a and b. The nats are
 
         n/2 ln s   for a <= s <= b
         n/2 ln b + m/2 ln(1 + (n/m) (s/b - 1))   above
         n/2 ln a - m/2 ln(1 + (n/m) (a/s - 1))   below
 
-    The slope by ln s is n/2 if s is near v, and m/2 if s is much larger. If the variance and p fitted numbers of a
-    system are integrated out, n - p rows count instead of n. So m is at most n - p (`with_fitted`), and a system with
-    as many fitted numbers as rows gains nothing by a perfect fit.
+    The derivative of the nats by ln s is n/2 if s is near v, and m/2 if s is much larger. If the variance and the p
+    fitted numbers of a system are integrated out of the likelihood, n - p rows count instead of n. So m is at most n -
+    p (`with_fitted`), and a system with as many fitted numbers as rows gains nothing by a perfect fit.
 
     Args:
         low: a (O,).
         high: b (O,).
         least: mean squares (O,) below which errors are integration errors.
-        counts: n, the number of rows that count for each state (O,): all measured rows with noise, m rows without
-            noise.
+        counts: n, the number of rows that count for each state (O,): all measured rows if the state has noise, m rows
+            if it has none.
         pieces: m, the independent numbers of each state (O,).
-        below: m below a.
+        below: m for mean squares below a (O,).
         measured: number of measured values of each state (O,); the number of fitted numbers is subtracted from it.
     """
 
@@ -168,8 +170,8 @@ class TrajectoryMisfit:
     measured: FloatArray
 
     def with_fitted(self, numbers: float) -> "TrajectoryMisfit":
-        """Return the misfit for systems with `numbers` fitted numbers for each state; it is unchanged if there are many
-        more rows."""
+        """Return the misfit for systems with `numbers` fitted numbers for each state. If there are many more rows than
+        fitted numbers, this is the same misfit."""
         free = np.maximum(self.measured - numbers, _SMALLEST_COUNT)
         if (free >= np.maximum(self.pieces, self.below)).all():
             return self
@@ -185,9 +187,9 @@ class TrajectoryMisfit:
         return total
 
     def effective_rows(self, squares: FloatArray) -> FloatArray:
-        """Return the effective number of independent rows (O,) at these mean squares (O,), from m to n.
+        """Return the effective number of independent rows (O,) at these mean squares (O,), between m and n.
 
-        It is twice the slope of the nats by ln s.
+        It is twice the derivative of the nats by ln s.
         """
         return np.array(
             [
@@ -197,8 +199,8 @@ class TrajectoryMisfit:
         )
 
     def _excess_ratios(self, squares: FloatArray) -> Iterator[tuple[float, float, float, bool]]:
-        """Yield for each state the ratio of its mean square to the exceeded bound (a or b), n, m, and whether it is
-        above b."""
+        """Yield four values for each state: the ratio of its mean square to the exceeded bound (a or b), n, m, and
+        whether the mean square is above b."""
         clipped = np.maximum(squares, self.least)
         above, under = np.maximum(clipped / self.high, 1.0), np.maximum(self.low / clipped, 1.0)
         is_above = above > 1.0

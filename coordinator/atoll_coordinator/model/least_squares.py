@@ -1,4 +1,4 @@
-"""Least squares and likelihoods by damped steps: one driver of every fit, and the linear equations of its steps.
+"""Least squares and likelihoods by damped steps: one loop for every fit, and the linear equations of its steps.
 
 How it works. At a point with the gradient g of the cost, the step s solves the normal equations N s = -g. If the cost
 is half a sum of squares, N is J'J with the derivatives J of the residuals; for a likelihood, N is Fisher's information
@@ -10,8 +10,9 @@ A `Fitter` defines the data, the cost and the end of a fit. There are three: for
 (`regression.fit`), for trajectories (`shooting.multiple_shooting`), and for the steps of a stochastic process
 (`stochastic.likelihood`).
 
-Doubts. The driver finds a local minimum; callers choose where a fit begins. It stops at a fixed number of steps,
-successful or not, so that a slow fit can end before it has converged. Letters: K fitted numbers, R rows.
+Doubts. The loop finds a local minimum; callers choose where a fit begins. The loop stops after a fixed number of steps,
+which counts successful and failed steps. So a slow fit can end before it has converged. Letters: K fitted numbers, R
+rows.
 """
 
 from collections.abc import Callable
@@ -32,16 +33,16 @@ FIRST_DAMPING: Final = 1e-3
 LEAST_DAMPING: Final = 1e-12
 """Below this damping, a step equals the undamped Gauss-Newton step."""
 MOST_DAMPING: Final = 1e9
-"""Guard: a fit ends if its equations have no solution up to this damping."""
+"""Guard: a fit ends if its equations have no solution at this damping and at all smaller ones."""
 _FACTOR: Final = 10.0
-"""A step that fails multiplies the damping by this factor, a successful step divides it."""
+"""A failed step multiplies the damping by this factor; a successful step divides the damping by it."""
 
 Point = TypeVar("Point")
 Step = TypeVar("Step")
 Result = TypeVar("Result", covariant=True)
 Solver = Callable[[float], tuple[Step, float] | None]
-"""Computes the step for a damping, and the predicted decrease of the cost. None if there is no solution, or if bounds
-allow no step that lowers the cost."""
+"""A function of the damping: it computes the step and the predicted decrease of the cost. It returns None if there is
+no solution, or if bounds allow no step that lowers the cost."""
 
 
 class Fitter(Protocol[Point, Step, Result]):
@@ -60,8 +61,8 @@ class Fitter(Protocol[Point, Step, Result]):
         ...
 
     def least_gain(self, point: Point) -> float:
-        """Return the smallest decrease of the cost that counts. A step with a smaller predicted decrease is not tried;
-        a step with a smaller decrease is the last. By default the cost is in nats."""
+        """Return the smallest decrease of the cost that counts. A step with a smaller predicted decrease is not tried.
+        A step with a smaller actual decrease is the last step. The default is for a cost in nats."""
         return SETTINGS.selection.least_gain
 
     def done(self, point: Point, promise: float, taken: int) -> bool:
@@ -76,7 +77,8 @@ class Fitter(Protocol[Point, Step, Result]):
 
 @dataclass(frozen=True)
 class Descent(Generic[Point, Step]):
-    """A `Fitter` made of functions: it begins at a point with a defined cost, and its result is the last point."""
+    """A `Fitter` made of functions. The fit begins at a point whose cost is defined, and its result is the last
+    point."""
 
     start: Point
     equations: Callable[[Point], Solver[Step]]
@@ -97,7 +99,8 @@ class Descent(Generic[Point, Step]):
 
 
 def minimize(fitter: Fitter[Point, Step, Result], steps: int = SETTINGS.effort.steps) -> Result:
-    """Return the result at the point of least cost within at most this many damped steps, successful or not."""
+    """Return the result at the point of least cost after at most `steps` damped steps, which count successful and
+    failed steps."""
     point, solve, damping = fitter.init(), None, FIRST_DAMPING
     for taken in range(steps if point is not None else 0):
         assert point is not None
@@ -121,10 +124,10 @@ def minimize(fitter: Fitter[Point, Step, Result], steps: int = SETTINGS.effort.s
 def solver(
     normal: FloatArray, gradient: FloatArray, reach: tuple[FloatArray, FloatArray] | None = None
 ) -> Solver[FloatArray]:
-    """Return the solver for steps (K,) by the matrix (K, K) of the normal equations and the `gradient` (K,).
+    """Return the solver that computes steps (K,) from the normal equations.
 
     Args:
-        normal: the matrix.
+        normal: the matrix (K, K) of the normal equations.
         gradient: gradient (K,) of the cost.
         reach: least and largest step (K,) of each number. Numbers whose bounds block the step stay fixed, and the step
             of the other numbers is solved without them (Bertsekas 1982).
@@ -168,10 +171,11 @@ _DEPENDENT: Final = 1e-12
 
 
 def inverse(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:
-    """Return the pseudoinverse (K, K) of a symmetric matrix in units in which its diagonal is one.
+    """Return the pseudoinverse (K, K) of a symmetric matrix. It is computed in units in which the diagonal of the
+    matrix is one.
 
-    The `ridge` is added to the diagonal in these units. With it, the inverse is huge instead of zero in directions that
-    the matrix does not determine.
+    The `ridge` is added to the diagonal in these units: with a ridge, the inverse is huge instead of zero in directions
+    that the matrix does not determine.
     """
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-200))
     unit = matrix / np.outer(scale, scale) + ridge * np.eye(len(scale))

@@ -1,4 +1,4 @@
-"""The matrix of loess for evenly spaced rows, and the share of an error that is in a residual. Pure.
+"""The matrix of loess for evenly spaced rows, and the share of a measurement error that remains in its residual. Pure.
 
 Letters: n rows; S (n, n), the matrix that maps measured values to smoothed values.
 """
@@ -11,16 +11,17 @@ import numpy as np
 from atoll_core.data.dataset import FloatArray
 
 _MOST_ROWS: Final = 240
-"""Most rows of the computed matrix: rows far from both ends have equal shares."""
+"""Most rows of the computed matrix. More rows are not needed: all rows far from both ends have equal shares."""
 
 
 @lru_cache(maxsize=64)
 def residual_shares(rows: int, span: int, degree: int) -> FloatArray:
-    """Return for each row (n,) the variance of its residual over the variance of its error, at most 1.
+    """Return for each row (n,) the variance of its residual divided by the variance of its error; the ratio is at most
+    1.
 
     This is the diagonal of (I - S)(I - S)'. At the ends, loess follows the errors of the rows, and the shares are
-    small; with few rows this holds for all rows. In the middle, the share does not depend on the number of rows if
-    there are many.
+    small; with few rows this holds for all rows. If there are many rows, the share in the middle does not depend on
+    their number.
     """
     degree = min(degree, rows - 2)
     if degree < 0:

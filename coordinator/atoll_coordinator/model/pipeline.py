@@ -29,7 +29,7 @@ from atoll_coordinator.model.inference.target_checks import TargetChecks
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.pools import FrontMember, LawsByGroup, Pools
 from atoll_coordinator.model.refinement import Refined, Refinement
-from atoll_coordinator.model.regression.equation import WeightedRows, fit_equation
+from atoll_coordinator.model.regression.equation import WeightedRows, refine_equation
 from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.model_selection import operator_remarks, select_model
@@ -62,7 +62,7 @@ def refine_all(
     batches: Batches | None = None,
 ) -> Refinement:
     """Return the refined equation of each variable. A variable is missing if no equation replaces the best member of
-    its front (see `fit_equation`).
+    its front (see `refine_equation`).
 
     Args:
         preparation: the dataset of the search, and the recording unless left-hand sides were given.
@@ -178,7 +178,7 @@ def _fit_laws(task: ModellingTask, names: Sequence[str]) -> dict[str, Refined]:
             FrontMember(law.program, *measure_errors(problem, law.program, loss))
             for law in laws_at_noise_level(task, name)[:1]
         ]
-        equation = fit_equation(problem, task.config, members, deadline=task.deadline)
+        equation = refine_equation(problem, task.config, members, deadline=task.deadline)
         if equation is not None:
             member = task.candidates[name].member_of(equation.program)
             equations[name] = replace(equation, member=member, origin="library" if member is None else "front")
@@ -197,7 +197,7 @@ def _fit_by_regression(
     weights = preparation.weights if is_given else None
     counted = preparation.counted or preparation.dataset
     equations = {
-        name: fit_equation(
+        name: refine_equation(
             preparation.dataset.problem(name),
             config,
             candidate_set.front,

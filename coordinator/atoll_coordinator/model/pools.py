@@ -11,15 +11,17 @@ from atoll_core.search.pareto import FrontEntry
 
 Origin = Literal["front", "runner-up", "guess", "library", "descent", "known"]
 """The origin of an equation: the front or the runners-up of the search, a guess, a library of terms, a known equation,
-or a descent from one of these to a shorter description. Its constants may have been fitted and rounded later."""
+or a local search that began with one of these equations. The constants of the equation may have been fitted and rounded
+later."""
 
 
 @dataclass(frozen=True)
 class Pool:
     """The candidates that the search has found for one variable.
 
-    `front` has for each complexity the program of least error, if no simpler program is as good. `runners_up` has the
-    next best programs of each complexity, which differ as functions, sorted by (complexity, error).
+    `front` has at most one program of each complexity: the program of least error, if no simpler program has an error
+    as small. `runners_up` has the next best programs of each complexity, sorted by (complexity, error). No two of them
+    are the same function.
     """
 
     front: tuple[FrontEntry, ...]
@@ -35,10 +37,10 @@ class Law:
     """A law found by sparse regression: its `program`, its `nats` (to compare laws of one state), and its fit.
 
     `excess` is the ratio of the residuals to the noise, or to the limit of convergence. `is_tested` tells whether there
-    were enough rows to try the library of the highest degree. `lead` is the length of the best compared program that is
-    no sum of products, minus the length of the law, in nats. `probability` is the probability of residuals at least as
-    large as these if all are noise. `is_of_rates` tells whether the law was found among many variables, from
-    derivatives.
+    were enough rows to try the library of the highest degree. `lead` is a difference of lengths in nats: the length of
+    the best compared program that is no sum of products, minus the length of the law. `probability` is the probability
+    of residuals at least as large as the law's residuals, if all residuals are noise. `is_of_rates` tells whether the
+    law was found among many variables, from derivatives.
     """
 
     program: Program
@@ -51,7 +53,8 @@ class Law:
 
 
 LawsByGroup = Sequence[Mapping[str, tuple[Law, ...]]]
-"""For each group of trajectories, the laws of each variable by name; without groups, one mapping for all."""
+"""For each group of trajectories, the laws of each variable by name. Without groups there is one mapping, for all
+trajectories."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,8 @@ RefiningEnd = Literal["finished", "max-time", "not refined"]
 
 @dataclass(frozen=True)
 class UnitCoefficient:
-    """The factor 1 of the term `of`, which is not written; `constant` is its estimate as it was fitted."""
+    """The coefficient 1 of the term `of`, which is not written. `constant` is the fitted estimate of this coefficient,
+    before it was rounded to 1."""
 
     of: Program
     constant: Estimate
@@ -35,12 +36,14 @@ class UnitCoefficient:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An equation that was compared with the shown equation; the other equations are the equations of the model.
+    """An equation that was compared with the shown equation; for the other variables, the equations of the model were
+    used.
 
-    `nats` is its description length minus the length of the shown equation (0 for the shown equation, negative if the
-    alternative is shorter but predicts worse; below about 3 the data hardly decide). `r2` is the R2 of its state's
-    simulation. `held_out_r2` is the R2 on trajectories to which it was not fitted: held-out trajectories or, if it
-    `is_cross_validated`, trajectories left out one at a time; None if there are none.
+    `nats` is the description length of the alternative minus the length of the shown equation. It is 0 for the shown
+    equation, and negative if the alternative is shorter but predicts worse. Below about 3 nats the data hardly decide
+    between the two. `r2` is the R2 of the simulated state. `held_out_r2` is the R2 on trajectories to which the
+    alternative was not fitted: held-out trajectories or, if `is_cross_validated`, trajectories left out one at a time.
+    It is None if there are no such trajectories.
     """
 
     program: Program
@@ -54,15 +57,15 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """The displayed equation of one variable; before refinement, an unchanged member of the front.
+    """The displayed equation of one variable. Before refining, it is an unchanged member of the front.
 
-    `member` is the index of the front member from which it was derived, None for other origins. `error` is the job's
-    loss and `mse` the mean squared error, both on all rows of the dataset. `constants` has an entry for each constant
-    of `program`, in node order (empty before refinement); `unit_coefficients` are the factors 1 that are not written.
-    If groups of trajectories have their own constants, `by_group` has the program and constants of each group by name,
-    and the constants of `program` that are not `shared` are means over the groups. `units` are the units of the
-    constants, None if no unit is known. `simple_together` are simple numbers for two or more constants together, None
-    if none are likely.
+    `member` is the index of the front member from which the equation was derived; None if it has another origin.
+    `error` is the job's loss and `mse` the mean squared error, both on all rows of the dataset. `constants` has an
+    entry for each constant of `program`, in node order; it is empty before refining. `unit_coefficients` are the
+    coefficients 1 that are not written. If groups of trajectories have their own constants, `by_group` has the program
+    and constants of each group by name, and the constants of `program` that are not `shared` are means over the groups.
+    `units` are the units of the constants, None if no unit is known. `simple_together` are simple numbers that two or
+    more constants may have together; None if no such numbers are likely.
     """
 
     member: int | None
@@ -84,12 +87,14 @@ class Refined:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """The result of refining a job; `equations` lacks the variables whose front has no better equation.
+    """The result of refining a job. `equations` has no entry for a variable if no equation is better than the shown
+    member of its front.
 
     `fluxes` are terms that share a fitted constant in several equations, such as a flux that leaves one state and
-    enters another. Each has the shape of the term (without numbers) and its multiple in each equation, by variable; the
-    multiple is None if its factor was fitted separately. `covariance` is the covariance of all constants, `by_group`
-    the covariance of each group of trajectories if groups have their own constants.
+    enters another. Each flux has the shape of the term (without numbers) and, by variable, the multiple of the term in
+    each equation. The multiple is None if the factor of the term was fitted separately in this equation. `covariance`
+    is the covariance of all constants, `by_group` the covariance of each group of trajectories if groups have their own
+    constants.
     """
 
     equations: Mapping[str, Refined] = field(default_factory=dict)

@@ -16,20 +16,21 @@ from atoll_coordinator.result.base import finite
 from atoll_core.data.dataset import FloatArray
 
 _GOLDEN: Final = 0.618
-"""The golden section, the number that is worst approximated by fractions."""
+"""The golden section. Among all numbers, fractions approximate it worst."""
 
 
 def lattice_step(count: int) -> int:
     """Return a step near the golden section of `count` that has no common divisor with `count`.
 
-    Its multiples modulo `count` are all numbers below `count`, in an order in which neighbours are far apart."""
+    The multiples of the step modulo `count` are all numbers below `count`, in an order in which consecutive numbers are
+    far apart."""
     steps = (step for step in range(1, count + 1) if math.gcd(step, count) == 1)
     return min(steps, key=lambda step: abs(step - _GOLDEN * count))
 
 
 def thinned_places(places: int, most: int) -> npt.NDArray[np.int64]:
-    """Return about `most` row numbers below `places`, ascending, one in each of equal ranges. All row numbers are
-    returned if `places` is less than 2 `most`."""
+    """Return about `most` row numbers below `places`, in ascending order. The rows are divided into ranges of equal
+    length, and one row of each range is returned. All row numbers are returned if `places` is less than 2 `most`."""
     width = places // most
     if width < 2:
         return np.arange(places, dtype=np.int64)
@@ -38,14 +39,16 @@ def thinned_places(places: int, most: int) -> npt.NDArray[np.int64]:
 
 
 def spread_places(places: int, most: int) -> list[int]:
-    """Return at most `most` (2 or more) row numbers below `places`, evenly spread, with the first and the last."""
+    """Return evenly spread row numbers below `places`, at most `most` (2 or more). The first and the last row are
+    included."""
     if places <= most:
         return [*range(places)]
     return [(index * (places - 1)) // (most - 1) for index in range(most)]
 
 
 def curve(values: FloatArray, digits: int = 7) -> tuple[float | None, ...]:
-    """Return `values` (R,) for a result: rounded to `digits` significant digits, None if not finite.
+    """Return `values` (R,) for a result, rounded to `digits` significant digits; a value that is not finite becomes
+    None.
 
     Curves have many numbers and are only plotted, so seven digits are enough.
     """

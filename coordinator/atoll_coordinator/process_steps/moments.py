@@ -1,4 +1,5 @@
-"""Mean and covariance of one step of a process, to second order in the step; to higher order for linear processes.
+"""Mean and covariance of one step of a process, to second order in the length of the step; for linear processes, to
+higher order.
 
 For dx = f dt + g dW with B = g g', the generator of the process is L = f . grad + 1/2 B : grad grad. In a step h from x
 
@@ -9,11 +10,11 @@ with J the Jacobian of f and E(s) = I + s J + s^2/2 J J + s^3/6 J J J. This is t
 h (Kessler 1997, section 2; Florens-Zmirou 1989). It is written as a local linearisation (Shoji & Ozaki 1998), so that
 the covariance is positive wherever B + s L B is positive. The integral is computed by Gaussian quadrature.
 
-A state may have no noise of its own, but depend on other states with noise (hypoelliptic process). If it depends on a
-state with noise, its variance over a step is of third order, J B J' h^3 / 3. If it depends only on a state of this
-kind, its variance is of fifth order. Ditlevsen & Samson 2019 expand to these orders; Melnykova 2020 uses the
-linearisation used here. The variance is small but not zero. A small variance needs an accurate mean, so the motion by
-the drift alone is computed by a fourth-order Runge-Kutta step.
+A state may have no noise of its own, but depend on other states with noise (hypoelliptic process). If its drift depends
+on a state with noise, its variance over a step is of third order, J B J' h^3 / 3. If its drift depends only on a state
+whose variance is of third order, its own variance is of fifth order. Ditlevsen & Samson 2019 expand to these orders;
+Melnykova 2020 uses the same linearisation as this module. If a variance is so small, the mean must be accurate. So the
+motion by the drift alone is computed by a fourth-order Runge-Kutta step.
 
 A table may also be the output of the Euler-Maruyama method, with one row for each of its steps. Then mean and
 covariance of a step are exactly h f and h B: the noise of one state does not reach another state within the step.
@@ -49,8 +50,8 @@ too few: the covariance of a state that depends on two noisy states would be sin
 class StepMoments:
     """The moments of a step: `mean` (S, R), `covariance` (S, S, R), and the `jacobian` (S, S, R) of x + mean.
 
-    The covariance is NaN where the diffusion of a state is negative, even if the covariance of the step is positive
-    because of the noise of other states.
+    If the diffusion of a state is negative, its covariance is NaN, even if the noise of other states makes the
+    covariance of the step positive.
     """
 
     mean: FloatArray
@@ -69,7 +70,7 @@ def predict_step_moments(
 
     Args:
         drift: S programs, f.
-        diffusion: B by component; missing components are zero.
+        diffusion: the programs of B, by component; missing components are zero.
         points: (V, R), the values at the beginning of each step; states first, then inputs, which are constant in a
             step.
         steps: (R,), the lengths of the steps.
@@ -96,7 +97,8 @@ def predict_step_moments(
 
 
 def factors_of(covariance: FloatArray) -> FloatArray:
-    """Return the Cholesky factors L (S, S, R) of covariances L L': zero for no noise, NaN for negative variances."""
+    """Return the Cholesky factors L (S, S, R) of covariances L L'. A factor is zero if there is no noise, and NaN if a
+    variance is negative."""
     factor = np.zeros_like(covariance)
     with np.errstate(all="ignore"):
         for i in range(len(covariance)):
@@ -118,8 +120,8 @@ def _move_by_drift(drift: Sequence[Program], value: FloatArray, points: FloatArr
 def _propagator(powers: tuple[FloatArray, FloatArray, FloatArray], steps: FloatArray) -> FloatArray:
     """Return E(s) up to the third power of the Jacobian.
 
-    The third power is needed for a state two equations away from the noise. Only 1/36 of the leading term of its
-    variance is not explained by other states, so the next term of the expansion matters.
+    The third power is needed for a state two equations away from the noise. The other states explain all but 1/36 of
+    the leading term of its variance, so the next term of the expansion matters.
     """
     one, two, three = powers
     return np.asarray(np.eye(len(one))[:, :, None] + steps * (one + 0.5 * steps * (two + steps / 3.0 * three)))
@@ -146,7 +148,7 @@ def _expand_programs(
 
 @dataclass(frozen=True)
 class _Structure:
-    """A program that is equal to all programs that differ only in the values of constants."""
+    """A key for a program. Two keys are equal if the programs differ at most in the values of constants."""
 
     program: Program = field(compare=False)
     key: bytes
@@ -156,8 +158,8 @@ class _Structure:
 def _expansion(of: _Structure, variables: int, states: int) -> Callable[..., Sequence[FloatArray]]:
     """Return a function of variables and constants.
 
-    Its results are the value, then for each state i the derivative by i, followed by the second derivatives by i and
-    each of the states 0 to i.
+    Its first result is the value. For each state i, the next results are the derivative by i, and the second
+    derivatives by i and each of the states 0 to i.
     """
     program = with_variables(of.program, variables)
     parts = [program]

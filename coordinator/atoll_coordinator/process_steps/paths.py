@@ -27,12 +27,13 @@ PATHS: Final = 256
 SHARES: Final = (0.05, 0.5, 0.95)
 """Shares of the paths below `lower`, `median` and `upper`."""
 _SLACK: Final = 1e-9
-"""Tolerance for rounding errors: a gap between two times may be longer than its steps by this share of a step."""
+"""Tolerance for rounding errors: the gap between two times may be longer than the sum of its steps, by at most this
+share of a step."""
 STEPS: Final = 500
-"""Number of steps after which paths are assumed to be stationary, and number of further steps for their density. If the
-paths are not stationary then, the further steps are simulated once more."""
+"""Paths are assumed to be stationary after this number of steps. The density is computed from the same number of
+further steps. If a test shows that the paths are not stationary, the further steps are simulated once more."""
 _LONGER: Final = 1
-"""Number of times that the further steps are repeated for paths that are not stationary yet."""
+"""How often the further steps are repeated for paths that are not stationary yet."""
 BINS: Final = 40
 """Number of bins of a displayed density."""
 _LEVEL: Final = 0.01
@@ -53,7 +54,8 @@ class Simulator:
         lengths: FloatArray,
         is_kept: npt.NDArray[np.bool_] | None = None,
     ) -> FloatArray:
-        """Return paths (M + 1, S, P) from `starts` (S, P) over N steps; a path is NaN after a step that is not finite.
+        """Return paths (M + 1, S, P) that begin at `starts` (S, P) and have N steps; M of the states after a step are
+        returned. A path is NaN after a step that is not finite.
 
         Args:
             starts: initial states.
@@ -82,7 +84,8 @@ class Simulator:
 class Ensemble:
     """Paths of a process from one initial state.
 
-    `t` (N,) are the times, `x` (P, N, S) are the `states` of each path; a path is NaN after a step that is not finite.
+    `t` (N,) are the times, and `x` (P, N, S) are the values of the `states` along each path. A path is NaN after a step
+    that is not finite.
     """
 
     states: tuple[str, ...]
@@ -154,7 +157,7 @@ class Ensemble:
         return f"{len(self.x)} paths" + (f", {lost} not finite to the end" if lost else "")
 
     def columns(self) -> dict[str, FloatArray]:
-        """Return the time, and mean, median and quantiles of each state, (N,) each, by column name."""
+        """Return the columns (N,) by name: the time, and the mean, median and quantiles of each state."""
         columns = {self.time: self.t}
         for place, name in enumerate(self.states):
             for kind in ("mean", "lower", "median", "upper"):
@@ -169,7 +172,8 @@ class Ensemble:
                 yield [number, repr(at), *map(repr, states)]
 
     def to_csv(self, *, has_paths: bool = False) -> str:
-        """Return the columns as CSV with all digits; or the paths, as rows with a column ``trajectory``."""
+        """Return the columns as CSV with all digits. If `has_paths`, return the paths instead, as rows with a column
+        ``trajectory``."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         if has_paths:
@@ -193,14 +197,15 @@ class Ensemble:
 
 
 def step_counts(times: FloatArray, longest: float) -> FloatArray:
-    """Return the number of equal steps, not longer than `longest`, in each gap between ascending times."""
+    """Return the number of steps in each gap between ascending times. The steps in a gap are equal and not longer than
+    `longest`."""
     return np.maximum(np.ceil(np.diff(times) / longest - _SLACK), 1.0)
 
 
 def divided(times: FloatArray, longest: float) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Return the times at which steps begin (N,), their lengths, and whether each ends at one of the ascending `times`.
+    """Divide the gaps between ascending `times` into equal steps that are not longer than `longest`.
 
-    Gaps between times are divided into equal steps that are not longer than `longest`.
+    Return, for each of the N steps, the time at which it begins, its length, and whether it ends at one of the `times`.
     """
     begins, lengths, ends = [], [], []
     counts = step_counts(times, longest).astype(int).tolist()
@@ -243,10 +248,11 @@ class StationaryDensity:
 
 
 def settled_paths(simulator: Simulator, starts: FloatArray, inputs: FloatArray, length: float) -> FloatArray | None:
-    """Return settled paths (N, S, P), from `starts` (S, P) in steps of one length; None if they do not settle.
+    """Return settled (stationary) paths (N, S, P) that begin at `starts` (S, P) and have steps of one length. None if
+    the paths do not settle.
 
-    Paths are settled (stationary) if the means of the states and of their squares do not differ significantly between
-    both halves of the steps. The test needs at least two paths. `inputs` (U,) are constant.
+    Paths are settled if two means do not differ significantly between both halves of the steps: the mean of each state
+    and the mean of its square. The test needs at least two paths. `inputs` (U,) are constant.
     """
     lengths, held = np.full(STEPS, length), np.repeat(inputs[:, None], STEPS, axis=1)
     states = simulator.paths(starts, held, lengths)[-1]
@@ -262,7 +268,8 @@ def settled_paths(simulator: Simulator, starts: FloatArray, inputs: FloatArray, 
 
 
 def density_of(states: tuple[str, ...], paths: FloatArray, within: FloatArray | None = None) -> StationaryDensity:
-    """Return the density of settled paths (N, S, P); the bins cover their range and the range of `within` (S, R)."""
+    """Return the density of settled paths (N, S, P). The bins cover the range of the paths and the range of `within`
+    (S, R)."""
     samples = [np.concatenate([values.ravel(), [] if within is None else within[place]])
             for place, values in enumerate(paths.transpose(1, 0, 2))]  # fmt: skip
     edges = np.array([np.linspace(values.min(), values.max(), BINS + 1) for values in samples])
@@ -280,9 +287,9 @@ def histograms(values: FloatArray, edges: FloatArray) -> FloatArray:
 def _is_settled(paths: FloatArray) -> bool:
     """Tell whether both halves of paths (N, S, P) agree in the means of states and of their squares.
 
-    There are 2 S changes of means between the halves. Each change over its standard error, estimated from the P paths,
-    has Student's t distribution. The significance level is divided by the number of changes (Bonferroni) and by 2
-    (two-sided test).
+    There are 2 S changes of means between the halves. Each change divided by its standard error has Student's t
+    distribution; the standard error is estimated from the P paths. The significance level is divided by the number of
+    changes (Bonferroni) and by 2 (two-sided test).
     """
     from scipy import special  # not needed by processes that only read results
 

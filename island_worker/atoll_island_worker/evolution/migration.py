@@ -57,18 +57,6 @@ def _block(lists: Lists, rows: Slots, slots: Slots) -> bytes:
     return encode_arrays({}, {"slots": slots[rows].astype(np.int32), **arrays})
 
 
-def exchange(populations: Sequence[Lists], places: Slots) -> list[Lists]:
-    """Return the populations of all islands after a reshuffle; `places` (islands, P) are the destinations."""
-    population = places.shape[1]
-    columns = []
-    for parts in zip(*populations, strict=True):
-        column = np.empty_like(parts[0], shape=(places.size, *parts[0].shape[1:]))
-        column[places.ravel()] = np.concatenate(parts)
-        columns.append(column)
-    firsts = range(0, places.size, population)
-    return [Lists(*(column[first : first + population] for column in columns)) for first in firsts]
-
-
 def unpack(blocks: Mapping[int, bytes], population: int, space: Space, allowed: frozenset[int]) -> Lists:
     """Return the population that consists of the blocks, each solution at its slot.
 
@@ -115,3 +103,18 @@ def check_nodes(lists: Lists, space: Space, allowed: frozenset[int]) -> None:
     fits &= lists.right < np.where(is_terminal, 1, index)
     if not fits.all():
         raise RemoteProtocolError("a list has a node that is impossible in this job")
+
+
+def exchange_without_blocks(populations: Sequence[Lists], places: Slots) -> list[Lists]:
+    """Return the populations of all islands after a reshuffle, for benchmarks that have all islands in one process.
+
+    `places` (islands, P) are the destinations.
+    """
+    population = places.shape[1]
+    columns = []
+    for parts in zip(*populations, strict=True):
+        column = np.empty_like(parts[0], shape=(places.size, *parts[0].shape[1:]))
+        column[places.ravel()] = np.concatenate(parts)
+        columns.append(column)
+    firsts = range(0, places.size, population)
+    return [Lists(*(column[first : first + population] for column in columns)) for first in firsts]

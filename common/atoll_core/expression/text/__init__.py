@@ -1,1 +1,2 @@
-"""Programs as text: `infix` writes it, `parsing` reads it back to the bit, `export` makes LaTeX, MathML and sympy."""
+"""Programs as text: `infix` writes programs as text, and `parsing` reads this text; the result has the same bits.
+`export` writes LaTeX and MathML, and makes sympy objects."""

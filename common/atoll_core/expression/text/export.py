@@ -1,6 +1,7 @@
 """Expressions for other programs: sympy objects, LaTeX and MathML. sympy is imported only for sympy objects.
 
-LaTeX and MathML have the same order of terms and factors, signs, powers and brackets as the text.
+In LaTeX and MathML, the order of terms and factors, the signs, the powers and the brackets are the same as in the infix
+text.
 """
 
 import re
@@ -16,14 +17,14 @@ if TYPE_CHECKING:
     import sympy
 
 _HTML_ENTITY: Final = re.compile(r"&(?!lt;|gt;|amp;|quot;|apos;|#)\w+;")
-"""An entity that XML does not define, such as the invisible times."""
+"""An entity that XML does not define, such as the invisible multiplication sign."""
 
 _LATEX_ESCAPES: Final = {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"} | {
     letter: f"\\{letter}" for letter in "{}$%#&_"
 }
 
 _WORD: Final = re.compile(r"(?<![^\W\d_])(?<!\\)[^\W\d_]{2,}")
-"""Two or more adjacent letters that are not a command."""
+"""Two or more adjacent letters that are not a LaTeX command."""
 
 _LATEX_UNITS: Final = {" ": r"\ ", "°": r"{}^{\circ}", "µ": r"\mu ", "μ": r"\mu ", "Ω": r"\Omega "}
 _RAISED: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺"
@@ -35,15 +36,15 @@ _UNIT_PART: Final = re.compile(
 
 
 def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
-    """Return `program` as a sympy expression over ``Symbol(name)`` for each of `names`; constants keep every bit.
+    """Return `program` as a sympy expression over ``Symbol(name)`` for each of `names`; constants have the same bits.
 
-    sympy reorders terms and folds constants, so values agree only up to rounding errors.
+    sympy reorders terms and joins constants, so the values of both agree only up to rounding errors.
     """
     return _Sympy(names).render(exact_form(program))
 
 
 def to_latex(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
-    """Return `program` as LaTeX mathematics, in the form of `to_infix`, with `digits` significant digits of constants.
+    """Return `program` as LaTeX mathematics, in the form of `to_infix`. Constants have `digits` significant digits.
 
     Factors are separated by a space if a name is a word.
     """
@@ -98,8 +99,9 @@ class _Sympy(Renderer["sympy.Expr"]):
 class _Markup(NamedTuple):
     """Templates of a markup language, and a function that writes a `name`.
 
-    `scaled` is a number times a power of ten; `addend` is a sign and a term; `product` is a factor, a multiplication
-    sign and a factor. `derivatives` are left-hand sides, for a function and a variable, by the order of the derivative.
+    The template `scaled` is for a number times a power of ten, `addend` for a sign and a term, and `product` for a
+    factor, a multiplication sign and a factor. `derivatives` has, by the order of the derivative, the template for a
+    left-hand side with a function and a variable.
     """
 
     name: Callable[[str], str]
@@ -122,7 +124,7 @@ class _Markup(NamedTuple):
 class _Typeset(Renderer[str]):
     """Renders forms in a markup language: quotients as fractions, powers raised.
 
-    `digits` are the significant digits of constants; `times` is the multiplication sign between factors that are no
+    `digits` are the significant digits of constants; `times` is the multiplication sign between factors that are not
     numbers.
     """
 
@@ -208,7 +210,7 @@ def _latex_escaped(text: str) -> str:
 
 
 def unit_to_latex(unit: str) -> str:
-    """Return a unit, such as ``m/s^2`` or ``kg·m⁻¹``, as LaTeX mathematics, its letters upright."""
+    """Return a unit, such as ``m/s^2`` or ``kg·m⁻¹``, as LaTeX mathematics with upright letters."""
     return _UNIT_PART.sub(_unit_part, unit)
 
 
@@ -223,7 +225,7 @@ def _unit_part(part: re.Match[str]) -> str:
 
 
 def _mathml_name(name: str) -> str:
-    """Return a name as an element, with Greek letters and indices; a name that is not an identifier stays unchanged."""
+    """Return a name as an element, with Greek letters and indices. A name that is not an identifier is not changed."""
     import sympy
     from sympy.printing.mathml import mathml
 
@@ -274,7 +276,8 @@ _MATHML: Final = _Markup(
 
 
 def left_side_to_latex(lhs: str, *, is_name: bool = False) -> str:
-    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, other left-hand sides as names; with `is_name` all are names."""
+    """Return a left-hand side as LaTeX: ``dx/dt`` and ``d2x/dt2`` as fractions, and all others as names. If `is_name`,
+    each left-hand side is a name."""
     return _left_side(_LATEX, lhs, is_name)
 
 
@@ -289,7 +292,8 @@ def _left_side(markup: _Markup, lhs: str, is_name: bool) -> str:
 
 
 def _derivative(lhs: str) -> tuple[int, str] | tuple[int, str, str]:
-    """Return the order of a derivative, its function and variable; order 0 and the name for other left-hand sides."""
+    """Return the order of a derivative, its function and its variable. For other left-hand sides, return order 0 and
+    the name."""
     for order, pattern in ((2, "d2(.*)/d([^/]*)2"), (1, "d(.*)/d([^/]*)")):
         match = re.fullmatch(pattern, lhs, re.DOTALL)
         if match:

@@ -2,12 +2,12 @@
 
 `form_of` turns a program into a `Written` form; infix text, code of other languages, LaTeX, MathML and sympy objects
 are all rendered from it (`Renderer`). The form uses only rewritings that IEEE 754 keeps to the bit: swapping the
-operands of + and *, moving signs, a*a as a**2, a + a as 2.0*a, sin(a)/cos(a) as tan(a). Variable names have no
-influence on the form.
+operands of + and *, moving signs, a*a as a**2, a + a as 2.0*a, sin(a)/cos(a) as tan(a). The form does not depend on the
+names of variables.
 
-Text comes in two variants. *Exact* (the default): parsing it (`atoll_core.expression.text.parsing`) gives the same bits
-on every row; sympy reads it, too. *Display* (with ``digits``): the shortest writing
-(`atoll_core.expression.writing`) with rounded constants.
+There are two variants of text. *Exact* (the default): the program that is parsed from this text
+(`atoll_core.expression.text.parsing`) gives the same bits on every row; sympy also reads the text. *Display* (with
+``digits``): the shortest writing (`atoll_core.expression.writing`) with rounded constants.
 """
 
 from abc import ABC, abstractmethod
@@ -45,10 +45,10 @@ class Kind(Enum):
 class Form:
     """A written part without its sign. Equal parts of one program are one object.
 
-    `parts` are the signed operands: the terms of a sum, both sides of a product, quotient or power, the base of a
-    natural power. `index` belongs to a variable, `code` to a function or a quotient of functions, `exponent` to a
-    natural power, `value` to a number, which may have a `name`. In forms of other kinds, these fields are -1, 0.0 and
-    "".
+    `parts` are the signed operands: the terms of a sum, both sides of a product, quotient or power, or the base of a
+    natural power. The other fields belong to certain kinds: `index` to a variable, `code` to a function or a quotient
+    of functions, `exponent` to a natural power, and `value` to a number, which may have a `name`. In forms of other
+    kinds, these fields are -1, 0.0 and "".
     """
 
     kind: Kind
@@ -61,7 +61,8 @@ class Form:
 
     @property
     def terms(self) -> "tuple[Signed, ...]":
-        """The terms of a sum in reading order: the first term is positive if this keeps every bit of the value."""
+        """The terms of a sum in reading order. The first term is positive if this order does not change a bit of the
+        value."""
         first, *rest = self.parts
         if rest and first.negative and not rest[0].negative:
             return (rest[0], first, *rest[1:])
@@ -103,7 +104,7 @@ Output = TypeVar("Output")
 
 
 class Renderer(ABC, Generic[Output]):
-    """Renders forms, operands first and without recursion, so that the depth is not limited."""
+    """Renders forms, operands first. There is no recursion, so the depth of a form is not limited."""
 
     def __init__(self) -> None:
         self._done: dict[Form, Output] = {}
@@ -137,10 +138,10 @@ def form_of(
     *,
     quotients: frozenset[int] = frozenset({TANGENT, COTANGENT}),
 ) -> Written:
-    """Return the form of a program; parts that are used twice are written twice.
+    """Return the form of a program. If a part is used twice, it is written twice.
 
-    `constants` are the names of named constants, by node; `quotients` are `TANGENT` and `COTANGENT`, if the
-    language has them.
+    `constants` are the names of named constants, by node. `quotients` has `TANGENT` and `COTANGENT`, if the language
+    has these functions.
     """
     writer = _Writer(quotients)
     operands: list[Signed] = []
@@ -194,7 +195,8 @@ class _Writer:
             return self._multiplied(left, right)
         if code == op.DIVIDE:
             return self._divided(left, right)
-        # BASE_LOG occurs in derivatives by an exponent, times a power that is 0 where the log is infinite
+        # BASE_LOG occurs in derivatives with respect to an exponent. It is multiplied by a power, which is 0 if the
+        # logarithm is infinite
         if code == op.BASE_LOG:
             return self.unary(op.LOG, left)
         return Signed(self.form(Kind.POWER, left, right))
@@ -209,11 +211,11 @@ class _Writer:
         return Signed(self.form(Kind.CALL, operand, code=code))
 
     def _grouped(self, operand: Signed) -> Signed:
-        """Return a sum in brackets, anything else as it is."""
+        """Return a sum in brackets. Other forms are returned unchanged."""
         return Signed(self.form(Kind.GROUP, operand)) if operand.form.kind is Kind.SUM else operand
 
     def _negated(self, operand: Signed) -> Signed:
-        # Not term by term: -(a - b) and b - a differ in the sign of zero.
+        # The sign is not moved into the terms: -(a - b) and b - a differ in the sign of zero.
         operand = self._grouped(operand)
         return Signed(operand.form, not operand.negative)
 
@@ -246,7 +248,7 @@ class _Writer:
         return Signed(left.form), Signed(right.form), left.negative != right.negative
 
     def _natural_power(self, left: Signed, right: Signed) -> Form | None:
-        """Return a product as a natural power; None if the parser would not read it as the same product."""
+        """Return a product as a natural power. None if the parser would not read this power as the same product."""
         if left.is_constant or right.is_constant:
             return None
         if left == right:
@@ -262,10 +264,10 @@ class _Writer:
 class Notation:
     """The functions and powers of one language; all languages write + - * / and brackets in the same way.
 
-    `functions` are the names, by operator code, that differ from Atoll's names; `prefix` is put before all other names.
-    `power` formats a base and an exponent, `natural` a base and a natural number. `is_call`: a power is written as a
-    function call, whose arguments need no brackets. `tangent` and `cotangent` name the quotients of sine and cosine;
-    empty: the language has no such function.
+    `functions` has, by operator code, the names that differ from Atoll's names; `prefix` is put before all other names.
+    The template `power` is for a base and an exponent, `natural` for a base and a natural number. `is_call`: a power is
+    written as a function call, so its arguments need no brackets. `tangent` and `cotangent` are the names of the
+    quotients of sine and cosine; empty: the language has no such function.
     """
 
     functions: Mapping[int, str] = field(default_factory=dict)
@@ -291,15 +293,15 @@ INFIX: Final = Notation(power="{0}**{1}", natural="{0}**{1}", cotangent="cot")
 """The notation of Atoll's own expressions, which Atoll's parser and sympy read."""
 
 PRINTABLE_SIZE: Final = 5_000
-"""Most operations of a printed expression. Shared nodes are printed once per use, so a short list of nodes can become a
-huge text."""
+"""Most operations of a printed expression. A shared node is printed once for each use, so a short list of nodes can
+become a huge text."""
 
 
 def to_infix(program: Program, names: Sequence[str], *, digits: int | None = None) -> str:
     """Return `program` as infix text over `names`, the symbols of the V input variables.
 
-    With `digits` (significant digits of constants) the text is for display, else exact. Raises ValueError if the text
-    would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
+    If `digits` are given (significant digits of constants), the text is for display; otherwise it is exact. Raises
+    ValueError if the text would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
     """
     if digits is None:
         return _Text(names, repr).render(exact_form(program))
@@ -315,7 +317,7 @@ def exact_form(program: Program) -> Written:
 def displayed_form(program: Program, digits: int) -> Written:
     """Return the form for display with this many significant digits; raises ValueError if `program` is too large."""
     _check_size(program)
-    # Imported here: exact printing does not need it.
+    # Imported here, because exact printing does not need this module.
     from atoll_core.expression.writing.shortest import shortest
 
     short = shortest(program)

@@ -1,8 +1,10 @@
-"""Parses infix text into a program: the output of `atoll_core.expression.text.infix`, and expressions of users.
+"""Parses infix text into a program. The text is the output of `atoll_core.expression.text.infix`, or an expression of a
+user.
 
-Operators: ``+ - * / **``, unary minus and brackets, with Python's precedence; functions ``sin cos exp log sqrt abs Abs
-tanh``, ``tan`` and ``cot`` as quotients of sin and cos, the number ``pi``. ``x**3`` with a natural exponent is repeated
-multiplication from the left; ``x**2`` is a square; any other exponent is `pow`. Equal parts become one node.
+Operators: ``+ - * / **``, unary minus and brackets, with Python's precedence; the functions ``sin cos exp log sqrt abs
+Abs tanh``; ``tan`` and ``cot``, which become quotients of sin and cos; and the number ``pi``. ``x**3`` with a natural
+exponent is repeated multiplication from the left; ``x**2`` is a square; any other exponent is `pow`. Equal parts become
+one node.
 
 The parser has its own stacks, so deeply nested text cannot exhaust the interpreter's stack.
 """
@@ -42,7 +44,7 @@ _MINUS: Final = "unary minus"
 def from_infix(text: str, names: Sequence[str], *, merges_constants: bool = True) -> Program:
     """Return the program of `text` over the symbols `names`.
 
-    Without `merges_constants` each number is a separate node, so that equal numbers can be fitted separately.
+    If `merges_constants` is False, each number is a separate node, so that equal numbers can be fitted separately.
 
     Raises:
         UsageError: the text is not an expression over `names`; the message has the position.
@@ -201,7 +203,7 @@ def _tokens(text: str) -> Iterator[_Token]:
 
 
 def _named(text: str, start: int) -> tuple[_Token, int]:
-    """Return the name at `start`, as a call when a bracket follows, and its end."""
+    """Return the name at `start`, and where the name ends. If a bracket follows, the name is a function call."""
     end = start + 1
     while end < len(text) and ("_" + text[end]).isidentifier():
         end += 1

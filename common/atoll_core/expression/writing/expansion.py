@@ -2,8 +2,8 @@
 
 In ``x*(3 - 2*y)`` the coefficient of x*y is a product of two numbers and a sign; in ``3*x - 2*x*y`` it is one constant.
 The constants of the expanded form are the *coefficients* of terms and the numbers *inside* terms: in divisors, powers
-and arguments of functions. A sum in a divisor, or a factor that cannot be expanded, is normalised by the coefficient of
-its first term with a variable: ``x/(4 + 2*y)`` is ``0.5*x/(2 + y)``.
+and arguments of functions. Sums in divisors, and sums that are factors and cannot be expanded, are normalised: they are
+divided by the coefficient of their first term with a variable. For example, ``x/(4 + 2*y)`` becomes ``0.5*x/(2 + y)``.
 """
 
 from collections import Counter
@@ -42,9 +42,10 @@ Path: TypeAlias = tuple[tuple[str, int], ...]
 class Role:
     """The meaning of a constant of an expanded program.
 
-    `sign` times its value is the coefficient of the term of this `shape` or, if it `is_inner`, a number inside the
-    term. `path` is the position inside: factor, sum, term and so on. Each part is identified by its shape, so that the
-    path does not depend on an order that numbers determine; equal shapes are numbered.
+    `sign` times the value of the constant is the coefficient of the term of this `shape` or, if `is_inner`, a number
+    inside the term. `path` is the position of the number inside the term: factor, sum, term and so on. In a path, each
+    part is identified by its shape, and equal shapes are numbered. So a path does not change if other numbers lead to
+    another order of the parts.
     """
 
     shape: Shape
@@ -57,7 +58,8 @@ class Role:
 class Expansion:
     """The expanded `program` and the role of each of its constants, in node order.
 
-    `units` are the numbers 1 and -1 inside terms that are not written; each has its value as `sign`.
+    `units` are the roles of the numbers 1 and -1 inside terms that are not written; the `sign` of such a role is the
+    number.
     """
 
     program: Program
@@ -66,7 +68,8 @@ class Expansion:
 
 
 IsWritten = Callable[[Shape, float], bool]
-"""Tells whether a coefficient equal to 1 or -1 is written as a constant."""
+"""A function of the shape of a term and its coefficient, which is 1 or -1. It tells whether the coefficient is written
+as a constant."""
 
 
 def terms_of(program: Program) -> Sum:
@@ -105,10 +108,11 @@ def _atom_shape(atom: Atom) -> Shape:
 
 
 def form_of(program: Program) -> Hashable:
-    """Return the form of a program: equal for programs that differ only in writing and in values of constants.
+    """Return the form of a program. Programs have the same form if they differ only in their writing and in the values
+    of constants.
 
-    Brackets in numerators are expanded: ``0.1*y*(x - 4)`` has the form of ``0.1*x*y - 0.4*y``. A program that cannot be
-    expanded has the form of its nodes.
+    Brackets in numerators are expanded: ``0.1*y*(x - 4)`` has the form of ``0.1*x*y - 0.4*y``. If a program cannot be
+    expanded, its form is the structure of its nodes.
     """
     try:
         return tuple(sorted((shape_of(monomial) for monomial, _ in terms_of(program)), key=repr))
@@ -139,7 +143,8 @@ def _numbers(atom: Atom) -> list[float]:
 
 
 def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
-    """Yield, for each n/(c + u) in a sum with a term n, the shape of n*u/(c + u) and the sum with this term instead.
+    """Find each quotient n/(c + u) in a sum that also has a term n. Yield the shape of n*u/(c + u), and the sum in
+    which this term replaces the quotient.
 
     The number of terms does not grow: n/(c + u) is (n - n*u/(c + u))/c.
     """
@@ -159,7 +164,7 @@ def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
 
 
 def expand_program(program: Program, is_written: IsWritten = lambda *_: False) -> Expansion | None:
-    """Return the expanded form of a program; None if there is none, or if it is too large.
+    """Return the expanded form of a program. None if the program cannot be expanded, or if the form is too large.
 
     `is_written` tells which coefficients equal to 1 or -1 become constants.
     """
@@ -187,7 +192,7 @@ def _built(terms: Sum, is_written: IsWritten) -> Expansion | None:
 
 
 class _Builder(ProgramBuilder):
-    """Writes sums with each constant as a separate node, and records the roles of constants."""
+    """Writes sums, with a separate node for each constant, and records the roles of constants."""
 
     def __init__(self, is_written: IsWritten) -> None:
         super().__init__()
@@ -261,13 +266,14 @@ class _Builder(ProgramBuilder):
 
 
 def _extended(path: Path, name: str, counts: Counter[str]) -> Path:
-    """Return the path to the next part with this name, and count it."""
+    """Return the path to the next part with this name, and increase the count of this name."""
     counts[name] += 1
     return (*path, (name, counts[name]))
 
 
 def factored_forms(program: Program) -> Iterator[Program]:
-    """Yield ``a*(s + b*t + …)`` for each term s of the expansion with coefficient a; nothing for a single term."""
+    """For each term s of the expansion, with the coefficient a, yield ``a*(s + b*t + …)``. Nothing is yielded if there
+    is only one term."""
     try:
         terms = terms_of(program)
     except UndefinedError:

@@ -1,7 +1,8 @@
 """Writes a sum as an expression, in reading order, with the cheapest form of its terms, factors and signs.
 
 The cost is the number of numbers, variables, operators and functions in the text; leading minus signs are free. If two
-expressions have equal counts, the cheaper one has fewer numbers, then fewer functions, fewer minus signs, fewer digits.
+expressions have equal counts, the expression with fewer numbers is cheaper; after that, the numbers of functions, minus
+signs and digits decide, in this order.
 """
 
 import math
@@ -24,9 +25,10 @@ from atoll_core.expression.writing.sums_of_products import (
 )
 
 NODE: Final = 1 << 36
-"""Cost of a node; the other costs decide between expressions with equal numbers of nodes."""
+"""Cost of a node. All other costs are smaller: they decide between expressions with equal numbers of nodes."""
 _INNER_QUOTIENT: Final = 3 * NODE
-"""Extra cost of a quotient in a divisor: the expression is undefined at one more place than its function."""
+"""Extra cost of a quotient in a divisor: such an expression is undefined at one place where its function has a
+value."""
 _NUMBER: Final = 1 << 28
 _FUNCTION: Final = 1 << 20
 _SIGN: Final = 1 << 12
@@ -34,7 +36,7 @@ _SIGN: Final = 1 << 12
 Written = tuple[int, Expression]
 """Cost and expression."""
 Term = tuple[bool, int, Expression]
-"""Whether a term is negative, and its cost and expression without the sign."""
+"""Whether a term is negative; and the cost and the expression of the term without its sign."""
 
 
 @lru_cache(maxsize=50_000)
@@ -60,7 +62,8 @@ def _signed(negative: bool, cost: int, expression: Expression) -> Written:
 
 
 def _negated(expression: Expression) -> "Expression | None":
-    """Return the negative of a number, or of a product or quotient that begins with a number; None for others."""
+    """Return the negative of a number, or of a product or quotient that begins with a number. None for other
+    expressions."""
     if isinstance(expression, float):
         return -expression
     if isinstance(expression, tuple) and expression[0] in (op.MULTIPLY, op.DIVIDE):
@@ -71,7 +74,8 @@ def _negated(expression: Expression) -> "Expression | None":
 
 
 def _listed(terms: list[Term]) -> Written:
-    """Return terms added and subtracted from left to right, with the first positive term in front."""
+    """Write the sum of `terms` from left to right, as additions and subtractions. The first positive term is moved to
+    the front."""
     lead = next((index for index, (negative, _, _) in enumerate(terms) if not negative), 0)
     terms.insert(0, terms.pop(lead))
     total, expression = _signed(*terms[0])
@@ -82,7 +86,8 @@ def _listed(terms: list[Term]) -> Written:
 
 
 def _grouped(terms: Sum) -> Iterator[Written]:
-    """Yield the sum with terms of equal coefficients in a bracket after this coefficient, if there are such terms."""
+    """If several terms have equal coefficients, yield the sum in which the coefficient is written once, before a
+    bracket with these terms."""
     groups: dict[float, list[tuple[Monomial, float]]] = {}
     for monomial, coefficient in terms:
         if monomial != ONE and abs(coefficient) != 1.0:
@@ -132,7 +137,8 @@ def _term(monomial: Monomial, coefficient: float) -> Term:
 
 
 def _with_tangents(monomial: Monomial) -> list[tuple[Atom, int]]:
-    """Return factors with sin u/cos u as one factor, ``(DIVIDE, u, SIN)``, and cos u/sin u likewise."""
+    """Return the factors of a monomial, with sin u/cos u joined to one factor, ``(DIVIDE, u, SIN)``, and cos u/sin u
+    likewise."""
     exponents = dict(monomial)
     for (kind, *arguments), exponent in monomial:
         partner = (op.COS, *arguments) if kind == op.SIN else ()
@@ -216,6 +222,7 @@ def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]
 
 
 def _should_flip(terms: Sum, *, wants_flip: bool) -> bool:
-    """Tell whether to write the negative of a sum: all terms are negative, or a flip is wanted and possible."""
+    """Tell whether the negative of a sum is written: because all terms are negative, or because a change of sign is
+    wanted and possible."""
     signs = {coefficient > 0.0 for _, coefficient in terms}
     return signs == {False} or (wants_flip and len(signs) == 2)

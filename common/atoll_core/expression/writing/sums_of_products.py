@@ -1,15 +1,15 @@
 """Sums of products: a normal form of expressions that makes many rules of real algebra unnecessary.
 
-A `Sum` maps monomials to coefficients, a `Monomial` maps atoms to integer powers, both sorted; an `Atom` is a variable,
-a function of a sum, a power with any exponent, or a sum of several terms as a factor. So expressions that differ only
-in the order of terms and factors, in like terms, in cancelling quotients or in products of constants have the same
-form. The constructors below bring functions to one form as well: a phase lies within an eighth of a turn of 0,
-arguments begin with a positive term, and a product has one exponential.
+A `Sum` maps monomials to coefficients, and a `Monomial` maps atoms to integer powers; both are sorted. An `Atom` is a
+variable, a function of a sum, a power with any exponent, or a sum of several terms as a factor. Two expressions have
+the same form if they differ only in the order of terms and factors, in like terms, in cancelling quotients or in
+products of constants. The constructors below also bring functions to a normal form: a phase lies within an eighth of a
+turn of 0, arguments begin with a positive term, and a product has at most one exponential.
 
 The normal form may have a value where the original expression has none: ``x/x`` becomes 1.
 
-The parts depend on each other and cannot be separate modules: products join exponentials, powers and roots by functions
-of sums, and these functions are made of products.
+The parts of this module depend on each other, so they cannot be separate modules: products call functions of sums to
+join exponentials, powers and roots, and functions of sums call products.
 """
 
 import logging
@@ -31,8 +31,9 @@ FAILURES: Final[Counter[str]] = Counter()
 def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Turn any error in rewriting into an `UndefinedError`; callers then keep the expression unchanged.
 
-    Rewriting only decides how an equation is displayed, so a bug in it must not end an island or a job. Each kind of
-    failure is logged once. A failure depends only on the program, so equal seeds still give equal bits.
+    Rewriting only decides how an equation is displayed, so a bug in the code of rewriting must not end an island or a
+    job. Each kind of failure is logged once. A failure depends only on the program, so equal seeds still give equal
+    bits.
     """
 
     @wraps(function)
@@ -52,8 +53,8 @@ def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
 
 
 Atom: TypeAlias = tuple[Any, ...]
-"""``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``: the code determines the
-types that follow, which type hints cannot express."""
+"""``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``: the first element
+determines the types of the other elements. Type hints cannot express this."""
 Monomial: TypeAlias = tuple[tuple[Atom, int], ...]
 Sum: TypeAlias = tuple[tuple[Monomial, float], ...]
 
@@ -62,7 +63,7 @@ ZERO: Final[Sum] = ()
 LARGEST_POWER: Final = 16
 """Largest whole power of a factor."""
 _ROUNDING: Final = 1e-13
-"""A sum that is smaller than this share of its terms consists of rounding errors."""
+"""A sum that is smaller than this share of its terms is a rounding error."""
 _PHASE: Final = 1e-9
 """Tolerance in radians: a phase this close to a multiple of a quarter turn is that multiple."""
 _QUARTER: Final = math.pi / 2
@@ -90,13 +91,14 @@ def split_constant(terms: Sum) -> tuple[float, Sum]:
 
 
 def number_of(terms: Sum) -> float | None:
-    """Return a sum that is a number as a float; None for other sums."""
+    """If a sum is only a number, return this number as a float. Return None for other sums."""
     number, rest = split_constant(terms)
     return None if rest else number
 
 
 def cleaned(value: float) -> float:
-    """Return the nearest number of twelve digits if it is within a few rounding errors, else the same number."""
+    """Return the nearest number with twelve digits, if it differs only by a few rounding errors. If not, return
+    `value`."""
     if not math.isfinite(value):
         raise UndefinedError
     if value.is_integer():
@@ -106,9 +108,10 @@ def cleaned(value: float) -> float:
 
 
 def nonzero(value: float) -> float:
-    """Return a product of nonzero numbers; raises UndefinedError if it is 0 or not finite.
+    """Return `value`, a product of nonzero numbers. Raises UndefinedError if it is 0 or not finite.
 
-    A coefficient may underflow although large variables compensate it: (1e-170 x)(1e-170 y).
+    A coefficient may underflow, as in (1e-170 x)(1e-170 y), although the whole term does not, if the variables are
+    large.
     """
     if not value or not math.isfinite(value):
         raise UndefinedError
@@ -116,7 +119,7 @@ def nonzero(value: float) -> float:
 
 
 def times(one: float, other: float) -> float:
-    """Return the product; raises UndefinedError if it is not finite, or if it is 0 although no factor is 0."""
+    """Return the product. Raises UndefinedError if the product is not finite, or if it is 0 and no factor is 0."""
     return nonzero(one * other) if one and other else 0.0
 
 
@@ -149,7 +152,7 @@ def collect(terms: Iterable[tuple[Monomial, float]]) -> Sum:
 
 
 def multiply(left: Sum, right: Sum) -> Sum:
-    """Return the product; a factor of several terms stays a bracket."""
+    """Return the product. A factor with several terms is written as a bracket and not expanded."""
     for one, other in ((left, right), (right, left)):
         number = number_of(one)
         if number is not None:
@@ -185,7 +188,7 @@ def power(base: Sum, exponent: int) -> Sum:
 
 
 def distribute(left: Sum, right: Sum) -> Sum:
-    """Return the product, every term times every term."""
+    """Return the expanded product: every term of one sum is multiplied by every term of the other."""
     return add(*((times(one, two), product([*monomial, *other])) for monomial, one in left for other, two in right))
 
 
@@ -196,7 +199,7 @@ def _factors(terms: Sum, exponent: int) -> list[tuple[Atom, int] | float]:
 
 
 def bracket(terms: Sum) -> tuple[float, Monomial]:
-    """Return a sum of several terms as a number times a monomial, with common factors in front of the bracket.
+    """Return a sum of several terms as a number times a monomial. Common factors are in front of the bracket.
 
     After common factors are taken out, terms may cancel: x^2 - x (x - 1) is x.
     """
@@ -236,7 +239,7 @@ def merged(factors: Iterable[tuple[Atom, int]]) -> Monomial:
 
 
 def product(factors: Iterable[tuple[Atom, int] | float]) -> Sum:
-    """Return the product of numbers and powers of atoms, with at most one exponential and no squared roots."""
+    """Return the product of numbers and powers of atoms. It has at most one exponential, and no squares of roots."""
     coefficient, powers = 1.0, []
     for factor in factors:
         if isinstance(factor, float):
@@ -287,7 +290,7 @@ def _reduced(coefficient: float, monomial: Monomial) -> Sum:
 
 
 def _multiplied(factors: dict[Atom, int], terms: Sum, exponent: int) -> float:
-    """Multiply factors by a power of a sum; return its remaining number."""
+    """Multiply `factors` by a power of a sum, and return the number that remains of this power."""
     if not exponent:
         return 1.0
     if not terms:
@@ -299,7 +302,7 @@ def _multiplied(factors: dict[Atom, int], terms: Sum, exponent: int) -> float:
 
 
 def _lone_atom(terms: Sum) -> Atom:
-    """Return the atom of which a sum consists; an empty atom if the sum is not a single atom."""
+    """If a sum is a single atom, return this atom; if not, return an empty atom."""
     number, monomial = bracket_or_term(terms)
     return monomial[0][0] if number == 1.0 and len(monomial) == 1 and monomial[0][1] == 1 else ()
 
@@ -338,7 +341,8 @@ def unsigned(terms: Sum) -> tuple[float, Sum]:
 def _wave(code: int, argument: Sum) -> Sum:
     phase, rest = split_constant(argument)
     sign, rest = unsigned(rest)
-    # With r the rest and q the quarter turns that make a cosine a sine: sin(-r + p + q) = -sin(r - p - q).
+    # Let r be the rest, p the phase, and q the quarter turns that turn a cosine into a sine: sin(-r + p + q) = -sin(r -
+    # p - q).
     quarters = round(phase / _QUARTER)
     left = sign * (phase - quarters * _QUARTER)
     quarters = int(sign) * (quarters + (code == op.COS)) % 4

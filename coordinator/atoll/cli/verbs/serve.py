@@ -101,8 +101,8 @@ def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
 def own_address_of(at: Destination, is_behind_router: bool = False) -> str:
     """Return the address at which programs of this machine connect to our listener.
 
-    With a certificate, the host is one of its names: the name at which the listener listens, else a name of this
-    machine, else the first name, which may belong to another machine.
+    With a certificate, the host is one of its names. The name at which the listener listens is preferred, then a name
+    of this machine, then the first name, which may belong to another machine.
     """
     address = at.address
     if is_behind_router or address.is_socket:
@@ -167,7 +167,8 @@ def listener_addresses(host: str) -> list[str]:
 
 
 def _interface_address(name: str) -> str | None:
-    """Return the IPv4 address of a network interface (on Linux; elsewhere the address of the host's name)."""
+    """Return the IPv4 address of a network interface. On other systems than Linux, return the address of the host's
+    name."""
     with contextlib.suppress(OSError, ImportError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         if sys.platform == "linux":
             import fcntl

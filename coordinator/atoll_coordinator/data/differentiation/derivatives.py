@@ -4,8 +4,9 @@ Noisy states are smoothed by loess. Each row is also predicted from its neighbou
 If these polynomials predict left-out rows better than loess does, the noise is negligible, and the state is
 interpolated instead. If rows have different weights, noise is assumed.
 
-The estimated bias of a smoothed derivative is the most doubtful of the results. It is the difference from a second fit
-with a narrower span. This difference is itself noisy, and it does not show features that are shorter than both spans.
+The estimated bias of a smoothed derivative is the most doubtful of the results. This bias is the difference from a
+second fit with a narrower span. The difference has noise itself, and it does not show features of the motion that are
+shorter than both spans.
 """
 
 import math
@@ -41,21 +42,22 @@ from atoll_coordinator.data.differentiation.smoothing import (
 )
 from atoll_coordinator.data.recording import STENCIL_ROWS, StateQuantisation
 from atoll_coordinator.data.trajectories.measurements import Measurements
-from atoll_coordinator.data.trajectories.usable_rows import SMALLEST, check_size
+from atoll_coordinator.data.trajectories.table_checks import SMALLEST, check_size
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError
 
 ROUNDING: Final = 1e-12
-"""Guard: a column that varies less than this share of its mean may be constant; its scale is this share of the mean."""
+"""Guard: if a column varies less than this share of its mean, it may be constant. Its scale is then this share of the
+mean."""
 
 
 _NARROWER: Final = 0.6
 """The bias of a derivative is estimated from a second estimate, whose span is this share of the first span."""
 _QUIET_SHARE: Final = 0.5
-"""If only slowly changing rows show that there is no noise, interpolation and smoothing are also compared on this share
-of the rows, the share with the smallest errors. On fast transients the errors of interpolation are large even without
-noise."""
+"""Interpolation and smoothing are also compared on only this share of the rows, the rows with the smallest errors. On
+fast transients the errors of interpolation are large even without noise, so only slowly changing rows may show that
+there is no noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,16 +66,16 @@ class StateEstimate:
 
     `values` are interpolated (as measured) or smoothed; `derivative` has the derivative of the requested order,
     `velocity` the first derivative. `uncertainty` is the standard error of `derivative`; `total_uncertainty` is
-    sqrt(standard error^2 + estimated bias^2), for an interpolated state equal to `uncertainty`. At rows where the state
-    is missing and its own rows do not determine it, both are infinite, the derivatives are 0, and the value is a
-    substitute.
+    sqrt(standard error^2 + estimated bias^2); for an interpolated state, it is equal to `uncertainty`. If the state is
+    missing at a row, and its other rows do not determine it, both uncertainties are infinite there, the derivatives are
+    0, and the value is a substitute.
 
-    `noise` is the estimated standard deviation of the measurement errors, at least the error of the `quantisation`
-    (None: no rounding). `standard_deviation` refers to the measurements. `smoother` is None for an interpolated state.
-    `outliers`, the number of rows without weight, and `robustness_weights` are None unless loess was robust;
-    `has_heavy_tails` means that robust loess is advisable. `narrower_noise` is the noise by loess with the narrower
-    span `narrower_span` (rows), which is used for the estimate of the bias. `points` (R,) are the values of the state
-    at which the derivatives are estimated, if they differ from `values`.
+    `noise` is the estimated standard deviation of the measurement errors; it is at least the rounding error of the
+    `quantisation` (None: no rounding). `standard_deviation` refers to the measurements. `smoother` is None for an
+    interpolated state. `outliers` is the number of rows with weight 0; this number and `robustness_weights` are None
+    unless loess was robust; `has_heavy_tails` means that robust loess is advisable. `narrower_noise` is the noise by
+    loess with the narrower span `narrower_span` (rows), which is used for the estimate of the bias. `points` (R,) are
+    the values of the state at which the derivatives are estimated, if they differ from `values`.
     """
 
     values: FloatArray
@@ -94,7 +96,7 @@ class StateEstimate:
 
     @property
     def is_known(self) -> npt.NDArray[np.bool_]:
-        """Where the state is known (R,): it was measured, or its own rows determine it."""
+        """A mask (R,) of the rows at which the state is known: it was measured, or its other rows determine it."""
         return np.isfinite(self.total_uncertainty)
 
     @property
@@ -114,7 +116,8 @@ class StateEstimate:
 
     @property
     def target_noise(self) -> float:
-        """The relative noise that the search assumes: 0.0 if interpolated, or if too small to be determined."""
+        """The relative noise that the search assumes. It is 0.0 if the state is interpolated, or if the noise is too
+        small to be determined."""
         is_free = self.is_interpolated or self.relative_noise < SETTINGS.smoothing.smallest_noise
         return 0.0 if is_free else self.relative_noise
 
@@ -123,8 +126,8 @@ class StateEstimate:
 class Differentiation:
     """How states are differentiated.
 
-    `order` is the order of the derivative, 1 or 2; `paper`: as in the paper, loess of degree 2 and no interpolation;
-    `robust`: outliers lose their weight.
+    `order` is the order of the derivative, 1 or 2. `paper`: states are differentiated as in the paper, by loess of
+    degree 2 and without interpolation. `robust`: outliers get weight 0.
     """
 
     order: Literal[1, 2] = 1
@@ -173,14 +176,14 @@ def estimate_derivatives(
     """Return values and derivatives of one state, over all rows of all signals.
 
     Each signal has at least 5 rows; if fewer of its rows were measured, the state is not known in the whole signal.
-    Signals that are `held_out` influence no choice (empty: none is held out). The standard deviation of the errors is
-    at least `least_noise`.
+    Signals that are `held_out` do not influence any choice. An empty sequence means that no signal is held out. The
+    standard deviation of the errors is at least `least_noise`.
     """
     # scaled by a power of two, so that squares of values of any size are finite
     _, exponent = math.frexp(max(float(np.max(np.abs(signal.values))) for signal in signals))
     scaled = [replace(signal, values=np.ldexp(signal.values, -exponent)) for signal in signals]
     least = math.ldexp(least_noise, -exponent)
-    estimate = _estimate(scaled, options, held_out or [False] * len(signals), least)
+    estimate = _by_loess_or_interpolation(scaled, options, held_out or [False] * len(signals), least)
     rescaled: dict[str, Any] = {}
     with np.errstate(over="ignore", under="ignore"):
         for name in ("values", "velocity", "derivative", "uncertainty", "total_uncertainty"):
@@ -190,9 +193,10 @@ def estimate_derivatives(
     return replace(estimate, **rescaled)
 
 
-def _estimate(
+def _by_loess_or_interpolation(
     signals: Sequence[Signal], options: Differentiation, held_out: Sequence[bool], least: float
 ) -> StateEstimate:
+    """Interpolate if noise is small and left-out rows are then predicted better than by loess; else use loess."""
     searched = [signal for signal in _searched(signals, held_out) if signal.is_long_enough]
     searched = [signal for signal in searched if signal.measured.values.any()] or searched
     smoother = select_smoother(searched, options.degrees)
@@ -232,7 +236,8 @@ def _standard_deviation(signals: Sequence[Signal]) -> float:
 def _by_loess(
     signals: Sequence[Signal], smoother: Smoother, order: int, searched: Sequence[Signal], least: float
 ) -> StateEstimate:
-    """Return the loess estimate of `signals`, with the noise of `searched` signals; the noise is at least `least`."""
+    """Return the loess estimate of `signals`. The noise is estimated from the `searched` signals, and is at least
+    `least`."""
     noise = max(estimate_noise(searched, smoother), least)
     smoothed = [smooth(signal, smoother) for signal in signals]
     fits = np.concatenate([part.fits for part in smoothed], axis=1)
@@ -270,10 +275,11 @@ def _by_interpolation(signals: Sequence[Signal], order: int, noise: float, devia
 
 
 def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: FloatArray) -> StateEstimate:
-    """Return the estimate with unknown rows marked: infinite uncertainty, derivatives 0, a value nearby.
+    """Return the estimate with unknown rows marked: their uncertainty is infinite, their derivatives are 0, and their
+    value is a value nearby.
 
-    A missing value counts as known if its noise gain (R,) is at most 1. Then the other rows determine the value at
-    least as well as one measurement would.
+    A missing value counts as known if its noise gain (R,) is at most 1: then the other rows determine the value at
+    least as well as a measurement would.
     """
     if all(signal.is_measured is None for signal in signals):
         return estimate
@@ -299,7 +305,7 @@ def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: 
 
 
 def bounded_standard_deviation(values: FloatArray, least: float = ROUNDING) -> float:
-    """Return the standard deviation, or `least` times the size of the mean if the values hardly vary."""
+    """Return the standard deviation. If the values hardly vary, return `least` times the absolute value of the mean."""
     mean, deviation = moments(values)
     return max(deviation, least * abs(mean), SMALLEST)
 

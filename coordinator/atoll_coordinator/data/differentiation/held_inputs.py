@@ -2,9 +2,9 @@
 
 If an input is held over five rows or more, each piece between two switches is differentiated as a separate trajectory.
 If it is switched more often, the slope is the difference quotient of two neighbouring rows. This is the mean slope
-under one value of the input; to second order it is the slope at the midpoint between the rows. In this case no
-smoothing separates errors from motion. Instead, a polynomial in all variables is fitted to the slopes, and its
-residuals give the errors.
+during one value of the input; to second order it is the slope at the midpoint between the rows. In this case, smoothing
+cannot separate errors from motion. Instead, a polynomial in all variables is fitted to the slopes, and the errors are
+estimated from its residuals.
 
 This estimate of the errors is the doubtful part: if no polynomial fits the motion, the errors are too large.
 
@@ -29,10 +29,11 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _DEGREES: Final = (1, 2, 3)
-"""Degrees of the polynomials in all variables that are fitted to slopes for an estimate of their errors; the best fit
-is used."""
+"""Degrees of the polynomials in all variables. These polynomials are fitted to slopes to estimate the errors of the
+slopes; the best fit is used."""
 _STEPS_PER_TERM: Final = 3
-"""Fewest steps for each term of a polynomial: the residual variance is then known to within 25 % for fifty steps."""
+"""Fewest steps for each term of a polynomial. With this number and fifty steps, the residual variance is known to
+within 25 %."""
 _NEIGHBOURS: Final = Smoother(2, 1, 0.0)
 """A line through two neighbouring rows, described as a smoother."""
 
@@ -69,10 +70,10 @@ def estimate_driven_states(
 
 
 def pieces_between_switches(measurements: Measurements) -> list[list[Range]]:
-    """Return for each trajectory the half-open ranges of its rows along which held inputs do not change.
+    """Return, for each trajectory, the half-open ranges of rows in which held inputs do not change.
 
-    The row of a switch ends one range and begins the next. The value at the last row acts only after the last
-    measurement, so a switch there begins no range.
+    The row of a switch ends one range and begins the next. An input that is switched at the last row acts only after
+    the last measurement, so no range begins there.
     """
     held = np.array([measurements.columns[name] for name in measurements.roles.held])
     pieces = []
@@ -87,12 +88,13 @@ def pieces_between_switches(measurements: Measurements) -> list[list[Range]]:
 def _over_all_rows(
     estimate: StateEstimate, rows: Sequence[int], measurements: Measurements, name: str
 ) -> StateEstimate:
-    """Return an estimate over some `rows`, each once or twice, as an estimate over all rows.
+    """Return an estimate over all rows, made from an estimate over some `rows`; each of these rows occurs once or
+    twice.
 
-    At a row where two pieces meet, the estimate of the later piece is used, since its input acts on the next rows. A
-    row that ends a piece and begins no piece is not known, unless the trajectory ends there.
+    At a row where two pieces meet, the estimate of the later piece is used, since its input acts on the next rows. If a
+    row ends a piece, but no piece begins there, the state is not known at this row, unless the trajectory ends there.
     """
-    of_row = dict(zip(rows, range(len(rows)), strict=True))  # if a row has two estimates, the later one is used
+    of_row = dict(zip(rows, range(len(rows)), strict=True))  # if a row has two estimates, the later estimate is used
     ends = {last - 1 for _, last in measurements.ranges}
     goes_on = {row for row, after in pairwise(rows) if after == row + 1}
     kept = [row for row in of_row if row in goes_on or row in ends]
@@ -120,7 +122,8 @@ def _over_all_rows(
 
 
 def _is_hidden(estimate: StateEstimate) -> bool:
-    """Tell whether errors cause most of the variance of a derivative: then smoothing across jumps is more accurate."""
+    """Tell whether errors cause most of the variance of a derivative. If so, smoothing across jumps is more
+    accurate."""
     known = np.flatnonzero(estimate.is_known)
     if len(known) < SETTINGS.common.fewest_rows:
         return True
@@ -171,7 +174,7 @@ def _by_differences(
 
 
 def _filled(measurements: Measurements, name: str) -> FloatArray:
-    """Return a state (R,) as measured; missing values are interpolated linearly between their neighbours."""
+    """Return the measured values (R,) of a state. Missing values are interpolated linearly between their neighbours."""
     assert measurements.trajectories is not None
     pairs = zip(measurements.trajectories.times, measurements.trajectories.states[name], strict=True)
     return np.concatenate([make_signal(times, values).values for times, values in pairs])
@@ -180,7 +183,8 @@ def _filled(measurements: Measurements, name: str) -> FloatArray:
 def _noise(slopes: FloatArray, gains: FloatArray, variables: Sequence[FloatArray]) -> float | None:
     """Return the standard deviation of a state's errors, from residuals of polynomials fitted to its `slopes` (N,).
 
-    `gains` (N,) are the standard errors of slopes for errors of standard deviation one. None: too few steps.
+    `gains` (N,) are the standard errors of slopes for errors of standard deviation one. The result is None if there are
+    too few steps.
     """
     columns = [(values - mean) / (deviation or 1.0) for values in variables for mean, deviation in [moments(values)]]
     least: float | None = None

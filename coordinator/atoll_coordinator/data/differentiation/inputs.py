@@ -20,9 +20,11 @@ from atoll_coordinator.data.recording import InputKind
 from atoll_core.data.dataset import FloatArray
 
 _LEAST_SMOOTH: Final = 4
-"""Fewest rows for a cubic spline with continuous second derivatives; fewer rows get a shape-preserving curve."""
+"""Fewest rows for a cubic spline with continuous second derivatives. If there are fewer rows, the curve is
+shape-preserving."""
 _BETWEEN_SMOOTH: Final = 1.0 / 16.0
-"""Error of a cubic spline between rows over its error at left-out rows, if every second row is left out."""
+"""A ratio of two errors of a cubic spline: its error between rows, divided by its error at left-out rows if every
+second row is left out."""
 _Sample = tuple[FloatArray, FloatArray]
 
 
@@ -41,7 +43,7 @@ class InputCurve:
     def through(cls, times: FloatArray, values: FloatArray, kind: InputKind | None = None) -> "InputCurve":
         """Return the curve of a kind through finite `values` (N,) at `times` (N,).
 
-        Kind None: the kind that fits better.
+        If the kind is None, the kind that fits better is chosen.
         """
         kind = choose_input_kind([times], [values]) if kind is None else kind
         return cls(times, values, estimate_input_slopes([times], [values], kind)[0])
@@ -67,8 +69,8 @@ class InputCurve:
     def pieces(self) -> FloatArray:
         """Cubics (N - 1, 5): the time at which each begins, then the coefficients of the powers 0 to 3 of time.
 
-        Powers are of the time since the beginning of the cubic. A held input has N pieces; the last one begins at the
-        last row.
+        The time in these powers is the time since the beginning of the cubic. A held input has N pieces; the last one
+        begins at the last row.
         """
         times, values, slopes = self.times, self.values, self.slopes
         if self.is_held or len(times) < 2:
@@ -99,7 +101,7 @@ class InputCurve:
 
 
 def choose_input_kind(times: Sequence[FloatArray], values: Sequence[FloatArray]) -> InputKind:
-    """Return whether one input is smooth or shape-preserving: the kind that predicts left-out rows better.
+    """Return the kind of curve for one input, smooth or shape-preserving: the kind that predicts left-out rows better.
 
     Args:
         times: The times of each trajectory, strictly ascending.
@@ -115,7 +117,7 @@ def choose_input_kind(times: Sequence[FloatArray], values: Sequence[FloatArray])
 def estimate_input_slopes(
     times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind
 ) -> list[FloatArray]:
-    """Return the slopes of one input at the rows of each trajectory, NaN for a held input.
+    """Return the slopes of one input at the rows of each trajectory. The slopes of a held input are NaN.
 
     For an input that is linear in time, the slopes are exact up to rounding. Arguments are as in `choose_input_kind`.
     """
@@ -130,7 +132,7 @@ def estimate_input_slopes(
 
 
 def relative_curve_error(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind) -> float:
-    """Return the error of a smooth curve between rows over the standard deviation of the input (root mean squares).
+    """Return the root mean square error of a smooth curve between rows, divided by the standard deviation of the input.
 
     The error of a cubic spline grows as the fourth power of the step. If every second row is left out, the step
     doubles; so the error between rows is a sixteenth of the error at the left-out rows. The result is 0 for inputs of
@@ -146,12 +148,13 @@ def relative_curve_error(times: Sequence[FloatArray], values: Sequence[FloatArra
 
 
 def unknown_variance(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind | None) -> float | None:
-    """Return the variance of an input about its curve midway between rows; None if there are too few rows.
+    """Return the variance of the difference between an input and its curve, midway between rows. None if there are too
+    few rows.
 
-    For a smooth curve this is the square of its error. Other inputs are modelled as a random walk, which is a Brownian
-    bridge between two rows. If every second row is left out, the variance at the left-out rows is twice the variance
-    midway between rows. A held input is known everywhere. For an input that is not smooth the result includes its
-    noise, since its curve passes through the noisy values.
+    For a smooth curve this is the square of its error. Other inputs are modelled as random walks; between two rows,
+    such a walk is a Brownian bridge. If every second row is left out, the variance at the left-out rows is twice the
+    variance midway between rows. A held input is known everywhere. If an input is not smooth, the result includes the
+    noise of the input, since the curve passes through the noisy values.
     """
     if kind == "held":
         return 0.0
@@ -164,7 +167,7 @@ def unknown_variance(times: Sequence[FloatArray], values: Sequence[FloatArray], 
 
 
 def _exponent(values: Sequence[FloatArray]) -> int:
-    """Return the exponent of the power of two by which values are divided to be about one."""
+    """Return the exponent of a power of two: values divided by this power are about one."""
     return math.frexp(max((float(np.max(np.abs(part))) for part in values if len(part)), default=0.0))[1]
 
 
@@ -190,7 +193,7 @@ def _left_out_variance(kind: InputKind, samples: Sequence[_Sample]) -> float:
 
 
 def _left_out_errors(kind: InputKind, samples: Sequence[_Sample]) -> list[float]:
-    """Return the errors at inner rows if every second row is left out, first the odd rows, then the even rows."""
+    """Return the errors at inner rows. Every second row is left out: first the odd rows, then the even rows."""
     errors = list[float]()
     for times, values in samples:
         for first in (0, 1):

@@ -1,10 +1,11 @@
-"""Local interpolation: derivatives of noise-free data, missing values, and the noise from predicted rows. Pure.
+"""Local interpolation: derivatives of noise-free data, missing values, and an estimate of the noise from predicted
+rows. Pure.
 
-Derivatives are slopes of polynomials through the 3 to 15 nearest rows (weights by Fornberg 1988, which allow uneven
-steps). Each row uses the stencil whose result differs least from the next narrower stencil. This difference between two
-orders is the row's uncertainty; it is an estimate of the truncation error, not a bound. A missing value of a state is
-interpolated from the other values of this state. Before its first and after its last measured row, the state is not
-known.
+Derivatives are slopes of polynomials through the 3 to 15 nearest rows. Their weights, by Fornberg 1988, allow uneven
+steps. Each row uses the stencil whose result differs least from the next narrower stencil. This difference between two
+orders is the uncertainty of the row. It is an estimate of the truncation error, not an upper limit. A missing value of
+a state is interpolated from the other values of this state. Before its first and after its last measured row, the state
+is not known.
 """
 
 import math
@@ -35,17 +36,18 @@ Rows = npt.NDArray[np.intp]
 _LEAST_FREEDOM: Final = 1e-12
 """Guard: smallest value of 1 - leverage by which a residual is divided."""
 _MEDIAN_ERROR: Final = 1.1664
-"""Relative standard error of the median absolute value of R normal errors, times sqrt(R): 1 / (2 m f(m)), where m =
-0.6745 is the median and f the density of the absolute value."""
+"""Relative standard error of the median absolute value of R normal errors, times sqrt(R). It is 1 / (2 m f(m)), where m
+= 0.6745 is the median and f is the density of the absolute value."""
 _QUIET_DEVIATION: Final = 7.9579
-"""Standard deviation of normal errors over the 10 % quantile of their absolute values, 0.12566."""
+"""Standard deviation of normal errors, divided by the 10 % quantile of their absolute values, which is 0.12566."""
 _QUIET_ERROR: Final = 3.0156
-"""Relative standard error of this quantile for R errors, times sqrt(R): sqrt(0.1 0.9) / (2 m f(m)), see
-`_MEDIAN_ERROR`."""
+"""Relative standard error of the 10 % quantile of R errors, times sqrt(R): sqrt(0.1 0.9) / (2 m f(m)), where m is this
+quantile and f the density as in `_MEDIAN_ERROR`."""
 
 
 def mark_ends(lengths: Sequence[int]) -> FloatArray:
-    """Return 1.0 at rows near an end of a trajectory, else 0.0; 0.0 in trajectories shorter than 4 `END_ROWS`."""
+    """Return 1.0 at rows near an end of a trajectory, and 0.0 at other rows. In trajectories shorter than 4 `END_ROWS`,
+    return 0.0 at all rows."""
     parts = [np.zeros(length) for length in lengths]
     for part in parts:
         if len(part) >= 4 * END_ROWS:
@@ -54,7 +56,8 @@ def mark_ends(lengths: Sequence[int]) -> FloatArray:
 
 
 def predict_left_out(signals: Sequence[Signal]) -> tuple[FloatArray, FloatArray]:
-    """Return the errors of rows predicted from their neighbours, by H stencils, and the noise gains, both (R, H)."""
+    """Predict each row from its neighbours by H stencils. Return the errors of the predictions and their noise gains,
+    both (R, H)."""
     pairs = [np.empty((2, len(signal.times), HALF_WIDTHS)) for signal in signals]
     for (errors, gains), signal in zip(pairs, signals, strict=True):
         left_out_into(errors, gains, signal.times, signal.values)
@@ -67,8 +70,9 @@ def is_interpolation_better(
 ) -> bool:
     """Tell whether interpolation predicts left-out rows better than loess (with the result `smoothed`) does.
 
-    `errors` are the errors of interpolation at measured rows, from `predict_left_out`. Both are compared on the
-    `shares` of rows with the smallest errors; one share on which interpolation wins is enough.
+    `errors` are the errors of interpolation at measured rows, from `predict_left_out`. Both methods are compared on
+    several `shares` of the rows, each time on the rows with the smallest errors. It is enough if interpolation is
+    better on one of these shares.
     """
     inner = mark_ends([len(signal.measured.times) for signal in signals]) == 0.0
     left_out = [
@@ -84,7 +88,8 @@ def is_interpolation_better(
 
 
 def _typical_size(errors: FloatArray, share: float) -> float:
-    """Return the root mean square of the smallest errors; infinite if not all of them are finite."""
+    """Return the root mean square of the smallest errors. The result is infinite if one of these errors is not
+    finite."""
     ordered = np.sort(np.abs(errors))[: max(1, int(share * len(errors)))]
     mean, deviation = moments(ordered)
     size = math.sqrt(mean * mean + deviation * deviation)
@@ -94,7 +99,8 @@ def _typical_size(errors: FloatArray, share: float) -> float:
 def interpolate_derivative(
     signals: Sequence[Signal], order: int, noise: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the derivative of the given order and its uncertainty, both (R,), over the rows of all signals.
+    """Return the derivative of this order, and the uncertainty of the derivative, both (R,), at the rows of all
+    signals.
 
     `noise` has the standard errors of the values of each signal.
     """
@@ -114,7 +120,8 @@ def interpolate_derivative(
 def are_moving(parts: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
     """Return False for rows (R,) that belong to three or more consecutive equal values; NaN is ignored.
 
-    Such rows, for instance of a sensor at the end of its range, are predicted without error and do not show the noise.
+    Such rows, for instance of a sensor at the end of its range, are predicted without error. So they do not show the
+    noise.
     """
     moving = []
     for values in parts:
@@ -130,18 +137,19 @@ def are_moving(parts: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
 
 
 def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: bool = False) -> float:
-    """Return an estimate of the standard deviation of the measurement errors that is not biased low.
+    """Return an estimate of the standard deviation of the measurement errors that is not systematically too small.
 
     Each stencil width gives an estimate: the median absolute value of (prediction error / gain) times
     `NORMAL_DEVIATION`, with the relative standard error `_MEDIAN_ERROR` / sqrt(R). If the polynomials of a width follow
-    the signal, the estimate is unbiased; otherwise the estimate is too large. The least of several estimates is biased
-    low. So the result is the largest estimate that agrees with the least one within the sampling error.
+    the signal, the estimate is unbiased; otherwise it is too large. The smallest of several estimates is too small on
+    average. So the result is the largest estimate that agrees with the smallest estimate within the sampling error.
 
     Args:
         errors: Errors of rows predicted from their neighbours, (R, H); NaN where a stencil does not fit.
         gains: Standard deviations of `errors` for measurement errors of standard deviation one, (R, H).
-        is_quiet: Use the 10 % quantile instead of the median. If a state changes too fast for the sampling at some
-            rows, the other rows still show its noise. The standard error is 2.6 times as large.
+        is_quiet: Use the 10 % quantile instead of the median. This is for a state that changes too fast for the
+            sampling at some rows: the other rows still show its noise. The standard error of this estimate is 2.6 times
+            as large.
     """
     rows = len(errors)
     share, deviation, error = (0.5, NORMAL_DEVIATION, _MEDIAN_ERROR)
@@ -158,10 +166,11 @@ def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: boo
 
 @dataclass(frozen=True, eq=False)
 class Filled:
-    """A signal with its missing values filled, and the errors of the substitutes, all (R,) and 0 at measured rows.
+    """A signal with its missing values filled, and two kinds of errors of the substitutes, (R,) each and 0 at measured
+    rows.
 
-    `steps` are the differences between two orders of interpolation, infinite if the value is not known. `gains` are the
-    standard errors of the substitutes over the standard error of a measurement.
+    `steps` are the differences between two orders of interpolation; a difference is infinite if the value is not known.
+    `gains` are the standard errors of the substitutes, divided by the standard error of a measurement.
     """
 
     signal: Signal
@@ -178,7 +187,7 @@ def make_signal(times: FloatArray, values: FloatArray, inverse_variances: FloatA
 
 
 def fill_missing(signal: Signal) -> Filled:
-    """Return `signal` with missing values interpolated as well as its own rows allow."""
+    """Return `signal` with missing values interpolated from its own rows, as accurately as possible."""
     if signal.is_measured is None:
         return Filled(signal, *np.zeros((2, len(signal.times))))
     values, steps, gains = fill(signal.times, signal.values, signal.measured_rows, HALF_WIDTHS)
@@ -188,10 +197,11 @@ def fill_missing(signal: Signal) -> Filled:
 def fill(
     times: FloatArray, values: FloatArray, is_known: npt.NDArray[np.bool_], pairs: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return values with missing values filled, steps and gains; see `Filled`.
+    """Return the values with missing values filled, the steps and the gains; see `Filled`.
 
-    For a row between known rows, polynomials through 1 to `pairs` known rows on each side are compared; the polynomial
-    that differs least from the next smaller one is used. Other rows get the nearest known value, 0 if there is none.
+    For a row between known rows, polynomials through 1 to `pairs` known rows on each side are compared. The polynomial
+    is used that differs least from the polynomial with one pair less. Other rows get the nearest known value; 0 if no
+    value is known.
     """
     filled, steps, gains = values.copy(), np.zeros(len(times)), np.zeros(len(times))
     known, missing = np.flatnonzero(is_known), np.flatnonzero(~is_known)
@@ -213,7 +223,7 @@ def _interpolate(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return values, steps and gains (M,) at `rows` (M,) by the best polynomial through 2, 4, … of the `nodes` (M, P).
 
-    Sums run in the order of the nodes: the same bits everywhere.
+    Numbers are added in the order of the nodes, so that results have the same bits on every machine.
     """
     nearest = values[nodes[:, 0]]
     best, least, gains, last = nearest, np.full(len(rows), math.inf), np.ones(len(rows)), nearest

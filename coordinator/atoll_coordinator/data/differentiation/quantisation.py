@@ -1,7 +1,7 @@
 """Finds the steps in which a state was recorded: a decimal place, significant digits, or steps of an encoder. Pure.
 
-Rounding to steps of s causes errors of standard deviation s / sqrt(12) (Widrow & Kollár 2008, chapter 5), in addition
-to other errors.
+Rounding to steps of the size s causes errors with the standard deviation s / sqrt(12) (Widrow & Kollár 2008, chapter
+5), in addition to other errors.
 """
 
 import math
@@ -21,13 +21,14 @@ from atoll_core.data.dataset import FloatArray
 _ROOT_12: Final = math.sqrt(12.0)
 LIMITS = SETTINGS.common
 _WRITTEN_STEPS: Final = 3.0
-"""Differences of at most this many steps of the last digit are rounding errors of writing."""
+"""A difference of at most this many steps of the last written digit is a rounding error."""
 _SHARES_OF_LEAST: Final = (1, 2, 3)
 """The step is the least difference of two values divided by one of these numbers."""
 
 
 def find_quantisation(parts: Sequence[FloatArray]) -> StateQuantisation | None:
-    """Return the coarsest rounding that all values of a state share; None if this is only the rounding of doubles.
+    """Return the coarsest rounding that is common to all values of a state. None if this is only the rounding of
+    doubles.
 
     `parts` are the values along each trajectory, NaN where they are missing.
     """
@@ -35,7 +36,7 @@ def find_quantisation(parts: Sequence[FloatArray]) -> StateQuantisation | None:
     values = values[:: max(1, len(values) // SETTINGS.rows.most)]
     unique = np.unique(values)
     if len(unique) <= 2:
-        return None  # a switched state has no derivative: differentiation refuses it
+        return None  # a switched state has no derivative; differentiation raises an error later
     if len(unique) < LIMITS.few_values and repeats_in_step(parts):
         return None
     if len(unique) < LIMITS.few_values and has_few_levels(parts):
@@ -53,11 +54,11 @@ def find_quantisation(parts: Sequence[FloatArray]) -> StateQuantisation | None:
 
 
 def is_refuted(quantisation: StateQuantisation, signals: Sequence[Signal]) -> bool:
-    """Tell whether a state is exact: it follows a smooth curve more closely, in every row, than rounded values could.
+    """Tell whether a state is exact: at every row, it is nearer to a smooth curve than rounded values can be.
 
-    Squares of whole numbers, or a line with even steps, show a step but have no rounding error. If values were rounded,
-    a smooth curve misses some row by about the rounding error, no matter how slowly the state moves. The `signals` are
-    long enough to be differentiated.
+    Squares of whole numbers, or a line with even steps, seem to be rounded but have no rounding errors. If values were
+    rounded, the distance of a smooth curve from some row is about the rounding error, even if the state moves slowly.
+    The `signals` are long enough to be differentiated.
     """
     errors, gains = predict_left_out([signal.measured for signal in signals])
     largest = np.max(np.abs(errors) / gains, axis=0)
@@ -65,7 +66,7 @@ def is_refuted(quantisation: StateQuantisation, signals: Sequence[Signal]) -> bo
 
 
 def _decimal_rounding(values: FloatArray) -> StateQuantisation:
-    """Return the decimal rounding: to a decimal place, or to significant digits if that is coarser."""
+    """Return the decimal rounding: to a decimal place, or to significant digits if this rounding is coarser."""
     numbers = [Decimal(repr(value)).normalize() for value in values.tolist() if value != 0.0]
     digits = max(len(number.as_tuple().digits) for number in numbers)
     place = min(int(number.as_tuple().exponent) for number in numbers)
@@ -87,16 +88,17 @@ def _binary_rounding(values: FloatArray) -> StateQuantisation | None:
 
 
 def _common_step(values: FloatArray, finest: float) -> StateQuantisation | None:
-    """Return the step of which all differences of the ascending `values` are multiples, if there is such a step.
+    """Return a step such that all differences of the ascending `values` are multiples of it; None if there is no such
+    step.
 
-    The step is the least difference divided by a small whole number. Larger and larger differences then refine it. All
-    values must be multiples to within the digits in which they were written. For n random values, the probability that
-    all lie within a share m of a step from a multiple is (2 m)^n. `finest` is the step in which numbers were written
-    down; smaller differences are rounding errors.
+    The step is the least difference divided by a small whole number. Then the step is refined from larger and larger
+    differences. All differences must be multiples of it, within the digits in which the values were written. For n
+    random values, the probability that each differs from a multiple by at most a share m of the step is (2 m)^n.
+    `finest` is the step of the last written digit; smaller differences are rounding errors.
     """
     written = finest + 4.0 * float(np.spacing(np.abs(values).max()))
     offsets = values - values[0]
-    nearest = max(_WRITTEN_STEPS * finest, written)  # closer values are one value, rounded in two ways
+    nearest = max(_WRITTEN_STEPS * finest, written)  # values with a smaller distance are one value, rounded in two ways
     offsets = offsets[np.concatenate([[True], np.diff(values) > nearest])]
     if len(offsets) < LIMITS.few_values:
         return None

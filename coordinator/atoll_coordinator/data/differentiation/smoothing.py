@@ -1,13 +1,14 @@
-"""Loess: local polynomials with tricube weights; span and degree chosen by cross-validation; robust loess. Pure.
+"""Loess: local polynomials with tricube weights, whose span and degree are chosen by cross-validation; and robust
+loess. Pure.
 
 The slope of the local polynomial is the derivative (Schmidt & Lipson 2008). Span and degree are chosen for each state
-by generalised cross-validation (GCV), pooled over its trajectories. If the span is wide, long signals are thinned
-first: means of neighbouring rows replace the rows. So every row counts, and the work does not grow with the span. GCV
-assumes independent errors. If errors are correlated from row to row, GCV chooses spans that are too narrow, and the
+by generalised cross-validation (GCV), pooled over its trajectories. If the span is wide, long signals are first
+thinned: means of neighbouring rows replace the rows. So every row is used, and the work does not grow with the span.
+GCV assumes independent errors. If errors are correlated from row to row, GCV chooses spans that are too narrow, and the
 noise is underestimated.
 
-Robust loess reduces the weight of rows far from the curve, to 0 for outliers (Cleveland 1979, section 2). Unlike in
-that paper, span and degree are chosen again with every set of weights, because outliers favour wide spans.
+Robust loess reduces the weight of rows far from the curve; outliers get weight 0 (Cleveland 1979, section 2). Cleveland
+chooses span and degree once. Here they are chosen again for each set of weights, because outliers favour wide spans.
 """
 
 import math
@@ -34,23 +35,23 @@ LIMITS = SETTINGS.smoothing
 REACH: Final = 6.0
 """Residuals larger than this many times the median residual have no weight (Cleveland 1979, section 2)."""
 ROUNDS: Final = 6
-"""Maximum number of rounds that reweight rows by the residuals of the previous round; nearly all fits converge
-earlier."""
+"""Most rounds of robust loess. In each round, the weights follow from the residuals of the previous round; nearly all
+fits converge earlier."""
 _SPAN_RATIO: Final = 1.25
-"""Ratio of a span to the span tried before it."""
+"""Ratio of a span to the previous span that was tried."""
 _PATIENCE: Final = 5
-"""Number of spans without a better score after which wider spans are not tried."""
+"""After this number of spans without a better score, no wider spans are tried."""
 _FEWEST_OUTLIERS: Final = 3
-"""Tails are heavy if at least this many residuals are large and isolated: fewer may be chance."""
+"""Tails are heavy if at least this many residuals are large and isolated. A smaller number may occur by chance."""
 NORMAL_DEVIATION: Final = 1.4826
-"""Standard deviation of normal errors over the median of their absolute value: 1 / 0.6745."""
+"""Standard deviation of normal errors, divided by the median of their absolute values: 1 / 0.6745."""
 _LEAST_BINS: Final = LIMITS.bins // 2
 """A signal with at most this many rows is never thinned, and a longer signal keeps at least as many bins. This leaves
 room for wide spans."""
 _NARROW_SPANS: Final = tuple(LIMITS.bins // part for part in (4, 2, 1))
 """Spans, in rows, of fits without thinning. These fits show whether thinning has lost a fast wave."""
 _MOST_LEVERAGE: Final = 0.999
-"""Guard: a smoother with at least this mean leverage reproduces the data and has no score."""
+"""Guard: a smoother whose mean leverage is at least this value reproduces the data, so it has no score."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +59,8 @@ class Signal:
     """One state along one trajectory: strictly ascending `times` and `values`, both (R,).
 
     `robustness_weights` (R,), from 0 to 1, are low for rows far from the curve of the other rows; `inverse_variances`
-    (R,), positive, are inverse variances of the errors of each row, up to a factor; `is_measured` (R,) is 0 if a value
-    is missing and `values` has a substitute, else 1. None in place of each of the three: all are 1.
+    (R,), positive, are inverse variances of the errors of each row, up to a factor; `is_measured` (R,) is 1, or 0 if a
+    value is missing and `values` has a substitute. If one of these three arrays is None, all its elements are 1.
     """
 
     times: FloatArray
@@ -75,7 +76,7 @@ class Signal:
 
     @cached_property
     def measured(self) -> "Signal":
-        """The rows that were measured; the same object if none is missing."""
+        """The signal with only the measured rows. If no row is missing, this is the same object."""
         if self.is_measured is None:
             return self
         rows, factors = self.measured_rows, (self.robustness_weights, self.inverse_variances)
@@ -93,7 +94,8 @@ class Signal:
 
     @cached_property
     def weights(self) -> FloatArray:
-        """The weight of each row, (R,): its inverse variance times its robustness weight, 0 where it is missing."""
+        """The weight of each row, (R,): its inverse variance times its robustness weight. The weight of a missing value
+        is 0."""
         weights = self.filled_inverse_variances
         for factor in (self.robustness_weights, self.is_measured):
             weights = weights if factor is None else factor * weights
@@ -102,9 +104,9 @@ class Signal:
 
 @dataclass(frozen=True)
 class Smoother:
-    """A loess smoother: the `span` in bins, the `degree` of its polynomials, its score (lower is better).
+    """A loess smoother: its `span` in bins, the `degree` of its polynomials, and its score (a lower score is better).
 
-    A bin has `thinning` rows on average; 1 unless there are many rows.
+    A bin has `thinning` rows on average; this number is 1 unless there are many rows.
     """
 
     span: int
@@ -120,11 +122,11 @@ class Smoother:
 
 @dataclass(frozen=True, eq=False)
 class SmoothedSignal:
-    """Loess of one signal: `fits` (3, R) are value, slope, curvature.
+    """Loess of one signal.
 
-    `gains` (4, R) are their noise gains, then the leverage.
-
-    A noise gain is the standard error of a fit over the standard deviation of the errors in a row of weight 1.
+    `fits` (3, R) are the value, the slope and the curvature. `gains` (4, R) are the noise gains of these three, then
+    the leverage. A noise gain is the standard error of a fit, divided by the standard deviation of the errors in a row
+    of weight 1.
     """
 
     fits: FloatArray
@@ -148,7 +150,8 @@ def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
 
 
 def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
-    """Return means over bins of about `thinning` rows (1: the signal itself), and the ratio of bin width to `thinning`.
+    """Return means over bins of about `thinning` rows, and the ratio of the rows in a bin to `thinning`. If `thinning`
+    is 1, return the signal itself.
 
     A short signal is thinned less: then the ratio is below 1, and a span has more bins.
     """
@@ -166,9 +169,9 @@ def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
 def estimate_noise(signals: Sequence[Signal], smoother: Smoother) -> float:
     """Return the estimated standard deviation of the errors in a row of inverse variance 1, from residuals of loess.
 
-    The variance is the sum of squared residuals over the degrees of freedom (Cleveland & Devlin 1988, section 3):
-    number of rows, minus twice the trace of the smoother, plus the trace of its square. Rows without weight do not
-    count.
+    The variance is the sum of squared residuals divided by the degrees of freedom (Cleveland & Devlin 1988, section 3).
+    These are the number of rows, minus twice the trace of the smoother's matrix, plus the trace of its square. Rows
+    without weight do not count.
     """
     squares, degrees_of_freedom = 0.0, 0.0
     for signal in signals:
@@ -189,8 +192,8 @@ def estimate_noise(signals: Sequence[Signal], smoother: Smoother) -> float:
 def select_smoother(signals: Sequence[Signal], degrees: Sequence[int]) -> Smoother:
     """Return the smoother with the least generalised cross-validation score, pooled over `signals`.
 
-    The score (Craven & Wahba 1979, eq. 1.9) is the mean squared residual over the squared mean of (1 - leverage), both
-    weighted.
+    The score (Craven & Wahba 1979, eq. 1.9) is the mean squared residual, divided by the squared mean of (1 -
+    leverage). Both means are weighted.
     """
     rows = [len(signal.times) for signal in signals]
     thinning = max(1, min(sum(rows) // SETTINGS.rows.most, max(rows) // (_LEAST_BINS * LIMITS.bins)))
@@ -215,7 +218,8 @@ def select_smoother(signals: Sequence[Signal], degrees: Sequence[int]) -> Smooth
 
 
 def _is_resolved(signals: Sequence[Signal], smoother: Smoother, degrees: Sequence[int]) -> bool:
-    """Tell whether thinning loses no fast wave, by comparison with loess of all rows with narrow spans."""
+    """Tell whether thinning has kept all fast waves. For this, the fit is compared with loess of all rows with narrow
+    spans."""
     if not math.isfinite(smoother.score):
         return False
     whole = [(signal, 1.0) for signal in signals]
@@ -248,7 +252,8 @@ def _score_degrees(parts: Sequence[tuple[Signal, float]], span: int, every: int,
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """Signals with robustness weights, the smoother selected with them, and the median residual they are based on."""
+    """Signals with robustness weights, the smoother that was selected with these weights, and the median residual from
+    which the weights follow."""
 
     signals: tuple[Signal, ...]
     smoother: Smoother
@@ -261,7 +266,8 @@ class RobustFit:
 
 
 def fit_robustly(signals: Sequence[Signal], degrees: Sequence[int]) -> RobustFit:
-    """Return `signals` with low robustness weights for rows far from the curve, 0 for outliers."""
+    """Return `signals` with robustness weights: rows far from the curve have low weights, and outliers have weight
+    0."""
     fit = RobustFit(tuple(signals), select_smoother(signals, degrees), 0.0)
     least = SETTINGS.common.clean * moments(np.concatenate([signal.measured.values for signal in signals]))[1]
     for _ in range(ROUNDS):
@@ -288,7 +294,8 @@ def weigh_by(fit: RobustFit, signal: Signal) -> Signal:
 
 
 def has_heavy_tails(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> bool:
-    """Tell whether some rows are isolated and too far from the curve for the noise of the other rows."""
+    """Tell whether some isolated rows are so far from the curve that the noise of the other rows does not explain their
+    distance."""
     residuals = _residuals(signals, smoothed)
     limit = REACH * NORMAL_DEVIATION * _median(residuals, signals)
     count = 0
@@ -301,7 +308,8 @@ def has_heavy_tails(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal
 
 
 def _residuals(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> list[FloatArray]:
-    """Return residuals over the standard deviation of the errors of each row, up to a factor; 0 for missing values."""
+    """Return the residuals, each divided by the standard deviation of the errors of its row, up to a common factor. The
+    residual of a missing value is 0."""
     return [
         (signal.values - fit.fits[0]) * signal.measured_rows * np.sqrt(signal.filled_inverse_variances)
         for signal, fit in zip(signals, smoothed, strict=True)

@@ -102,6 +102,7 @@ class Roles:
 def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
     """Return the role of every column, and `config` with column names as in the table, without units.
 
+    `assign_roles_by_name` assigns the roles; this function checks names, options and the columns with an equation.
     Raises UsageError if options contradict each other, DataError for a column that does not exist or holds text.
     """
     config = strip_units(config, table.names)

@@ -1,9 +1,9 @@
 """The usable rows of a table as checked trajectories: the input of smoothing. Pure.
 
 A trajectory is one continuous measurement. Times are centred over the whole data set, so that an offset of 1900 or of
-10**9 costs no precision. Times that are evenly spaced within their precision are made exactly even. Angles are
-unwrapped. If a gap in the times is longer than the span of smoothing, the trajectory is split there: the motion within
-the gap is unknown, and no slope or simulation should cross it.
+10**9 does not reduce the precision. If times are evenly spaced within their precision, they are made exactly even.
+Angles are unwrapped. If a gap in the times is longer than the span of smoothing, the trajectory is split there: the
+motion within the gap is unknown, and no slope or simulation should cross it.
 
 The checks are fast enough to run in a client, before it uploads the data.
 """
@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.trajectories.usable_rows import (
+from atoll_coordinator.data.trajectories.table_checks import (
     MIN_ROWS,
     check_no_turns,
     check_rates,
@@ -25,7 +25,7 @@ from atoll_coordinator.data.trajectories.usable_rows import (
     check_sizes,
     check_trajectory,
     check_varies,
-    select_usable_rows,
+    drop_incomplete_rows,
 )
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig
@@ -41,8 +41,8 @@ MANY_SPLIT: Final = 5
 LARGEST_PLAIN: Final = 1e15
 """Whole numbers below this are written without an exponent."""
 _TIME_ROUNDING: Final = 4.0
-"""Times count as even if they are even within this many units in the last place of the largest time, and if steps are
-more than this many times as long as that unit."""
+"""Times count as even under two conditions, in units in the last place of the largest time: they are even within this
+many units, and each step is longer than this many units."""
 Range = tuple[int, int]
 
 
@@ -51,8 +51,8 @@ class Trajectories:
     """States along trajectories.
 
     `names[i]` is the user's name of trajectory i; `times[i]` are its strictly ascending times minus `offset`, the
-    centre of all times; `states[name][i]` is a state along the trajectory, angles unwrapped and in radians, NaN where
-    it is missing.
+    centre of all times; `states[name][i]` is a state along the trajectory; a missing value is NaN. Angles are unwrapped
+    and in radians.
     """
 
     names: tuple[str, ...]
@@ -65,11 +65,11 @@ class Trajectories:
 class Measurements:
     """The used rows of a table: R rows, V columns.
 
-    `columns` are the used columns (R,) by name, angles in radians, missing states not finite. `ranges` are half-open
-    ranges of rows, one for each trajectory, and `held_out` tells for each trajectory whether it is held out of the
-    search. `trajectories` is None if columns hold the left-hand sides. `warnings` are sentences for the user. `groups`
-    has the group of each trajectory if groups may have different constants, otherwise it is empty. Each row is the mean
-    of about `rows_of_mean` rows of the table.
+    `columns` are the used columns (R,) by name. Angles are in radians; missing values of states are not finite.
+    `ranges` are half-open ranges of rows, one for each trajectory, and `held_out` tells for each trajectory whether it
+    is held out of the search. `trajectories` is None if columns hold the left-hand sides. `warnings` are sentences for
+    the user. `groups` has the group of each trajectory if groups may have different constants; if not, it is empty.
+    Each row is the mean of about `rows_of_mean` rows of the table.
     """
 
     roles: Roles
@@ -88,7 +88,7 @@ class Measurements:
 
     @property
     def weights(self) -> FloatArray | None:
-        """The weight of each row from its column, (R,); None without a column of weights."""
+        """The weight of each row (R,), from the column of weights; None if there is no such column."""
         return None if self.roles.weights is None else self.columns[self.roles.weights]
 
     @property
@@ -130,12 +130,12 @@ class Measurements:
 
 
 def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measurements:
-    """Select the usable rows and check the measurements; `config` names columns as `table` does.
+    """Select the usable rows and check the measurements. `config` uses the column names of `table`.
 
-    Raises UsageError if the column of ``--holdout`` does not distinguish trajectories, DataError if the measurements
-    cannot be used: the message names the place and gives advice.
+    Raises UsageError if the column of ``--holdout`` does not distinguish trajectories. Raises DataError if the
+    measurements cannot be used; the message names the place and gives advice.
     """
-    rows, warnings = select_usable_rows(table, roles, config)
+    rows, warnings = drop_incomplete_rows(table, roles, config)
     numbers = np.zeros(table.rows) if roles.trajectory is None else table.column(roles.trajectory)
     marks = [numbers] if roles.group is None else [numbers, table.column(roles.group)]
     segments = np.searchsorted(table.starts, rows, side="right")
@@ -166,11 +166,11 @@ def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measure
 def _trajectories_of_ranges(
     table: Table, roles: Roles, rows: list[int], ranges: Sequence[Range], columns: Mapping[str, FloatArray]
 ) -> Trajectories:
-    """Return names, times and states along each trajectory.
+    """Return names, times and states along each trajectory. `rows` are the used rows of the table, and `ranges` are
+    half-open ranges of places in `rows`.
 
-    `ranges` are half-open ranges into the `rows` of the table that are used; `columns` are at these rows, angles in
-    radians. Raises DataError if a trajectory is too short, if its times do not ascend, or if a state looks like a
-    wrapped angle.
+    `columns` have the values at these rows, with angles in radians. Raises DataError if a trajectory is too short, if
+    its times do not ascend, or if a state looks like a wrapped angle.
     """
     assert roles.time is not None
     times = table.column(roles.time)[rows]
@@ -216,11 +216,12 @@ def _name_groups(
 
 
 def select_held_out(holdout: int | str | None, trajectory: str | None, values: Sequence[str]) -> tuple[bool, ...]:
-    """Return for each trajectory whether it is held out: equations are judged by it, and it influences no choice.
+    """Return, for each trajectory, whether it is held out. Held-out trajectories are used to judge equations, and do
+    not influence any choice.
 
     `holdout` is the number of trajectories to hold out, from the end, or ``COLUMN=VALUE``; `values` has the value of
-    the column `trajectory` for each trajectory. Raises UsageError if COLUMN does not distinguish trajectories,
-    DataError if there are too few trajectories, or no trajectory with this value.
+    the column `trajectory` for each trajectory. Raises UsageError if COLUMN does not distinguish trajectories. Raises
+    DataError if there are too few trajectories, or if no trajectory has this value.
     """
     count = len(values)
     if isinstance(holdout, str):
@@ -259,7 +260,8 @@ def format_number(value: float) -> str:
 
 
 def distinguish(names: Sequence[str]) -> tuple[str, ...]:
-    """Return unique names: repeated names get a letter or a number, as in 2, 2b, 2c, …, 2z, 2aa, or a, a 2, a 3."""
+    """Return unique names. Repeated names get a letter or a number, as in 2, 2b, 2c, …, 2z, 2aa, or as in a, a 2, a
+    3."""
     distinct: list[str] = []
     taken: set[str] = set()
     for name in names:
@@ -283,7 +285,8 @@ def _suffix(name: str, number: int) -> str:
 
 
 def _center_times(times: FloatArray, centre: float) -> FloatArray:
-    """Return times - centre; they are made exactly even if they are even to within their last bits."""
+    """Return `times` minus `centre`. If these differences are even to within their last bits, they are made exactly
+    even."""
     precision = _TIME_ROUNDING * float(np.spacing(np.max(np.abs(times))))
     length, count = float(times[-1]) - float(times[0]), len(times) - 1
     step = length / count
@@ -295,7 +298,7 @@ def _center_times(times: FloatArray, centre: float) -> FloatArray:
 
 
 def unwrap(values: FloatArray) -> FloatArray:
-    """Return an angle (radians) of one trajectory without jumps of more than half a turn; NaN is ignored."""
+    """Return an angle (radians) along one trajectory, after removing jumps of more than half a turn. NaN is ignored."""
     turn = 2.0 * math.pi
     result = values.copy()
     turns = 0
@@ -320,9 +323,10 @@ def find_pieces(times: FloatArray, span: int) -> list[Range]:
 
 
 def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
-    """Return `measurements` with trajectories split at gaps longer than `span` rows; the same object if there are none.
+    """Return `measurements` with trajectories split at gaps longer than `span` median steps. If there are no such gaps,
+    return the same object.
 
-    Pieces that are too short to be differentiated are left out. If too little would remain, no trajectory is split.
+    Pieces that are too short to be differentiated are left out. If too few rows would remain, no trajectory is split.
     """
     whole = measurements.trajectories
     assert whole is not None
@@ -353,7 +357,8 @@ def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
 
 
 def take_pieces(measurements: Measurements, pieces: Sequence[Sequence[Range]]) -> Measurements:
-    """Return `measurements` with the `pieces` of each trajectory, ranges of its rows, as separate trajectories."""
+    """Return `measurements` in which each of the `pieces` is a separate trajectory. The pieces of a trajectory are
+    ranges of its rows."""
     whole = measurements.trajectories
     assert whole is not None
     parts = [(number, slice(*piece)) for number, ranges in enumerate(pieces) for piece in ranges]

@@ -1,30 +1,32 @@
-"""Constants as they are shown: simple numbers where the data support them, else estimates with few digits.
+"""Constants as they are shown: simple numbers if the data support them, or else estimates with few digits.
 
-`search_decisions` weighs the simple numbers, `Estimates.accepted_numbers` decides which of them replace estimates, and
-`FittedEquations.simplify` and `FittedEquations.round_constants` write them into the equations.
+`search_decisions` computes the odds of simple numbers, and `Estimates.accepted_numbers` decides which simple numbers
+replace estimates. `FittedEquations.accept_simple_numbers` and `FittedEquations.round_equations` write the accepted
+numbers into the equations.
 
 *Simple numbers.* A simple number is p/q times a power of ten, or pi times such a number; p and q are whole numbers, and
 q is small. Whole numbers and short decimals have q = 1. Each simple number has a length in nats, the price of its
-digits and its denominator (`number_length`). A number and ten times this number have the same length, so that no unit
-is preferred.
+digits and its denominator (`number_length`). A number and ten times this number have the same length, so the choice of
+a unit hardly matters.
 
-*One constant.* The constant is either a simple number or any number nearby; the prior probability of both is equal. A
-simple number of length L has the prior probability e^-L. Near its minimum the misfit is a quadratic form of the
-constants, so the effect of each decision is known. Constants are decided one after another: a few simple numbers near
-the estimate are tried, given the earlier decisions, and a beam of the most probable decisions is kept (sequential
-decoding, as in integer least squares). A simple number replaces an estimate when the logarithm of its odds against all
-other decisions together reaches `InferenceSettings.distinct_nats`.
+*One constant.* The constant is either a simple number or an arbitrary number; both cases have the same prior
+probability. A simple number of length L has the prior probability e^-L. Near its minimum the misfit is a quadratic form
+of the constants, so the effect of each decision is known. Constants are decided one after another. For each constant, a
+few simple numbers near its estimate are tried; the estimate depends on the earlier decisions. Only a beam of the most
+probable decisions is kept (sequential decoding, as in integer least squares). The odds of a simple number are the odds
+against all decisions without it. It replaces an estimate if the logarithm of these odds is at least
+`InferenceSettings.distinct_nats`.
 
-*All constants together.* The share of simple constants is not known, and every share has the same prior probability: m
-particular constants of K are simple with the probability m! (K - m)!/(K + 1)! (Laplace's rule of succession). So each
-simple constant makes further simple constants more probable, and each other constant makes them less probable. The
-product of a constant and a constant that is already decided may also be simple: 0.9 (c + f) with c = 0.1111 is 0.1 +
-0.9 f after expansion.
+*All constants together.* The share of simple constants is not known, and every share has the same prior probability. So
+the probability that m particular constants of K are simple, and the others are not, is m! (K - m)!/(K + 1)! (Laplace's
+rule of succession). So each simple constant makes further simple constants more probable, and each constant that is not
+simple makes them less probable. The product of a constant and a constant that is already decided may also be simple:
+0.9 (c + f) with c = 0.1111 is 0.1 + 0.9 f after expansion.
 
 *Doubtful.* The lengths are a convention: another law may really have an unusual constant that lies near a simple
-number. The quadratic form is only valid near the minimum, so `FittedEquations.simplify` measures the misfit again and
-keeps the estimates if the misfit grows more than predicted. The beam may miss the most probable decision. With more
-constants than `SETTINGS.effort.beam`, no constant becomes simple.
+number. The quadratic form is only valid near the minimum, so `FittedEquations.accept_simple_numbers` measures the
+misfit again and keeps the estimates if the misfit grows more than predicted. The beam may miss the most probable
+decision. With more constants than `SETTINGS.effort.beam`, no constant becomes simple.
 """
 
 import math
@@ -46,9 +48,9 @@ from atoll_core.expression.restrictions import Restrictions
 from atoll_core.expression.writing.shortest import collected
 
 ERROR_DIGITS: Final = tuple(1 + 2**power for power in range(5))
-"""Digits of standard errors to which estimates may be rounded; the last number keeps all digits of a double. The fewest
-digits that do not change simulations are used. With two digits, the rounding error is at most 1/20 of a standard
-error."""
+"""Numbers of digits that are tried. An estimate is rounded to this number of digits of its standard error; the last
+number keeps all digits of a double. The smallest number with which simulations do not change is used. With two digits,
+the rounding error is at most 1/20 of a standard error."""
 _ROUNDING_ERROR: Final = 2.0**-50
 """Standard errors below this share of a constant are rounding errors."""
 _NATS_PER_DIGIT: Final = math.log(3.0)
@@ -56,9 +58,11 @@ _NATS_PER_DIGIT: Final = math.log(3.0)
 _MOST_ENUMERATED_DIGITS: Final = 3
 """For numerators with more digits, the sum of probabilities is replaced by an integral."""
 _MOST_STANDARD_ERRORS: Final = 4.0
-"""Simple numbers are considered within this many standard errors of a constant: others have no weight."""
+"""Simple numbers are considered within this many standard errors of a constant: the probability of other simple numbers
+is negligible."""
 _NUMERATORS_EACH_SIDE: Final = 2
-"""Number of numerators tried on either side of the nearest numerator: others are far less probable."""
+"""Number of numerators that are tried on either side of the nearest numerator: other numerators are far less
+probable."""
 _DIGITS_OF_PI: Final = 2
 """Most digits of multiples of pi: with more digits, a decimal of the same size would be as simple."""
 _LARGEST_NUMBER: Final = 1e200
@@ -70,8 +74,9 @@ class Decision:
     """Decisions that some constants are simple numbers, and the estimates of the other constants.
 
     `numbers` has the index of each decided constant, in node order, and its simple number. `undecided` has the indices
-    of the other constants, `means` (U,) their estimates and `covariance` (U, U) their covariance, given the decisions.
-    `nats` is the log odds of these simple numbers against arbitrary numbers.
+    of the U other constants. `means` (U,) are the estimates of these constants, and `covariance` (U, U) is their
+    covariance, both under the condition of the decisions. `nats` is the log odds of these simple numbers against
+    arbitrary numbers.
     """
 
     numbers: tuple[tuple[int, float], ...]
@@ -109,10 +114,11 @@ class Decision:
 
 
 class Estimates:
-    """Fitted constants, and the decisions on them. Decisions are weighed once and serve every number of digits."""
+    """Fitted constants, and the decisions on them. The odds of decisions are computed once, and used for every number
+    of digits."""
 
     def __init__(self, means: FloatArray, covariance: FloatArray) -> None:
-        """Take the `means` (K,) and the `covariance` of the constants."""
+        """Set the `means` (K,) and the `covariance` (K, K) of the constants."""
         self.count: Final = len(means)
         self._start: Final = Decision.start(means, covariance)
         self._errors: Final = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -155,10 +161,11 @@ class Estimates:
         return tuple(found)
 
     def joint_simple_numbers(self, constants: Sequence[int]) -> SimpleTogether | None:
-        """Return simple numbers of two or more of these constants that are jointly likely; None if there are none.
+        """Return a combination of simple numbers, for two or more of these constants, that is likely as a whole; None
+        if there is none.
 
-        This is the largest combination whose odds are high enough to replace estimates. If there is none, it is the
-        largest combination with odds of at least one. Its places are indices of `constants`.
+        It is the largest combination whose odds are high enough to replace estimates. If there is no such combination,
+        it is the largest combination with odds of at least one. The places in the result are indices of `constants`.
         """
         combinations = dict.fromkeys(
             tuple(number for number in decided.items() if number[0] in constants)
@@ -177,19 +184,18 @@ class Estimates:
         return None
 
     def misfit_increase(self, numbers: Mapping[int, float]) -> float:
-        """Return by how many nats the misfit grows, near its minimum, when constants (by index) are set to
-        `numbers`."""
+        """Return the increase of the misfit in nats, near its minimum, if constants (by index) are set to `numbers`."""
         chosen = sorted(numbers)
         away = self._start.means[chosen] - [numbers[index] for index in chosen]
         return quadratic_misfit_increase(away, self._start.covariance[np.ix_(chosen, chosen)])
 
-    def round_constants(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> FloatArray:
+    def round_values(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> FloatArray:
         """Return the constants (K,) as they are shown.
 
-        Estimates are rounded to this many digits of their standard errors, one after another, each to its best value
-        given the constants already rounded. So, of several constants that the data determine only jointly, the last one
-        keeps the digits it needs. Accepted simple numbers replace estimates, except for the constants `estimates`, by
-        index.
+        Estimates are rounded to `digits` digits of their standard errors, one after another. Before an estimate is
+        rounded, it moves to its best value for the constants that are already rounded. So if the data determine several
+        constants only jointly, the last of them keeps the digits that it needs. Accepted simple numbers replace
+        estimates, except for the constants `estimates`, by index.
         """
         decision = self._start
         for index, number in self.accepted_numbers.items():
@@ -205,8 +211,9 @@ class Estimates:
 class RoundedEquations:
     """The equations with constants as they are shown.
 
-    `simple` has the nearest simple number of each constant of each equation; it is empty for a given equation.
-    `together` has the joint odds of the simple numbers of each equation, and is empty if these were not judged.
+    `simple` has the nearest simple number of each constant of each equation; it is empty for an equation that the user
+    gave. `together` has the joint odds of the simple numbers of each equation; it is empty if these odds were not
+    computed.
     """
 
     programs: tuple[Program, ...]
@@ -230,9 +237,9 @@ class FittedEquations:
     columns: Ints | None = None
     multiples: FloatArray | None = None
 
-    def simplify(self, misfit_increase: Callable[[Sequence[Program]], float]) -> tuple[Program, ...]:
-        """Return the programs with accepted simple numbers as constants; terms and factors that become neutral are
-        dropped.
+    def accept_simple_numbers(self, misfit_increase: Callable[[Sequence[Program]], float]) -> tuple[Program, ...]:
+        """Return the programs with accepted simple numbers as constants. Terms that become zero and factors that become
+        one are dropped.
 
         The programs are unchanged if no simple number is accepted, or if the misfit grows by more than the quadratic
         form predicts plus `InferenceSettings.distinct_nats`.
@@ -241,7 +248,7 @@ class FittedEquations:
             misfit_increase: returns the misfit of programs in nats minus the misfit of the fitted programs.
         """
         numbers = self.estimates.accepted_numbers
-        simple = self.round_constants(ERROR_DIGITS[-1]).programs if numbers else ()
+        simple = self.round_equations(ERROR_DIGITS[-1]).programs if numbers else ()
         if (
             not simple
             or misfit_increase(simple) > self.estimates.misfit_increase(numbers) + SETTINGS.inference.distinct_nats
@@ -251,14 +258,14 @@ class FittedEquations:
             program if equation in self.given else collected(program) for equation, program in enumerate(simple)
         )
 
-    def round_constants(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> RoundedEquations:
+    def round_equations(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> RoundedEquations:
         """Return the equations with constants as they are shown.
 
         Args:
             digits: number of digits of the standard errors to which estimates are rounded.
-            estimates: fitted numbers, by index, that stay estimates although a simple number is accepted.
+            estimates: indices of the fitted numbers that remain estimates, even if a simple number is accepted.
         """
-        rounded, near = self.estimates.round_constants(digits, estimates), self.estimates.simple
+        rounded, near = self.estimates.round_values(digits, estimates), self.estimates.simple
         columns = (np.arange(self.estimates.count) if self.columns is None else self.columns).tolist()
         multiples = (np.ones(len(columns)) if self.multiples is None else self.multiples).tolist()
         programs, simple, together, first = [], [], [], 0
@@ -275,7 +282,8 @@ class FittedEquations:
 
 
 def _scale_joint_numbers(together: SimpleTogether | None, multiples: Sequence[float]) -> SimpleTogether | None:
-    """Return the joint odds with the simple numbers multiplied; `multiples` is each constant over its fitted number."""
+    """Return `together` with each simple number multiplied by the element of `multiples` for its constant (the ratio of
+    the constant to its fitted number)."""
     if together is None:
         return None
     pairs = zip(together.constants, together.values, strict=True)
@@ -292,14 +300,15 @@ def _decimal_product(multiple: float, value: float) -> float:
 
 
 def quadratic_misfit_increase(away: FloatArray, covariance: FloatArray) -> float:
-    """Return by how many nats the misfit grows when constants are shifted by `away` (K,), near its minimum."""
+    """Return the increase of the misfit in nats, near its minimum, if constants are shifted by `away` (K,)."""
     return 0.5 * float(away @ inverse(covariance) @ away)
 
 
 def search_decisions(start: Decision) -> list[Decision]:
-    """Return the most probable decisions on constants, including no decision (`start`), by a beam search.
+    """Return the most probable decisions on constants, found by a beam search.
 
-    The product of a constant with a constant already decided may be simple, instead of the constant itself.
+    The result includes `start`, the state without a decision. Instead of a constant itself, the product of this
+    constant and a constant that is already decided may be simple.
     """
     count = len(start.undecided)
     all_decisions = beam = [start]
@@ -331,11 +340,11 @@ def search_decisions(start: Decision) -> list[Decision]:
 
 
 def _simple_number_gains(value: float, error: float, others: Sequence[float]) -> dict[float, float]:
-    """Return the simple numbers near an estimate with their log odds (nats) against an arbitrary number.
+    """Return the simple numbers near an estimate, with their log odds (nats) against an arbitrary number.
 
-    Numbers whose product with one of `others` is simple are included. They have half the prior probability of numbers
-    that are simple themselves. They are tried only if no number that is simple itself is more probable than an
-    arbitrary number.
+    A number also counts as simple if its product with one of `others` is simple. Such numbers have half the prior
+    probability of numbers that are simple themselves. They are only tried if no number that is simple itself is more
+    probable than an arbitrary number.
     """
     if value == 0.0 or not math.isfinite(value) or not math.isfinite(error):  # no number is near
         return {}
@@ -362,7 +371,7 @@ def _log_odds(numbers: Mapping[float, float], value: float, error: float, least:
 
 
 def _round_to_error(value: float, error: float, digits: int) -> float:
-    """Return `value` rounded to this many digits of its error, and to at least as many significant digits."""
+    """Return `value` rounded to this many digits of its error. At least this many significant digits are kept."""
     if value == 0.0 or not math.isfinite(value):
         return value
     size = min(error, abs(value)) if error > 0.0 else abs(value)
@@ -374,16 +383,17 @@ def _round_to_error(value: float, error: float, digits: int) -> float:
 
 
 def number_length(numerator: int, denominator: int = 1) -> float:
-    """Return the length in nats of p/q times any power of ten: the sum of the prices of p, of its digits beyond the
-    first, and of q if q > 1."""
+    """Return the length in nats of p/q times any power of ten: the sum of the price of p, the price of each further
+    digit of p, and the price of q if q > 1."""
     digits = len(str(abs(numerator))) - 1
     return math.log1p(abs(numerator)) + _NATS_PER_DIGIT * digits + (math.log1p(denominator) if denominator > 1 else 0.0)
 
 
 def simple_numbers(value: float, error: float) -> dict[float, float]:
-    """Return simple numbers within a few standard errors of `value`, each with its length in nats; 0 is excluded.
+    """Return simple numbers within a few standard errors of `value`, each with its length in nats. The number 0 is
+    excluded.
 
-    Numbers have as many digits as the error justifies, decimals one digit more.
+    The number of digits follows from the error; decimals may have one digit more.
 
     Args:
         value: not 0.
@@ -401,11 +411,11 @@ def simple_numbers(value: float, error: float) -> dict[float, float]:
 
 
 def continuum_density(value: float) -> float:
-    """Return the prior probability density at `value` of an arbitrary number, per unit.
+    """Return the prior probability density of an arbitrary number at `value`.
 
-    Simple numbers of length L have the probability e^-L, up to a common factor. The sum of these probabilities over one
-    decade is the same for all decades. An arbitrary number in the decade has the same total probability, with a uniform
-    density of its logarithm.
+    A simple number of length L has the probability e^-L, up to a common factor. The sum of these probabilities over one
+    decade is the same for all decades. Arbitrary numbers in the decade have the same total probability, and the density
+    of their logarithm is uniform.
     """
     return _decade_probability() / math.log(10.0) / abs(value)
 

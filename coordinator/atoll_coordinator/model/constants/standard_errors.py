@@ -1,14 +1,15 @@
 """Standard errors, intervals and correlations of the constants of fitted equations, from normal equations. Pure.
 
 All fits use this module: fits to the rows of a target, to trajectories, and to the steps of a process.
-`estimate_covariance` inverts the matrix of the normal equations, scaled to a unit diagonal. Directions with a
-negligible eigenvalue are not determined by the data, and neither are constants that load on them. `ConstantErrors`
-holds the result, and `ConstantErrors.describe` turns it into 95 % intervals (Student's t) for the report.
+`estimate_covariance` inverts the matrix of the normal equations, scaled to a unit diagonal. The data do not determine
+directions with a negligible eigenvalue. A constant with a component along such a direction is not determined either.
+`ConstantErrors` holds the result, and `ConstantErrors.describe` turns it into 95 % intervals (Student's t) for the
+report.
 
 Doubtful: the covariance is a local linear approximation, so intervals of strongly nonlinear constants are too
-symmetric. Constants on a bound are treated as known: the errors of other constants do not include their uncertainty.
-The limit between "determined" and "not determined" (`_LEAST_EIGENVALUE`) follows from rounding errors and not from
-statistics.
+symmetric. Constants on a bound are treated as known: their uncertainty is not included in the errors of the other
+constants. The limit between "determined" and "not determined" (`_LEAST_EIGENVALUE`) follows from rounding errors and
+not from statistics.
 
 Letters: P fitted constants.
 """
@@ -61,10 +62,11 @@ Flags = npt.NDArray[np.bool_]
 def estimate_covariance(
     normal: FloatArray, values: FloatArray, on_bound: Flags, diagonal: FloatArray | None = None
 ) -> tuple[FloatArray, Flags]:
-    """Return the covariance (P, P) of fitted constants, positive definite, and which constants (P,) are not determined.
+    """Return the covariance (P, P) of fitted constants, which is positive definite, and a mask (P,) of the constants
+    that are not determined.
 
-    A constant is not determined if it loads on a direction that the data do not determine; its variance is then large.
-    Constants `on_bound` are treated as known: they are fixed when the errors of the other constants are computed.
+    A constant is not determined if it has a component along a direction that the data do not determine; its variance is
+    then large. Constants `on_bound` are treated as known when the errors of the other constants are computed.
 
     Args:
         normal: the matrix (P, P) of the normal equations, after elimination of the other fitted numbers.
@@ -86,7 +88,7 @@ def estimate_covariance(
 
 
 def _invert_normal(diagonal: FloatArray, normal: FloatArray) -> tuple[FloatArray, Flags]:
-    """Return the inverse of the normal matrix, and which constants are not determined."""
+    """Return the inverse of the normal matrix, and a mask of the constants that are not determined."""
     least = np.maximum(_CANCELLED_SHARE * np.nan_to_num(diagonal), _SMALLEST_CURVATURE)
     scale = np.sqrt(np.clip(np.nan_to_num(np.diag(normal)), least, 1.0 / _SMALLEST_CURVATURE))
     with np.errstate(all="ignore"):
@@ -102,15 +104,16 @@ def _invert_normal(diagonal: FloatArray, normal: FloatArray) -> tuple[FloatArray
 
 
 def one_sided_interval_lengths(normal: FloatArray, gradient: FloatArray | None, on_bound: Flags) -> dict[int, float]:
-    """Return for each constant on a bound, by index, the length of its one-sided 95 % interval, which starts at the
-    bound.
+    """Return the lengths of the one-sided 95 % intervals of the constants on a bound, by index. The interval of such a
+    constant starts at the bound.
 
-    Near the bound the likelihood is approximately normal. Its centre lies beyond the bound, at the Newton step of the
-    gradient. The distribution of the constant is the truncated normal distribution within the bounds.
+    Near the bound the likelihood is approximately normal. The centre of the normal distribution lies beyond the bound,
+    at the Newton step of the gradient. The distribution of the constant is the part of the normal distribution within
+    the bounds.
 
     Args:
         normal: the curvature (P, P) of minus the log-likelihood.
-        gradient: the slope (P,) of the log-likelihood; None: not known, and taken as zero.
+        gradient: the slope (P,) of the log-likelihood; None: it is not known, and assumed to be zero.
         on_bound: which constants (P,) lie on a bound.
     """
     from scipy import special
@@ -132,12 +135,12 @@ def one_sided_interval_lengths(normal: FloatArray, gradient: FloatArray | None, 
 class ConstantErrors:
     """The estimates of all constants and their errors.
 
-    `values` (P,) have the joint covariance `finite_covariance` (P, P), positive definite: the inverse of the normal
-    equations times `scale`. `undetermined` (P,) tells which constants the data do not determine. `degrees_of_freedom`
-    is for Student's t. `lower` and `upper` (P,) are bounds, None without bounds. For a constant on a bound,
-    `one_sided_lengths` has the length of its interval, by index. If several constants are multiples of one fitted
-    number, `columns` (P,) has the index of this number for each constant. `has_intervals` is False if the errors of
-    rows are correlated.
+    `values` (P,) have the joint covariance `finite_covariance` (P, P), a positive definite matrix: the inverse of the
+    matrix of the normal equations times `scale`. `undetermined` (P,) tells which constants the data do not determine.
+    `degrees_of_freedom` are the degrees of freedom of Student's t. `lower` and `upper` (P,) are bounds; None: there are
+    no bounds. `one_sided_lengths` has, by index, the length of the interval of each constant on a bound. If several
+    constants are multiples of one fitted number, `columns` (P,) has the index of this number for each constant.
+    `has_intervals` is False if the errors of rows are correlated.
     """
 
     values: FloatArray
@@ -180,7 +183,7 @@ class ConstantErrors:
 
     @property
     def covariance(self) -> FloatArray:
-        """The covariance (P, P), with infinite variances of constants that are not determined."""
+        """The covariance (P, P). The variance of a constant that is not determined is infinite."""
         covariance = self.finite_covariance.copy()
         covariance[self.undetermined, self.undetermined] = math.inf
         return covariance
@@ -223,10 +226,10 @@ class ConstantErrors:
 
 
 def _clip_to_bounds(constant: Constant, lower: float, upper: float, reach: float | None) -> Constant:
-    """Return a constant with its interval clipped to its bounds.
+    """Return a constant whose interval is clipped to its bounds.
 
-    On a bound, the interval is one-sided and has the length `reach`; there is no standard error, since the minimum of
-    the misfit lies beyond the bound. `bounds` are set if at least one is finite.
+    For a constant on a bound, the interval is one-sided and has the length `reach`. Such a constant has no standard
+    error, since the minimum of the misfit lies beyond the bound. `bounds` are set if at least one bound is finite.
     """
     if not (math.isfinite(lower) or math.isfinite(upper)):
         return constant
@@ -242,7 +245,8 @@ def _clip_to_bounds(constant: Constant, lower: float, upper: float, reach: float
 
 
 def student_quantile_95(degrees_of_freedom: float) -> float:
-    """Return half the width of a 95 % interval over the standard error (Student's t); infinite without freedom."""
+    """Return half the width of a 95 % interval divided by the standard error (Student's t). It is infinite without
+    degrees of freedom."""
     from scipy import special
 
     return float(special.stdtrit(degrees_of_freedom, 0.975)) if degrees_of_freedom > 0.0 else math.inf
@@ -264,7 +268,8 @@ class EquationConstants:
         return [number for number, one in enumerate(self.unit_coefficients) if not one.constant.is_within]
 
     def with_simple_numbers(self, simple: Sequence[SimpleNumber | None]) -> "EquationConstants":
-        """Return the constants with the simple number near each; `simple` is empty for a given equation."""
+        """Return the constants, each with the simple number near it. `simple` is empty for an equation that the user
+        gave."""
         if not simple:
             return self
         pairs = zip(self.written, simple, strict=True)
@@ -272,7 +277,8 @@ class EquationConstants:
 
 
 def make_explicit_if_free(program: Program, restrictions: Restrictions, *, is_given: bool) -> ExplicitCoefficients:
-    """Return an equation with its factors of one as constants; unchanged if it is given, or has bounds."""
+    """Return an equation with its factors of one written as constants. An equation that the user gave, or that has
+    bounds, is not changed."""
     is_written = is_given or restrictions.bounds is not None
     return as_written(program) if is_written else make_coefficients_explicit(program)
 
@@ -284,7 +290,7 @@ def describe_constants(
 
     Args:
         given: the equations, by index, whose constants were not fitted.
-        explicit: the programs of the `errors`, with factors of one as constants.
+        explicit: the programs to which `errors` belong; in these programs, factors of one are written as constants.
         shown: the same programs as they are written.
         errors: the errors of all constants of `explicit`, one program after the other.
     """
@@ -346,7 +352,8 @@ def find_correlations(places: Sequence[Place], errors: ConstantErrors) -> tuple[
 
 
 def joint_covariance(places: Sequence[Place], matrix: FloatArray, degrees_of_freedom: float) -> Covariance | None:
-    """Return the covariance (P, P) of the constants at these places; None without constants. Infinity is null."""
+    """Return the covariance (P, P) of the constants at these places; None if there are no constants. An infinite
+    element becomes None (null in JSON)."""
     if not places:
         return None
     rows = tuple(tuple(map(finite, row)) for row in matrix.tolist())

@@ -1,14 +1,14 @@
-"""The checks of an equation in every kind of job: the quantity, its limit, and the clause for the sentence. Pure.
+"""The checks that apply to an equation in every kind of job. A check has a quantity, a limit, and a clause of the
+verdict's sentence. Pure.
 
-`EquationChecks` belongs to one equation. Its properties are quantities, such as the residuals over the noise; each is
-computed when a check first needs it. Each method `check_...` compares a quantity with a limit of `InferenceSettings`
-and returns a `Finding`: outcome, reason, value, limit, power. `verdict.RULES` lists the checks, and `verdict.judge`
-decides the grade from all findings. The subclasses in `trajectory_checks`, `target_checks` and `stochastic.checks` set
-the quantities and add checks.
+`EquationChecks` belongs to one equation. The properties of this class are quantities, such as the ratio of the
+residuals to the noise. Each quantity is computed when a check first needs it. Each method `check_...` compares a
+quantity with a limit of `InferenceSettings` and returns a `Finding`: outcome, reason, value, limit, power.
+`verdict.RULES` lists the checks, and `verdict.judge` decides the grade from all findings. The subclasses in
+`trajectory_checks`, `target_checks` and `stochastic.checks` set the quantities and add checks.
 
-Doubtful: most limits are conventions (a tenth of a variance, 3 nats, p < 0.01), and no correction is made for the
-number of checks. The power of a test is computed for a slow pattern and for larger noise, not for every possible
-departure.
+Doubtful: most limits are conventions (a tenth of a variance, 3 nats, p < 0.01). They are not corrected for the number
+of checks. The power of a test is computed for a slow pattern and for larger noise, not for every possible departure.
 """
 
 import math
@@ -30,12 +30,11 @@ from atoll_core.data.dataset import FloatArray, Target
 from atoll_core.expression.program import constant_places
 
 _UNKNOWN: Final = 10.0
-"""Relative standard errors of this size or more are not shown as a percentage; for an estimate of 0 they are
-infinite."""
+"""A relative standard error of at least this size is not shown as a percentage. For an estimate of 0 it is infinite."""
 
 
 class Finding(NamedTuple):
-    """The outcome of a check, see `Check`; its reason as a clause, and `advice` on what to do."""
+    """The outcome of a check (see `Check`), its reason as a clause, and its `advice`: what the user can do."""
 
     outcome: CheckOutcome
     reason: str
@@ -56,17 +55,17 @@ UNSIMULATED: Final = Finding("not made", "it was not simulated along the traject
 class EquationChecks:
     """The checks that apply to an equation in every kind of job.
 
-    A check returns None if the equation was not simulated or has no value on some rows. Its finding is then
-    `default_finding`.
+    A check returns None if the equation was not simulated, or if it has no value on some rows. The finding of this
+    check is then `default_finding`.
 
     The quantities of the residuals are in the unit of the state or target. `residuals` has (R,) numbers for each piece
     of a trajectory: measured minus simulated values of this state, or target minus equation. For a target, the rows
-    were sorted in `orders` ways; they are in the order in which neighbouring residuals are most similar. `innovations`
-    are the whitened residuals if the errors of a sensor are correlated. `covariance` (R, R) is the covariance of the
-    residuals for independent errors of variance one, None if it is not known. `parameters` is the count of numbers
-    fitted to the residuals: constants and initial values, each divided by the number of states that it was fitted to.
-    `noise` is the standard deviation of the measurement errors, 0 without noise. `reference` is the smoother that
-    estimated the noise, None if the noise is known. With `has_outliers`, the tests are robust.
+    were sorted in `orders` different ways. `residuals` has the order in which neighbouring residuals are most similar.
+    `innovations` are the whitened residuals if the errors of a sensor are correlated. `covariance` (R, R) is the
+    covariance of the residuals for independent errors of variance one, None if it is not known. `parameters` is the
+    number of fitted constants and initial values. A constant or value that was fitted to n states counts as 1/n.
+    `noise` is the standard deviation of the measurement errors; it is 0 if there is no noise. `reference` is the
+    smoother that estimated the noise, None if the noise is known. If `has_outliers`, the tests are robust.
     """
 
     kind: ClassVar[JobKind]
@@ -82,20 +81,21 @@ class EquationChecks:
     reference: ReferenceSmoother | None = None
     has_outliers: bool = False
     null_nats: float | None = None
-    """Log-likelihood ratio of the equation over no equation, see `null_models`."""
+    """Log-likelihood of the equation minus the log-likelihood of the best null model, see `null_models`."""
     distinct_rows: int | None = None
     """Number of rows that differ by more than rounding."""
     alternative: float | None = None
-    """Δ description length of the next best equation that is another function and has no more constants."""
+    """Difference of description lengths: the length of the best alternative minus the length of this equation. The
+    alternative is another function and has no more constants."""
     solver: str | None = None
 
     def __init__(
         self, shown: Refined, target: Target, *, is_known: bool = False, stopped: str = "", is_cancelled: bool = False
     ) -> None:
-        """Take the equation as it is `shown`, and its `target` on the rows of the search.
+        """Set the equation as it is `shown`, and its `target` on the rows of the search.
 
-        `is_known`: the user gave the equation. `stopped` names the stage that the time limit or, with `is_cancelled`,
-        the user stopped.
+        `is_known`: the user gave the equation. `stopped` names the stage that was stopped: by the user if
+        `is_cancelled`, else by the time limit.
         """
         self.shown, self.target = shown, target
         self.is_known, self.stopped, self.is_cancelled = is_known, stopped, is_cancelled
@@ -114,12 +114,12 @@ class EquationChecks:
 
     @cached_property
     def prediction(self) -> Prediction | None:
-        """How far a state can be predicted from other initial states; None if that was not tested."""
+        """The test of predictions of the state from other initial states; None if predictions were not tested."""
         return None
 
     @property
     def merit(self) -> str:
-        """Why the equation is good, if no check gives a more specific reason."""
+        """The reason why the equation is good, used if no check gives a more specific reason."""
         return "all checks have passed"
 
     @cached_property
@@ -141,12 +141,12 @@ class EquationChecks:
 
     @property
     def relative_residuals(self) -> float:
-        """The standard deviation of the residuals over the standard deviation of the measured values."""
+        """The standard deviation of the residuals divided by the standard deviation of the measured values."""
         return self.statistics.standard_deviation / self.standard_deviation
 
     @property
     def relative_noise(self) -> float:
-        """The noise over the standard deviation of the measured values."""
+        """The noise divided by the standard deviation of the measured values."""
         return self.noise / self.standard_deviation
 
     @property
@@ -161,7 +161,7 @@ class EquationChecks:
 
     @property
     def largest_departure(self) -> float:
-        """The largest departure that residuals of this size can hide: a 95 % bound of their variance."""
+        """The largest departure that residuals of this size can hide: the upper 95 % bound of their variance."""
         from scipy import special
 
         free = self.rows - self.parameters
@@ -171,16 +171,15 @@ class EquationChecks:
         return float(sum_of_squares / special.chdtri(free, 1.0 - math.exp(-SETTINGS.inference.distinct_nats)))
 
     def departure(self, share: float) -> float:
-        """Return `share` times the variance of the noise, over the variance of the state.
-
-        The result is at most `largest_departure`.
+        """Return `share` times the variance of the noise, divided by the variance of the state; at most
+        `largest_departure`.
         """
         return min(share * self.relative_noise**2, self.largest_departure) if self.rows else math.inf
 
     # ----------------------------------------------------------------------------------------------- rows and their fit
 
     def check_explained_variance(self) -> Finding:
-        """Check that R2 is at least 0.1; below, the grade is `no model`."""
+        """Check that R2 is at least 0.1. If R2 is smaller, the grade is `no model`."""
         if not math.isfinite(self.error):
             return Finding("failed", "its error is not finite", None, SETTINGS.inference.part)
         if self.target_r2 is None:
@@ -190,7 +189,7 @@ class EquationChecks:
         return judge_r2(self.target_r2, SETTINGS.inference.part, f"R2 {format_r2(self.target_r2)}", what)
 
     def check_time(self) -> Finding:
-        """Check that no stage was stopped."""
+        """Check that neither the time limit nor the user stopped a stage."""
         if not self.stopped:
             return Finding("passed", "no time limit was reached")
         if self.is_cancelled:
@@ -256,7 +255,7 @@ class EquationChecks:
     # ------------------------------------------------------------------------------------------ alternatives, constants
 
     def check_alternative_equations(self) -> Finding | None:
-        """Check that other equations with as few constants describe the data less well."""
+        """Check that no other equation with at most as many constants describes the data about as well."""
         nats, least = self.alternative, SETTINGS.inference.distinct_nats
         if nats is None and not self.residuals:
             return None
@@ -270,7 +269,7 @@ class EquationChecks:
         return Finding("failed", reason, nats, least)
 
     def check_constants(self) -> Finding | None:
-        """Check that the data determine all constants, within their bounds."""
+        """Check that the data determine all constants, and that the best values are within the bounds."""
         constants = self.shown.constants
         unfitted = 0 if self.is_known or constants else len(constant_places(self.shown.program))
         if unfitted:
@@ -308,9 +307,10 @@ class EquationChecks:
     def check_precision_of_constants(self) -> Finding:
         """Check that the relative standard errors of all constants are at most 0.1 %.
 
-        Dropping a constant whose estimate is t standard errors from zero costs about t^2/2 nats. In data without noise,
-        a term of the law gains millions of nats, and a term that describes integration errors gains tens of nats.
-        Redundant factors of one, such as the factors of x*y in x*y - x*(y - x), have no errors and do not count.
+        If a constant is t standard errors from zero, the equation without this constant has a misfit about t^2/2 nats
+        larger. In data without noise, a term of the law gains millions of nats, and a term that describes integration
+        errors gains tens of nats. Redundant factors of one, such as the factors of x*y in x*y - x*(y - x), have no
+        standard errors and are not checked.
         """
         limit = SETTINGS.common.negligible
         shares = [
@@ -330,7 +330,7 @@ class EquationChecks:
 
 
 def judge_r2(r2: float, least: float, merit: str, fault: str) -> Finding:
-    """Return the finding of a check that R2 is at least `least`; it fails for NaN."""
+    """Return the finding of a check that R2 is at least `least`. The check fails if R2 is NaN."""
     return Finding("passed", merit, r2, least) if r2 >= least else Finding("failed", fault, r2, least)
 
 
@@ -345,5 +345,5 @@ def format_percent(share: float) -> str:
 
 
 def format_r2(value: float) -> str:
-    """Return R2 in up to four decimals, never rounded up to 1."""
+    """Return R2 with up to four decimals. A value below 1 is never rounded up to 1."""
     return f"{math.floor(value * 1e4) / 1e4:.4g}" if math.isfinite(value) else str(value)

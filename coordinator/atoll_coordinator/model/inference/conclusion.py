@@ -1,9 +1,10 @@
 """From the chosen system to the reported model: constants with errors, alternatives, verdicts, simulations.
 
-`conclude` works in this order. `final_model.finalize` fixes the equations as they are shown. `estimate_errors` gives
-the errors of the constants. `long_run` tests whole trajectories or chaos. `prediction` compares the model with its
-alternatives from other initial states. `verdict.judge` grades each equation by its `TrajectoryChecks`. Simulations with
-bands are listed. If groups of trajectories have their own constants, the same steps use one set of constants per group.
+`conclude` works in this order. `final_model.finalize` fixes the equations as they are shown. `estimate_errors` returns
+the errors of the constants. `long_run` tests whole trajectories, or the averages of a chaotic model. `prediction`
+compares the model with its alternatives from other initial states. `verdict.judge` grades each equation by its
+`TrajectoryChecks`. At the end, simulations with bands are added to the result. If groups of trajectories have their own
+constants, each step uses one set of constants per group.
 
 Doubtful: all errors and bands are conditional on the structure that was chosen. The selection of the structure from the
 same data adds uncertainty, which appears only in the comparison with the alternatives.
@@ -127,7 +128,8 @@ def _describe_constants(
 ) -> tuple[Sequence[EquationConstants], Sequence[Sequence[tuple[Constant, ...]]]]:
     """Return the estimates of the constants of each equation, and of each group if groups have their own.
 
-    For all groups together, shared constants have their errors; other constants are means over groups, without errors.
+    In the estimates for all groups together, shared constants have standard errors; other constants are means over the
+    groups and have no standard errors.
     """
     fixed, columns = final.comparison.fixed, final.free.fit.system.columns
     described = [
@@ -155,7 +157,8 @@ def _describe_constants(
 
 
 def _combine_groups(value: float, constants: Sequence[Constant]) -> Constant:
-    """Return a constant for all groups together: the shared one, or the mean over the groups, without errors."""
+    """Return a constant for all groups together: the shared constant, or else the mean over the groups, without a
+    standard error."""
     if constants[0].shared:
         return constants[0]
     fitted = float(np.mean([constant.fitted or 0.0 for constant in constants]))
@@ -216,7 +219,8 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
 def _simulate_held_out(
     final: FinalModel, held_out: ModelComparison, errors: ConstantErrors
 ) -> tuple[TrajectoryFit | None, FloatArray | None]:
-    """Return the simulation of the held-out trajectories, with fitted initial states, and its standard errors.
+    """Return the simulation of the held-out trajectories with fitted initial states, and the standard errors of this
+    simulation.
 
     The simulation is None if it failed; there are no standard errors if there are groups.
     """
@@ -245,10 +249,10 @@ def _errors_along_trajectories(
 
 
 def _predict_states(final: FinalModel, errors: ConstantErrors, *, is_near: bool) -> list[Prediction]:
-    """Return how far each state can be predicted from other initial states, see `compare_predictions`.
+    """Return how well each state can be predicted from other initial states, see `compare_predictions`.
 
-    The odds of an alternative by the data alone are divided by the number of alternatives of its equation (Bonferroni),
-    since the alternatives were chosen from many equations because they describe the data well.
+    The odds that follow from the data alone are divided by the number of alternatives of the same equation
+    (Bonferroni): these alternatives were chosen from many equations because they describe the data well.
     """
     ranking = final.ranking
     own = ranking.selection.model
@@ -270,17 +274,17 @@ def _predict_states(final: FinalModel, errors: ConstantErrors, *, is_near: bool)
 
 
 def _odds(nats: float) -> float:
-    """Return the odds, at most one, of a description that is longer by this many nats."""
+    """Return the odds of a description that is `nats` longer than the description by the model; at most one."""
     return math.exp(-max(nats, 0.0))
 
 
 def _odds_without_prices(other: FittedModel, own: FittedModel, equation: int, points: FloatArray) -> float:
-    """Return the odds of another model by misfit and number of constants (Schwarz 1978), without the price of
-    structures.
+    """Return the odds of another model. They follow from its misfit and its number of constants (Schwarz 1978), without
+    the price of structures.
 
-    Another equation may contain the model's equation: for some values of its constants, both are equal (nested models).
-    The odds of such an equation include the price of its structure: there are many such equations, and each describes
-    the data about as well.
+    The exception are nested models: for some values of its constants, the other equation is equal to the model's
+    equation. There are many such equations, and each describes the data about as well. So their odds include the price
+    of the structure.
     """
     program, contained = other.programs[equation], own.programs[equation]
     expansion = expand_program(program)
@@ -292,7 +296,8 @@ def _odds_without_prices(other: FittedModel, own: FittedModel, equation: int, po
 
 
 def _estimate_state_errors(final: FinalModel) -> dict[str, Errors]:
-    """Return the measurement errors of each state, estimated from residuals, by name; empty without noise."""
+    """Return the measurement errors of each state by name, estimated from residuals. The result is empty if there is no
+    noise."""
     comparison, fit = final.comparison, final.free.fit
     if comparison.score.is_exact(final.free):
         return {}

@@ -12,8 +12,8 @@
 Steps 2 to 5 are undone if they make the fit worse than allowed. If groups of trajectories have their own constants,
 `_show_by_group` replaces steps 2 to 5: `groups.choose_shared_constants` decides which constants groups share.
 
-Doubtful: each step decides alone, and no step is reconsidered after a later one. Standard errors belong to the shown
-structure with all constants free, including constants that were replaced by simple numbers.
+Doubtful: each step decides alone, and its decision is not tested again after a later step. Standard errors belong to
+the shown structure with all constants free, including constants that were replaced by simple numbers.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -54,10 +54,12 @@ from atoll_core.expression.writing.shortest import shortest_over
 
 @dataclass(frozen=True, eq=False)
 class ShownEquations:
-    """Equations as they are shown: `rounded` and their `fit`; `free` is the fit of `explicit` with all constants free.
+    """Equations as they are shown. `rounded` are the equations with rounded constants, and `fit` is the fit of these
+    equations. `explicit` are the equations with written factors of one, and `free` is the fit of `explicit` with all
+    constants free.
 
     `fluxes` are terms that were fitted together, see `Refinement`. If groups of trajectories have their own constants,
-    `by_group` has the equations of each group; each fitted number of `free` belongs to one group or to all.
+    `by_group` has the equations of each group; each fitted number of `free` belongs to one group or to all groups.
     """
 
     rounded: RoundedEquations
@@ -79,7 +81,7 @@ class FinalModel(ShownEquations):
 
     `comparison` fits the constants, in pieces of at most `piece` rows, possibly to a subset of the rows.
     `shown_comparison` simulates the equations as they are shown, over all rows, along whole trajectories if possible;
-    `shown_fit` is this simulation. `held_out_comparison` contains the held-out trajectories; None without any.
+    `shown_fit` is this simulation. `held_out_comparison` contains the held-out trajectories; None if there are none.
     """
 
     task: ModellingTask
@@ -93,19 +95,21 @@ class FinalModel(ShownEquations):
 
     @property
     def are_errors_summed(self) -> bool:
-        """Whether errors add up: the equations are simulated along longer pieces than constants were fitted to."""
+        """Whether integration errors add up: the equations are simulated along longer pieces than the pieces to which
+        constants were fitted."""
         return self.piece < min(self.task.piece, self.task.longest)
 
     @cached_property
     def visited_points(self) -> FloatArray:
-        """The variables of the equations (V, R) at all rows; states have their simulated values."""
+        """The values (V, R) of the variables of the equations at all rows. For states, these are simulated values."""
         measurements = self.shown_comparison.estimator.measurements
         points = np.concatenate([self.shown_fit.simulated, measurements.inputs])
         return points[[measurements.variables.index(name) for name in self.task.dataset.names]]
 
     @cached_property
     def visited_points_by_group(self) -> list[tuple[Sequence[Program], FloatArray]]:
-        """The equations as they are shown, with the rows (V, R) to which they apply: all, or the rows of each group."""
+        """Pairs of equations, as they are shown, and values (V, R) of the variables at the rows to which the equations
+        apply: at all rows, or at the rows of each group."""
         measurements = self.shown_comparison.estimator.measurements
         if not self.by_group or measurements.groups is None:
             return [(self.programs, self.visited_points)]
@@ -126,7 +130,7 @@ class FinalModel(ShownEquations):
 
     @cached_property
     def unknown_variances(self) -> list[tuple[str, str, float | None]]:
-        """Name, symbol and `unknown_variance` of each input."""
+        """Three values for each input: its name, its symbol, and its `unknown_variance`."""
         recording = self.task.recording
         kinds: Sequence[InputKind | None] = recording.input_kinds or [None] * len(recording.inputs)
         times = [part.times for part in recording.trajectories]
@@ -142,7 +146,8 @@ class FinalModel(ShownEquations):
         return comparison.estimator.fit(self.shown_fit.system, None, SETTINGS.effort.steps)
 
     def find_origin(self, equation: int, program: Program) -> Origin:
-        """Return the source of a program, for instance the front; `program` still has its fitted constants."""
+        """Return the origin of a program, for instance the front. `program` must have its fitted constants, not rounded
+        ones."""
         if self.task.variables[equation] in self.task.known:
             return "known"
         origins = self.origins[equation]
@@ -183,7 +188,7 @@ def _show_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
         fit = fit_initial_states(comparison, programs, best.fit)
         return np.inf if fit is None else comparison.score_fit(fit).misfit - best.misfit
 
-    for programs in (attach_estimates(comparison, best).simplify(misfit_increase), best.programs):
+    for programs in (attach_estimates(comparison, best).accept_simple_numbers(misfit_increase), best.programs):
         shown = _show_equations(comparison, best, _shortest_writings(whole, programs))
         if shown is None:
             continue
@@ -192,7 +197,7 @@ def _show_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
         if with_factors is not None and with_factors.fit.misfit <= shown.fit.misfit:
             shown = with_factors
         shorter = _shortest_writings(whole, shown.programs)
-        if sum(map(len, shorter)) < sum(map(len, shown.programs)):  # rounding made constants one, or equal
+        if sum(map(len, shorter)) < sum(map(len, shown.programs)):  # after rounding, some constants are one, or equal
             shortened = _show_equations(comparison, best, shorter)
             shown = shown if shortened is None or shortened.fit.nats > shown.fit.nats else shortened
         return _share_terms(task, comparison, shown)
@@ -203,7 +208,7 @@ def _show_by_group(whole: SelectedModel) -> ShownEquations | None:
     comparison = whole.comparison
     model = choose_shared_constants(whole, lambda equation, program: _shortest_writing(whole, equation, program))
     errors = estimate_errors(comparison, model)
-    values = Estimates(errors.values, errors.finite_covariance).round_constants()
+    values = Estimates(errors.values, errors.finite_covariance).round_values()
     fixed = model.fit.system.with_values(values).with_fixed_constants()
     fit = comparison.estimator.fit(
         fixed, None, SETTINGS.effort.steps, model.fit.starts, model.fit.errors, is_stiff=model.fit.is_stiff
@@ -226,9 +231,10 @@ def _shortest_writings(whole: SelectedModel, programs: Sequence[Program]) -> tup
 
 
 def _shortest_writing(whole: SelectedModel, equation: int, program: Program) -> Program:
-    """Return the shortest form of a program; the program itself if it is given or the form would be too large.
+    """Return the shortest form of a program. The program itself is returned if the user gave it, or if the form would
+    be too large.
 
-    Constants with bounds are still separate constants in the shortest form.
+    A constant with bounds is not combined with other constants.
     """
     if equation in whole.comparison.fixed:
         return program
@@ -257,9 +263,9 @@ def _share_terms(task: ModellingTask, comparison: ModelComparison, shown: ShownE
 def _simulate_in_whole(
     task: ModellingTask, comparison: ModelComparison, shown: ShownEquations
 ) -> tuple[ModellingTask, ModelComparison, TrajectoryFit]:
-    """Return the simulation of the shown equations along whole trajectories and all rows, if it succeeds.
+    """Return the simulation of the shown equations along whole trajectories and all rows.
 
-    Otherwise return the simulation along the pieces and rows to which they were fitted.
+    If this simulation fails, return the simulation along the pieces and rows to which the equations were fitted.
     """
     whole, fitted = with_longest_pieces(task), comparison.estimator.measurements.rows
     for here in (whole, task) if whole.piece != task.piece else (task,):
@@ -275,8 +281,8 @@ def _simulate_in_whole(
 def _show_equations(
     comparison: ModelComparison, near: FittedModel, programs: tuple[Program, ...], shared: Collection[SharedNumber] = ()
 ) -> ShownEquations | None:
-    """Return equations of these structures as they are shown, fitted for comparison with another model; None if that
-    fails."""
+    """Return the fitted equations of these structures as they would be shown, for comparison with another model. None
+    if the fit fails."""
     explicit, free = _fit_all_constants(comparison, near, programs, shared)
     fitted = comparison.fit_from(near, programs, shared=shared)
     if free is None or fitted is None:
@@ -285,7 +291,7 @@ def _show_equations(
     numbers = fitted.fit.system.columns[0].tolist()
 
     def numbers_outside_intervals(rounded: RoundedEquations) -> frozenset[int]:
-        """Return the fitted numbers, by index, of constants whose shown value is outside their 95 % interval."""
+        """Return the indices of the fitted numbers whose shown value is outside of the 95 % interval."""
         if is_exact:
             return frozenset()  # intervals would only reflect integration errors
         known = describe_constants(comparison.fixed, explicit, rounded.programs, errors)
@@ -312,16 +318,17 @@ def _write_refuted_factors(
 
 
 _Outside = Callable[[RoundedEquations], frozenset[int]]
-"""Returns the fitted numbers, by index, of constants whose shown value is outside their 95 % interval."""
+"""A function of rounded equations. It returns the indices of the fitted numbers whose shown value is outside of the 95
+% interval."""
 
 
 def _round_to_fewest_digits(
     comparison: ModelComparison, fitted: FittedModel, numbers_outside_intervals: _Outside
 ) -> tuple[RoundedEquations, FittedModel] | None:
-    """Return a system with rounded constants, with the fewest digits that do not change simulations.
+    """Return a system with rounded constants. They have the fewest digits with which simulations do not change.
 
-    The reference is a simulation with the same simple numbers and all digits of the other constants. None if the system
-    cannot be simulated. A constant is not replaced by a simple number outside its 95 % interval.
+    In the simulation for comparison, simple numbers are the same, and the other constants have all digits. None if the
+    system cannot be simulated. A constant is not replaced by a simple number outside its 95 % interval.
     """
     *few, most = ERROR_DIGITS
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None
@@ -345,10 +352,10 @@ def _round_to_digits(
     digits: int,
     numbers_outside_intervals: _Outside,
 ) -> tuple[RoundedEquations, FittedModel] | None:
-    rounded, estimates = constants.round_constants(digits), frozenset[int]()
+    rounded, estimates = constants.round_equations(digits), frozenset[int]()
     while not (further := numbers_outside_intervals(rounded)) <= estimates:
         estimates |= further
-        rounded = constants.round_constants(digits, estimates)
+        rounded = constants.round_equations(digits, estimates)
     fit = fit_initial_states(comparison, rounded.programs, fitted.fit)
     return None if fit is None else (rounded, comparison.score_fit(fit))
 
@@ -356,7 +363,8 @@ def _round_to_digits(
 def _fit_all_constants(
     comparison: ModelComparison, best: FittedModel, shown: Sequence[Program], shared: Collection[SharedNumber]
 ) -> tuple[tuple[ExplicitCoefficients, ...], FittedModel | None]:
-    """Fit the shown system with all its constants free, if possible including factors of one that are not written."""
+    """Fit the shown system with all its constants free. If possible, factors of one that are not written are also
+    fitted."""
     explicit = tuple(
         make_explicit_if_free(program, comparison.restrictions(equation), is_given=equation in comparison.fixed)
         for equation, program in enumerate(shown)
@@ -385,11 +393,11 @@ def attach_estimates(comparison: ModelComparison, model: FittedModel) -> FittedE
 
 
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
-    """Return the errors of the fitted numbers, based on the error model by which systems are compared.
+    """Return the standard errors of the fitted numbers, based on the error model by which systems are compared.
 
-    Variances are corrected for the number of fitted numbers. They are multiplied by the larger of two factors: the
-    number of rows per independent row (`Score.inflation`), since errors of an equation vary as slowly as the states;
-    and the inflation by a correlation that the rows cannot exclude (`estimate_variance_inflation`).
+    Variances are corrected for the number of fitted numbers, and multiplied by the larger of two factors. The first
+    factor is the number of rows per independent row (`Score.inflation`): errors of an equation vary as slowly as the
+    states. The second factor allows for a correlation that the rows cannot exclude (`estimate_variance_inflation`).
     """
     fit, system = model.fit, model.fit.system
     counts, inflation = float(comparison.score.counts.sum()), comparison.score.inflation(model)

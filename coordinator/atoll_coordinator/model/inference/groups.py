@@ -2,14 +2,15 @@
 
 `choose_shared_constants` starts with a separate value of every constant for each group. One after another, the
 constants that differ least between groups become shared, as long as the description gets shorter. A value for one group
-costs 1/2 ln(rows of the group), a shared value 1/2 ln(rows). The form of an equation determines its constants: if r and
-q of x*(r - q*x) are twice as large in one group, only r differs in r*(x - k*x*x). So each coefficient in turn is tried
-as a common factor of the sum.
+costs 1/2 ln(rows of the group), a shared value 1/2 ln(rows). How many constants differ depends on the form of the
+equation. For example, let r and q of x*(r - q*x) be twice as large in one group: in the form r*(x - k*x*x) only r
+differs. So each coefficient in turn is tried as a common factor of the sum.
 
 Doubtful: the choice is greedy, and only the two most similar constants are tried in each step. A constant is either the
 same in all groups or different in each group: subsets of groups are not considered.
 
-Letters: G groups, P constants of all equations, Q fitted numbers: the different values of these constants.
+Letters: G groups, P constants of all equations, Q fitted numbers: the different values of these constants in all
+groups.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -25,12 +26,12 @@ from atoll_core.expression.program import Program, structure
 from atoll_core.expression.writing.expansion import factored_forms
 
 Writer = Callable[[int, Program], Program]
-"""Returns the shortest writing of the program of an equation."""
+"""A function of an equation (index, program). It returns the shortest writing of the program."""
 
 
 def choose_shared_constants(whole: SelectedModel, write: Writer) -> FittedModel:
-    """Return the model with those shared constants, and those forms of its equations, that give the shortest
-    description."""
+    """Return the model with the shortest description, over choices of the shared constants and of the forms of its
+    equations."""
     comparison = whole.comparison
     best = _share_similar_constants(comparison, whole.model)
     for equation in range(len(best.programs)):
@@ -76,7 +77,8 @@ def _share_similar_constants(comparison: ModelComparison, start: FittedModel) ->
 def _rank_by_difference(comparison: ModelComparison, start: FittedModel) -> list[system.Place]:
     """Return the constants that differ between groups, the least significant differences first.
 
-    The statistic is the sum of squared deviations from the weighted mean over the variances (Cochran's Q).
+    The statistic is Cochran's Q: the sum, over groups, of the squared deviation from the weighted mean, divided by the
+    variance.
     """
     fit = start.fit
     values, variances = fit.system.by_place(fit.system.values), fit.system.by_place(np.diag(covariance(fit)), 2)
@@ -90,7 +92,7 @@ def _rank_by_difference(comparison: ModelComparison, start: FittedModel) -> list
 
 
 def _generate_writings(whole: SelectedModel, equation: int, program: Program, write: Writer) -> Iterator[Program]:
-    """Yield other forms of an equation: the shortest, and forms with one coefficient as a common factor."""
+    """Yield other forms of an equation: the shortest form, and forms with one coefficient as a common factor."""
     tried = {structure(program)}
     is_free = whole.comparison.restrictions(equation).bounds is None
     for writing in (write(equation, program), *(factored_forms(program) if is_free else ())):

@@ -5,10 +5,10 @@ that cannot be chaotic must describe whole trajectories (`_fits_in_whole`). For 
 compares a long simulation with the measurements.
 
 A trajectory of a chaotic system cannot be predicted beyond some Lyapunov times, but its averages can be predicted: a
-long simulation has the means and variances of the measurements, up to sampling errors. Both are compared by Welch's t
-test on averages over blocks, which are long compared with the time in which errors grow. Blocks are the later halves of
-trajectories, since the first halves may still approach the attractor; if there are few trajectories, blocks are parts
-of trajectories.
+long simulation has the means and variances of the measurements, up to sampling errors. Means and variances are compared
+by Welch's t test on averages over blocks. A block is long compared with the time in which errors grow. Blocks are the
+later halves of trajectories, since the first halves may still approach the attractor; if there are few trajectories,
+blocks are parts of trajectories.
 
 Doubtful: means and variances do not identify an attractor, so a wrong model can pass. Block averages are treated as
 independent. The growth rate of errors is estimated along the measured trajectories only.
@@ -33,20 +33,21 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _BLOCKS: Final = 4
-"""Fewest blocks: the variance of fewer averages is not known."""
+"""Fewest blocks: the variance of fewer block averages cannot be estimated."""
 _MOST_ROWS: Final = 4_000
-"""Most rows of the long simulation: for a longer simulation, each row represents several measured rows."""
+"""Most rows of the long simulation. If more rows were measured, each row of the simulation represents several measured
+rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class LongRun:
     """How the model describes trajectories that are longer than the pieces of the fit.
 
-    `fits`: whether the model describes whole trajectories up to their noise; None if not known, for instance with
-    `chaos`. `r2` has the R2 of each state in simulations of the shown equations along whole trajectories, with fitted
-    initial states; None if they were not simulated, minus infinity if the simulation failed. `predictable_rows` is the
-    number of rows that can be predicted. It is set for a model with inputs whose errors grow exponentially, if fewer
-    rows than a piece can be predicted.
+    `fits`: whether the model describes whole trajectories up to their noise. None if this is not known, for instance if
+    `chaos` is set. `r2` has the R2 of each state in simulations of the shown equations along whole trajectories, with
+    fitted initial states; it is None if they were not simulated, and minus infinity if the simulation failed.
+    `predictable_rows` is the number of rows that can be predicted. It is only set for a model with inputs, if errors
+    grow exponentially and the predictable rows are fewer than the rows of a piece.
     """
 
     fits: bool | None
@@ -56,12 +57,12 @@ class LongRun:
 
 
 def assess_long_run(final: FinalModel) -> LongRun:
-    """Return how a model describes whole trajectories.
+    """Return how well a model describes whole trajectories.
 
     The model is treated as chaotic if errors grow so fast that initial states do not determine whole trajectories. The
-    growth of the trajectories is subtracted from this growth rate, since a growing trajectory has no attractor. A model
-    that may be chaotic cannot be refuted by a bad fit to whole trajectories. A model that cannot be chaotic is always
-    tested along whole trajectories.
+    growth rate of the trajectories is subtracted from the growth rate of errors, since a growing trajectory has no
+    attractor. A model that may be chaotic cannot be refuted by a bad fit to whole trajectories. A model that cannot be
+    chaotic is always tested along whole trajectories.
     """
     if final.task.piece >= final.task.longest:
         return LongRun(True, None)
@@ -79,7 +80,7 @@ def assess_long_run(final: FinalModel) -> LongRun:
             return LongRun(fits, None, None, round(predictable))
         chaos = compare_averages(final.shown_fit, rate, final.shown_comparison.estimator.tolerance)
         return LongRun(None, chaos, None if chaos is not None else _whole_trajectory_r2(final))
-    fits = None if final.task.is_nearly_clean else fits  # errors of a solver add up: a bad fit proves nothing
+    fits = None if final.task.is_nearly_clean else fits  # errors of a solver add up: a bad fit is no evidence
     return LongRun(fits, None, _whole_trajectory_r2(final) if fits is None else None)
 
 
@@ -102,10 +103,10 @@ def _whole_trajectory_r2(final: FinalModel) -> list[float | None] | None:
 
 
 def _grows_exponentially(final: FinalModel, rate: float) -> bool:
-    """Tell whether errors that grow at this rate outgrow a power of time along the longest trajectory.
+    """Tell whether errors that grow at this rate grow exponentially, along the longest trajectory.
 
-    Without exponential growth, errors of D linear equations grow at most like t^(D - 1): over N rows by a factor below
-    N^D.
+    Without exponential growth, errors of D linear equations grow at most like t^(D - 1), so over N rows they grow by a
+    factor below N^D. A larger factor counts as exponential growth.
     """
     measurements = final.comparison.estimator.measurements
     rows = final.task.longest
@@ -115,9 +116,9 @@ def _grows_exponentially(final: FinalModel, rate: float) -> bool:
 def _fits_in_whole(final: FinalModel) -> bool | None:
     """Tell whether the shown equations describe whole trajectories up to their noise; None if this was not tested.
 
-    Phase errors grow in proportion to time: their relative growth is fast at first, unlike the growth of errors in slow
-    chaos. So constants are fitted once more, in pieces that grow to whole trajectories; very many rows are thinned.
-    There is no test after the time limit, or for a model that does not describe the pieces.
+    Phase errors grow in proportion to time. So they grow fast at first, relative to their size; errors in slow chaos do
+    not. So constants are fitted once more, in pieces that grow to whole trajectories; very many rows are thinned. There
+    is no test after the time limit, or for a model that does not describe the pieces.
     """
     task, programs = final.task, final.programs
     limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
@@ -144,19 +145,19 @@ def _fits_in_whole(final: FinalModel) -> bool | None:
 def may_be_chaotic(measurements: TrajectoryMeasurements) -> bool:
     """Tell whether a model of these measurements can be chaotic at all.
 
-    A bounded trajectory of fewer than three states without inputs is, or approaches, a fixed point or a cycle
-    (Poincaré and Bendixson; Strogatz 1994, section 7.3); equations of second order have two states each.
+    With fewer than three states and no inputs, a bounded trajectory approaches a fixed point or a cycle, so it is not
+    chaotic (Poincaré and Bendixson; Strogatz 1994, section 7.3). An equation of second order has two states.
     """
     return len(measurements.inputs) > 0 or len(measurements.smoothed) > 2
 
 
 def compare_averages(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
-    """Compare a long simulation with the measured means and variances; None if the model has inputs.
+    """Compare a long simulation with the measured means and variances. The result is None if the model has inputs.
 
     Args:
         fit: the model as it is shown, along the measured trajectories.
-        rate: growth rate of errors in e-folds per unit of time, above zero.
-        tolerance: error of an integration step over a state's standard deviation.
+        rate: growth rate of errors, in e-folds per unit of time; it is above zero.
+        tolerance: the allowed error of an integration step, divided by the standard deviation of the state.
     """
     measurements = fit.estimator.measurements
     if len(measurements.inputs):
@@ -187,7 +188,8 @@ def compare_averages(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos
 def _simulate_long_run(
     fit: TrajectoryFit, rows: int, stride: int, step: float, tolerance: float
 ) -> FloatArray | Unsimulated:
-    """Return every `stride`-th of `rows` rows, simulated from the end of the last trajectory, or why it failed."""
+    """Simulate `rows` rows from the end of the last trajectory, and return every `stride`-th row; or the reason why the
+    simulation failed."""
     times = step * np.arange(0.0, rows, stride)
     estimator = make_simulator(fit.estimator.measurements, times, tolerance, rows)
     return estimator.simulate(fit.system, fit.simulated[:, -1])
@@ -222,13 +224,14 @@ def make_simulator(
 
 
 def _block_means(values: FloatArray, block: int) -> FloatArray:
-    """Return the means (D, B) over B blocks of `block` rows each, of values (D, N); an incomplete block is dropped."""
+    """Return the means (D, B) of `values` (D, N) over B blocks, each of `block` rows. An incomplete block is
+    dropped."""
     count = max(values.shape[1] // block, 1)
     return np.array([part.mean(axis=1) for part in np.array_split(values[:, : count * block], count, axis=1)]).T
 
 
 def _welch_probabilities(simulated_means: FloatArray, measured_means: FloatArray) -> list[float]:
-    """Return for each state the probability of at least this difference of means (B. L. Welch 1947)."""
+    """Return, for each state, the probability that the means differ at least this much by chance (B. L. Welch 1947)."""
     from scipy import special
 
     probabilities = []

@@ -3,12 +3,13 @@
 A search that tries thousands of structures on few rows always finds a structure that fits all rows. So
 `log_bayes_factor` compares marginal likelihoods, with the constants and the variance of the errors integrated out: a
 model with as many fitted numbers as rows gains nothing. `structure_price` is subtracted for the choice of the
-structure. By Markov's inequality, the probability is at most exp(-t) that chance makes a description t nats shorter
-than the null model. This holds for any number of tried structures, since the price of the structure is part of the
-length.
+structure. Chance can also make a description t nats shorter than the null model's description. By Markov's inequality,
+the probability of this is at most exp(-t). The bound holds for any number of tried structures, since the length
+includes the price of the structure.
 
 Doubtful: the rows must be independent, so callers pass effective numbers of rows. The g prior (a = 3) and the prices of
-structures are conventions. The evidence is for a linear regression; nonlinear constants count like linear ones.
+structures are conventions. The evidence is computed for a linear regression; constants that enter nonlinearly are
+treated like linear ones.
 
 Letters: n rows, k fitted constants in addition to the location.
 """
@@ -26,29 +27,30 @@ from atoll_core.expression.program import Program
 
 _POINTS: Final = 4_001
 _TAIL: Final = 60.0
-"""The integral ends this far beyond the knee of the integrand; beyond the knee, the integrand decreases at least like
-exp(-t/2)."""
+"""Distance t from the knee of the integrand to the end of the integration: beyond the knee, the integrand decreases at
+least like exp(-t/2)."""
 _LEAVES: Final = 4.0
-"""Number of possible leaves that the price of a structure assumes."""
+"""The number of different leaves that the price of a structure assumes."""
 _LEAST_UNEXPLAINED: Final = 1e-30
 """Smallest share of a variance, to avoid the logarithm of zero."""
 
 
 def log_bayes_factor(rows: float, constants: float, unexplained: float) -> float:
-    """Return the log Bayes factor in nats of a regression with k constants on n rows against the mean; 0 if k >= n - 1.
+    """Return the log Bayes factor, in nats, of a regression with k constants against the mean of the n rows; 0 if k >=
+    n - 1.
 
     A model without constants fits only the variance of its errors.
 
-    The hyper-g prior with a = 3 (Liang et al. 2008, J. Am. Stat. Assoc. 103:410, equation 17), with the variance of the
-    errors unknown:
+    For the hyper-g prior with a = 3 and an unknown variance of the errors, the Bayes factor is (Liang et al. 2008, J.
+    Am. Stat. Assoc. 103:410, equation 17):
 
         1/2 int_0^inf (1 + g)^((n - 1 - k - 3)/2) (1 + g (1 - R2))^(-(n - 1)/2) dg
 
     Args:
         rows: n.
         constants: k.
-        unexplained: 1 - R2: the sum of squared residuals over the sum of squared differences from the mean, or over the
-            sum of squared steps of a random walk. Both denominators have n - 1 degrees of freedom.
+        unexplained: 1 - R2, a ratio of sums of squares. The numerator is the sum over residuals. The denominator is the
+            sum over differences from the mean, or over the steps of a random walk; both have n - 1 degrees of freedom.
     """
     if rows - 1.0 <= constants:
         return 0.0
@@ -65,9 +67,10 @@ def log_bayes_factor(rows: float, constants: float, unexplained: float) -> float
 
 
 def squared_steps(series: Sequence[FloatArray], times: Sequence[FloatArray] | None = None) -> float:
-    """Return the sum of squared differences of neighbouring rows of all series (R,): the residuals of a random walk.
+    """Return the sum of squared differences of neighbouring rows, over all series (R,). These differences are the
+    residuals of a random walk.
 
-    If the `times` (R,) of each series are passed, the walk has a drift that is the same for all series.
+    If the `times` (R,) of each series are given, the walk has a drift, the same for all series.
     """
     steps = np.concatenate([np.diff(values) for values in series])
     if times is not None:
@@ -79,7 +82,8 @@ def squared_steps(series: Sequence[FloatArray], times: Sequence[FloatArray] | No
 def structure_price(program: Program, columns: int) -> float:
     """Return the price of a structure in nats (`structure_length`), corrected for the number of columns.
 
-    `structure_length` counts each leaf as a choice among four. With more columns, each variable costs more.
+    `structure_length` assumes that each leaf is a choice from four. If there are more columns, each variable costs
+    more.
     """
     leaves = int((program.operators == VARIABLE).sum())
     return structure_length(program) + leaves * max(math.log(max(columns, 1) / _LEAVES), 0.0)

@@ -1,17 +1,19 @@
 """Whether the model and its alternatives predict the same from other initial states within the measured range.
 
 Two equations may fit the measurements about as well, and still predict different values from other initial states. Then
-the data do not decide which values are right. So `compare_predictions` simulates the model, its alternatives and draws
-of its constants from such states. An alternative agrees if the R2 of its simulation, with the model's simulation as the
-truth, is above 0.9. The share of the odds that agrees is the probability that the predictions can be trusted.
+the data do not decide which values are right. So `compare_predictions` simulates three kinds of systems from such
+states: the model, its alternatives, and the model with other constants, drawn from their distribution. An alternative
+agrees if the R2 of its simulation, with the model's simulation as the truth, is above 0.9. The share of the odds that
+agrees is the probability that the predictions can be trusted.
 
-Within the measured range a short equation is more plausible. Outside, no data support its structure. If a simulation
-leaves the measured range, the odds of the alternatives therefore follow from the data alone, without prices of
-structures. With inputs, or with groups that have their own constants, each initial state takes the inputs and the group
-of one measured trajectory.
+Within the measured range, a short equation is more plausible than a long one. Outside of it, no data support the
+structure of an equation. So if a simulation leaves the measured range, the odds of the alternatives follow from the
+data alone, without prices of structures. With inputs, or with groups that have their own constants, each initial state
+takes the inputs and the group of one measured trajectory.
 
 Doubtful: only the compared alternatives count, so a law that was never a candidate is missing from the odds. About a
-dozen initial states represent the measured range. Draws of the constants are normal, by the linear covariance.
+dozen initial states represent the measured range. Constants are drawn from a normal distribution, whose covariance
+comes from a linearisation.
 
 Letters: D states, O measured states, N rows, P fitted constants, G initial states.
 """
@@ -41,9 +43,9 @@ from atoll_core.expression.kernels.tape import Ints
 
 @dataclass(frozen=True, eq=False)
 class AlternativeSystem:
-    """A system that may be right instead of the model: another equation for one variable, or other constants.
+    """A system that may be right instead of the model: it has another equation for one variable, or other constants.
 
-    Alternatives of one `group` exclude one another. `odds` are relative to the model, whose odds are one;
+    At most one alternative of a `group` can be right. `odds` are relative to the model, whose odds are one;
     `odds_of_data` are the odds without the price of structures.
     """
 
@@ -57,16 +59,18 @@ def compare_predictions(
     measurements: TrajectoryMeasurements, model: OdeSystem, alternatives: Sequence[AlternativeSystem], tolerance: float,
     drawn: Iterable[OdeSystem] = (), *, is_near: bool = False,
 ) -> list[Prediction]:  # fmt: skip
-    """Return how well each measured state can be predicted; states without an equation have their smoothed values.
+    """Return how well each measured state can be predicted. For states without an equation, the smoothed values are
+    used.
 
     Args:
         measurements: the trajectories that were measured.
         model: the system that is shown.
         alternatives: other systems that describe the measurements.
-        tolerance: error of an integration step over a state's standard deviation.
-        drawn: the model with constants drawn from their distribution; draws stop when the result is decided.
-        is_near: whether initial states are near measured states, since parts of the box around an attractor lie outside
-            of its basin.
+        tolerance: the allowed error of an integration step, divided by the standard deviation of the state.
+        drawn: the model with constants drawn from their distribution, one system after another; the iterator is read
+            until the result is decided.
+        is_near: whether initial states are near measured states. This is for attractors: parts of the box around an
+            attractor lie outside of its basin.
     """
     other_states = _OtherInitialStates(measurements, tolerance, is_near=is_near)
     own = other_states.simulate_model(model)
@@ -122,9 +126,9 @@ def compare_predictions(
 _DRAWN: Final = -1
 """The group of the draws."""
 _MOST_DRAWS: Final = SETTINGS.effort.beam**2
-"""Most draws: a share of 0.95 then has a standard error of 0.02."""
+"""Most draws of the constants: with this number, a share of 0.95 has a standard error of 0.02."""
 _STRIDE: Final = 4
-"""One in this many simulated rows is compared with the measured rows."""
+"""Every fourth simulated row is compared with the measured rows."""
 
 
 Flags = npt.NDArray[np.bool_]
@@ -136,8 +140,8 @@ class _OtherInitialStates:
     """Simulates systems from initial states between measured states, for the duration of the longest trajectory.
 
     If measured trajectories end at a limit of the measured range, as in growth, other trajectories may leave the range
-    as well. A simulation that leaves the range on the same side is shortened. It then has as many rows as were measured
-    after the measured state nearest to its initial state.
+    on this side. Such a simulation is shortened. The measured state nearest to its initial state determines the length:
+    the simulation has as many rows as were measured after this state.
     """
 
     def __init__(self, measurements: TrajectoryMeasurements, tolerance: float, *, is_near: bool) -> None:
@@ -153,9 +157,9 @@ class _OtherInitialStates:
     def starts(self) -> FloatArray:
         """Initial states (G, D): each between two measured states of one group, or near a measured state.
 
-        States without an equation may be inputs with their measured values. Then each initial state is a tenth of the
-        way from the start of a trajectory to such a point: farther away, the measured inputs would not match the
-        states.
+        States without an equation may be inputs with their measured values. Then each initial state is nearer to the
+        start of a trajectory: a tenth of the way from there to such a point. Farther away, the measured inputs would
+        not match the states.
         """
         measurements = self._measurements
         if self._is_near and not measurements.has_smoothed_inputs:
@@ -171,7 +175,8 @@ class _OtherInitialStates:
         return np.asarray(trajectory_starts + SETTINGS.inference.part * (points - trajectory_starts))
 
     def _starts_of_groups(self, groups: Ints) -> FloatArray:
-        """Return initial states (G, D), each between two measured states of the group whose constants apply."""
+        """Return initial states (G, D). Each is between two measured states of one group, and is simulated with the
+        constants of this group."""
         measurements, points = self._measurements, []
         between: dict[int, FloatArray] = {}
         for place in range(SETTINGS.effort.beam):
@@ -192,8 +197,8 @@ class _OtherInitialStates:
         return np.asarray(remove_conserved_directions(shift[None], measurements.smoothed, noise)[0])
 
     def simulate_model(self, model: OdeSystem) -> list[Course]:
-        """Return the model's simulations from all initial states, and store the numbers of rows for simulations of
-        other systems."""
+        """Return the model's simulations from all initial states. The numbers of their rows are stored, for simulations
+        of other systems."""
         courses = []
         for place, start in enumerate(self.starts):
             simulated, why = self._estimator(place).simulate_until_blow_up(model, start)
@@ -226,8 +231,8 @@ class _OtherInitialStates:
         return rows
 
     def distances_from_measured(self, courses: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return the distance (n,) of thinned rows of each course from the nearest measured row, in units of the
-        measured ranges."""
+        """Return, for each course, the distances (n,) of some of its rows from the nearest measured row, in units of
+        the measured ranges."""
         observed = self._measurements.observed
         width = self._width[observed]
         known = self._measurements.smoothed[observed].T[thinned_places(self._measurements.rows, MOST_POINTS)] / width
@@ -242,8 +247,8 @@ class _OtherInitialStates:
         ]
 
     def farthest_value(self, courses: Sequence[FloatArray], state: int) -> float | None:
-        """Return the value of a state farthest beyond its measured range; None if the state stays about within this
-        range."""
+        """Return the value of a state that is farthest outside of its measured range. None if all values are about
+        within this range."""
         index = self._measurements.observed[state]
         low, width = self._low[index], self._width[index]
         values = np.concatenate([course[state] for course in courses])
@@ -266,7 +271,8 @@ class _OtherInitialStates:
         return self._select_rows(*self._estimator(place).simulate_until_blow_up(system, start), rows)
 
     def _select_rows(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
-        """Return the measured states in the first `rows` rows (default: all), or why the simulation ended earlier."""
+        """Return the measured states in the first `rows` rows (default: in all rows), or the reason why the simulation
+        ended earlier."""
         course = simulated[self._measurements.observed, :rows]
         return course if why is None or (rows is not None and np.isfinite(course).all()) else why
 
@@ -347,14 +353,16 @@ class _Disagreement:
                 self._unlike[state] = (largest, place)
 
     def agreement(self, state: int) -> float:
-        """Return the share of the odds, of the model and its alternatives, that predicts the same as the model."""
+        """Return the share of agreement: the odds of the model and of the alternatives that agree with it, divided by
+        the sum of all odds."""
         shares = [1.0 - self._against[group][state] / (1.0 + odds) for group, odds in self._odds.items()]
         return math.prod(float(share) for share in shares)
 
     def is_decided(self, state: int) -> bool:
         """Tell whether the share of agreeing draws is significantly above or below the limit of a good model.
 
-        The posterior of the share is a beta distribution, with Jeffreys' prior. 38 draws that all agree are enough.
+        The posterior of the share is a beta distribution, with Jeffreys' prior. For example, 38 draws are enough if all
+        of them agree.
         """
         from scipy import special
 
@@ -366,7 +374,7 @@ class _Disagreement:
         return min(below, 1.0 - below) <= wrong
 
     def most_disputed_place(self, state: int) -> int | None:
-        """Return the index of the initial state from which predictions differ most; None if none differ."""
+        """Return the index of the initial state from which predictions differ most. None if all predictions agree."""
         place = self._unlike[state][1]
         return place if place >= 0 else None
 
@@ -374,8 +382,8 @@ class _Disagreement:
 def _differences(courses: Sequence[Course], own: Sequence[FloatArray], states: int) -> tuple[Flags, FloatArray] | None:
     """Return which states (O,) an alternative predicts like the model, and the largest differences (O, G).
 
-    An alternative that diverges predicts something different. If a simulation needs too many steps, its prediction is
-    unknown; None if all predictions are unknown.
+    If the simulation of an alternative diverges, the alternative predicts something different. If a simulation needs
+    too many steps, its prediction is unknown. The result is None if all predictions are unknown.
     """
     sizes = np.zeros((states, len(own)))
     pairs = []
@@ -402,12 +410,12 @@ def _r2(predicted: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArr
 
 
 def draw_systems(system: OdeSystem, covariance: FloatArray) -> Iterator[OdeSystem]:
-    """Yield endlessly `system` with constants drawn from their joint normal distribution; yield nothing without
-    constants.
+    """Yield `system` with constants drawn from their joint normal distribution. The iterator has no end, but it is
+    empty if there are no constants.
 
     Args:
         system: has the fitted constants.
-        covariance: the covariance (P, P) of the constants, finite.
+        covariance: the covariance (P, P) of the constants; all its elements are finite.
     """
     if not system.count:
         return

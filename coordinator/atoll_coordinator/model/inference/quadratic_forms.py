@@ -1,14 +1,15 @@
 """Tail probabilities of quadratic forms in normal errors, to compare two sums of squares of the same errors. Pure.
 
 `variance_ratio_tail` compares the residual variance of a model with the noise that loess estimates from the same rows.
-Both are quadratic forms in the same errors, so that their ratio has no F distribution. `probability_of_positive_sum`
-computes the tail from the eigenvalues of the difference of both forms.
+Both variances are quadratic forms in the same errors, so their ratio has no F distribution.
+`probability_of_positive_sum` computes the tail probability from the eigenvalues of a weighted difference of both forms.
 
-Doubtful: errors must be normal and independent. The derivatives by the parameters are assumed to be smooth, so that
-they lie in the space of the smallest eigenvalues. The saddlepoint approximation has relative errors of a few percent.
+Doubtful: errors must be normal and independent. The derivatives by the parameters are assumed to be smooth: they are
+combinations of the eigenvectors of B with the smallest eigenvalues. The saddlepoint approximation has relative errors
+of a few percent.
 
-Letters: n rows, p fitted parameters; S is the matrix (n, n) of loess, with smoothed values S y for measured values y; B
-is the matrix (I - S)'(I - S) of its sum of squared residuals.
+Letters: n rows, p fitted parameters; S is the matrix (n, n) of loess: S y are the smoothed values for measured values
+y. B is (I - S)'(I - S): y'B y is the sum of squared residuals of loess.
 """
 
 import math
@@ -23,23 +24,25 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _REPRESENTED: Final = 8
-"""Number of lengths that represent the lengths of many trajectories: eigenvalues hardly depend on the length."""
+"""If there are more trajectories than this, their lengths are represented by this number of lengths. Eigenvalues hardly
+depend on the length."""
 _MOST_BINS: Final = 6 * SETTINGS.smoothing.bins
 """Most bins of a trajectory whose eigenvalues are computed; a longer trajectory is represented by a part."""
 
 
 def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float, span: int, degree: int) -> float:
-    """Return the probability, if the model is right, of at least this ratio of two variances of the same errors.
+    """Return the probability that two variances have at least this ratio if the model is right. Both are computed from
+    the same errors e.
 
     The numerator is the residual variance of a model with p parameters, e'(I - H)e/(n - p), with the projection H on
     the derivatives by the parameters. The denominator is the residual variance of loess, e'Be/tr B. The derivatives are
-    smooth, so H removes the p smallest eigenvalues of B. The ratio exceeds r if the sum of squares with the weights
-    1/(n - p) - r b/tr B, over the other eigenvalues b, is positive. Compare Cleveland & Devlin (1988), section 4, who
-    match two moments.
+    smooth, so H removes the p smallest eigenvalues of B. Let the errors have coordinates z along the eigenvectors of B.
+    The ratio exceeds r if the sum of w z^2 over the other eigenvalues b is positive, with the weights w = 1/(n - p) - r
+    b/tr B. Compare Cleveland & Devlin (1988), section 4: they match two moments instead.
 
     Args:
-        ratio: r, of variances, each over its degrees of freedom.
-        lengths: rows of each trajectory.
+        ratio: r, the ratio of the two variances.
+        lengths: number of rows of each trajectory.
         parameters: p.
         span: rows in one window of loess.
         degree: the degree of its polynomials.
@@ -55,8 +58,8 @@ def probability_of_positive_sum(weights: FloatArray, counts: FloatArray) -> floa
     """Return the probability that the sum of w z^2 is positive, with standard normal z; `counts` are the multiplicities
     of the weights w.
 
-    This is the saddlepoint approximation of Lugannani & Rice (1980), as used by Kuonen (1999). Its relative error is a
-    few hundredths at most, also far out in the tail.
+    This is the saddlepoint approximation of Lugannani & Rice (1980), as used by Kuonen (1999). The relative error of
+    the approximation is a few hundredths at most, also for very small probabilities.
     """
     from scipy import special
 
@@ -93,7 +96,7 @@ def _saddlepoint(weights: FloatArray, counts: FloatArray) -> float:
 def _residual_eigenvalues(lengths: tuple[int, ...], span: int, degree: int) -> tuple[FloatArray, FloatArray]:
     """Return the eigenvalues of B for all trajectories together, in rising order, and how often each occurs.
 
-    Many trajectories are represented by some of their lengths, a long trajectory by a part.
+    If there are many trajectories, some of their lengths represent all. A part represents a long trajectory.
     """
     values, counts = [], []
     for group in np.array_split(np.array(lengths), min(len(lengths), _REPRESENTED)):

@@ -1,17 +1,17 @@
 """Warnings about a pattern of residuals: process noise, differences between trajectories, forcing, hidden states. Pure.
 
-`warn_of_random_walk` decides whether the residuals of a state grow like a random walk; then noise is part of the law.
-The mean square of second differences of rows l apart is constant for measurement errors. It grows with l for a random
-walk, and with l^4 for a smooth curve (compare variograms, Matheron 1963). Exponents between 1/2 and 5/2 count as a
-random walk. A mixture of errors and a smooth curve can also have an exponent in this range, but not over three
-doublings of the lag.
+`warn_of_random_walk` decides whether the residuals of a state grow like a random walk. If so, noise is a part of the
+law. The mean square of second differences of rows l apart is constant for measurement errors. It grows with l for a
+random walk, and with l^4 for a smooth curve (compare variograms, Matheron 1963). Exponents between 1/2 and 5/2 count as
+a random walk. A mixture of errors and a smooth curve can also have an exponent in this range, but only over fewer than
+three doublings of the lag.
 
 `warn_of_residual_pattern` explains the residuals of rates: derivatives estimated from the data minus the derivatives by
 the equation at the smoothed states. It tries, in this order: a constant for each trajectory, a wave in time, a hidden
 state.
 
-Doubtful: these are hints and never change a grade. Rates are smoothed, so that neighbouring residuals are correlated;
-the number of independent rows is a rough estimate.
+Doubtful: these are hints and never change a grade. Rates come from smoothed data, so neighbouring residuals are
+correlated, and the number of independent rows is a rough estimate.
 """
 
 import math
@@ -36,10 +36,11 @@ _LAGS: Final = (1, 2, 4, 8)
 def warn_of_random_walk(
     recording: Recording, states: Sequence[str] = (), simulated: Sequence[FloatArray] = ()
 ) -> list[str]:
-    """Return a sentence that proposes ``--stochastic`` if residuals grow like a random walk, or an empty list.
+    """Return a list with a sentence that proposes ``--stochastic``, if residuals grow like a random walk. If not, the
+    list is empty.
 
-    `simulated` has the simulated values (O, R) of the `states` along each trajectory that was not held out. Without
-    simulations the measurements replace the residuals: models of a stochastic process can rarely be simulated.
+    `simulated` has the simulated values (O, R) of the `states` along each trajectory that was not held out. Models of a
+    stochastic process can rarely be simulated. Without simulations, the measurements are used instead of the residuals.
     """
     walking = []
     for index, state in enumerate(recording.states):
@@ -72,7 +73,8 @@ def _residuals(
 
 
 def _rounding(recording: Recording, index: int) -> float:
-    """Return the variance of the rounding errors of a state; rounding errors may stay the same for several rows."""
+    """Return the variance of the rounding errors of a state. Rounding errors may have the same value in several
+    consecutive rows."""
     quantisation = recording.smoothing[index].quantisation if index < len(recording.smoothing) else None
     return 0.0 if quantisation is None else quantisation.error**2
 
@@ -96,7 +98,7 @@ def _grows_like_walk(measured: Sequence[FloatArray], residuals: Sequence[FloatAr
 
 
 def _mean_square(residuals: Sequence[FloatArray], lag: int) -> float:
-    """Return half the mean square of second differences of rows `lag` apart; NaN is left out."""
+    """Return half the mean square of the second differences of rows that are `lag` rows apart. NaN is left out."""
     parts = [
         series[2 * lag :] - 2.0 * series[lag:-lag] + series[: -2 * lag] for series in residuals if len(series) > 2 * lag
     ]
@@ -116,8 +118,8 @@ _HALF: Final = 0.5
 class RateResiduals:
     """Residuals (n,) of the rate of one state, with `times` (n,) and the trajectory (`run`) of each row.
 
-    `variables` (V, n) are the variables at these rows and `rates` (n,) the derivatives by the equation. States were
-    smoothed over `span` rows.
+    `variables` (V, n) are the values of the variables at these rows, and `rates` (n,) are the derivatives that the
+    equation predicts. States were smoothed over `span` rows.
     """
 
     residuals: FloatArray
@@ -134,7 +136,7 @@ class RateResiduals:
 
 
 def warn_of_residual_pattern(recording: Recording, equations: Mapping[str, Refined], time: str = "t") -> Iterator[str]:
-    """Yield a warning about a pattern that explains most of the residuals, for equations that are not good."""
+    """For each equation that is not good, yield a warning if a pattern explains most of the residuals."""
     found: dict[str, list[str]] = {}
     period = 0.0
     for place, state in enumerate(recording.states):
@@ -166,7 +168,8 @@ def warn_of_residual_pattern(recording: Recording, equations: Mapping[str, Refin
 
 
 def compute_rate_residuals(recording: Recording, place: int, program: Program) -> RateResiduals | None:
-    """Return the residuals of the rate of one state; None if they are about as small as their errors."""
+    """Return the residuals of the rate of one state. None if the residuals are about as small as the errors of the
+    estimated rates."""
     parts = [part for part in recording.trajectories if not part.held_out and part.rates is not None]
     if not parts or len(recording.smoothing) <= place:
         return None
@@ -204,7 +207,8 @@ def _explain_residuals(rest: RateResiduals) -> tuple[str | None, float | None]:
 
 
 def _differ_by_run(rest: RateResiduals) -> bool:
-    """Tell whether a summand or a factor for each trajectory explains most of the residuals significantly (F test)."""
+    """Tell whether a summand or a factor for each trajectory explains most of the residuals, and does so significantly
+    (F test)."""
     from scipy.special import fdtrc
 
     runs = int(np.max(rest.run)) + 1
@@ -239,10 +243,10 @@ def _depends_on_hidden_state(rest: RateResiduals) -> bool:
 
 
 def _find_period(rest: RateResiduals) -> float | None:
-    """Return the period of a wave in time that explains most of the residuals; None if there is none.
+    """Return the period of a wave in time that explains most of the residuals; None if there is no such wave.
 
-    Least squares for each frequency (Lomb 1976). A period has at least four rows, and at least two periods fit into the
-    measured time.
+    For each frequency, a wave is fitted by least squares (Lomb 1976). A period has at least four rows, and at least two
+    periods fit into the measured time.
     """
     length = float(np.max(rest.times) - np.min(rest.times))
     steps = np.diff(rest.times)

@@ -1,14 +1,15 @@
 """For few rows: the covariance of residuals, and the effect of possible correlations on standard errors. Pure.
 
-*Covariance.* Fitting correlates residuals. Their covariance is I - H, with the projection H on the derivatives by all
-fitted numbers. `residual_covariances` returns it, so that the test for a pattern is exact for few rows.
+*Covariance.* Fitting correlates residuals. The covariance of residuals is I - H, with the projection H on the
+derivatives by all fitted numbers. `residual_covariances` returns this covariance, so that the test for a pattern is
+exact for few rows.
 
 *Inflation.* Few rows cannot show whether neighbouring errors are correlated, and a correlation increases the variance
 of constants. `expected_variance_inflation` averages the variances over correlations from 0 to 0.9, weighted by the
 probability of the residuals and a prior that favours small correlations.
 
-Doubtful: the prior was chosen by simulation, so that intervals are about right for correlations of 0 and of 0.6. One
-correlation for all states is assumed.
+Doubtful: the prior was chosen by simulations, so that nearly the right share of the intervals contains the truth, both
+for a correlation of 0 and for a correlation of 0.6. One correlation for all states is assumed.
 
 Letters: N rows, O measured states, P fitted constants, L numbers of an initial state, G pieces, n rows of one state,
 M measured numbers, K fitted numbers.
@@ -26,15 +27,15 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 _MOST_NUMBERS: Final = 750
-"""Most measured numbers for which the matrix is computed: the work for its eigenvalues grows with their cube. With more
-rows the distribution of correlations is about normal."""
+"""Most measured numbers for which the matrix is computed: the work for its eigenvalues grows with the third power of
+this number. With more rows the distribution of correlations is about normal."""
 _INDEPENDENT: Final = 1e-9
 """Columns of unit length are linearly dependent if a singular value is below this share of the largest singular
 value."""
 
 
 def residual_covariances(measurements: TrajectoryMeasurements, fit: TrajectoryFit) -> list[FloatArray] | None:
-    """Return the covariance (n, n) of the residuals of each state in units of the variance of its errors.
+    """Return, for each state, the covariance (n, n) of its residuals in units of the variance of its errors.
 
     The matrices are blocks of I - H, with the projection H on the derivatives by constants and initial states. None if
     there are too many rows.
@@ -47,7 +48,8 @@ def residual_covariances(measurements: TrajectoryMeasurements, fit: TrajectoryFi
 
 
 def scaled_derivatives(measurements: TrajectoryMeasurements, fit: TrajectoryFit) -> FloatArray | None:
-    """Return the derivatives (M, P + L G) of the measured numbers, in units of their errors, by the fitted numbers.
+    """Return the derivatives (M, P + L G) of the measured numbers by the fitted numbers. Each measured number is in
+    units of its error.
 
     Rows are ordered state by state; the columns of constants come first. None if there are too many numbers.
     """
@@ -67,7 +69,8 @@ def scaled_derivatives(measurements: TrajectoryMeasurements, fit: TrajectoryFit)
 
 
 def orthonormal_basis(columns: FloatArray) -> FloatArray:
-    """Return orthonormal columns (M, k) that span the same space as the columns (M, K); k of these are independent."""
+    """Return orthonormal columns (M, k) that span the same space as `columns` (M, K); k is the number of linearly
+    independent columns."""
     sizes = np.sqrt((columns**2).sum(axis=0))
     basis, singular, _ = np.linalg.svd(columns[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
     return np.asarray(basis[:, singular > _INDEPENDENT * singular.max(initial=0.0)])
@@ -75,16 +78,16 @@ def orthonormal_basis(columns: FloatArray) -> FloatArray:
 
 _CORRELATIONS: Final = tuple(step / 10 for step in range(10))
 """Correlations r of neighbouring rows over which variances are averaged. The prior density is proportional to 1 - r.
-With it, 95 % intervals from 8 to 20 rows contain the truth in 99 % of the tables with independent errors, and in 91 to
-94 % of the tables with a correlation of 0.6 (`benchmarks.noise.intervals`). No prior reaches 95 % for both. Without the
-correction, intervals contained the truth in 74 % of the tables."""
+With this prior, 95 % intervals from 8 to 20 rows contain the truth in 99 % of the tables with independent errors, and
+in 91 to 94 % of the tables with a correlation of 0.6 (`benchmarks.noise.intervals`). No prior reaches 95 % for both
+kinds of tables. Without the correction, intervals contained the truth in 74 % of the tables."""
 
 
 def estimate_variance_inflation(
     measurements: TrajectoryMeasurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]
 ) -> float:
-    """Return the variances of constants averaged over possible correlations, divided by the variances for independent
-    errors.
+    """Return a ratio of variances of the constants: the variances averaged over possible correlations, divided by the
+    variances for independent errors.
 
     The result is 1 if there are so many rows that a correlation would have been found. Only states with `is_noisy` (O,)
     are used: the residuals of other states do not consist of measurement errors.
@@ -106,13 +109,13 @@ def estimate_variance_inflation(
 def expected_variance_inflation(
     columns: FloatArray, residuals: FloatArray, owners: Ints, times: FloatArray, constants: int
 ) -> float:
-    """Return the factor by which the variances of the first `constants` fitted numbers grow, averaged over
-    correlations.
+    """Return the factor by which correlations increase the variances of the first `constants` fitted numbers, averaged
+    over the correlations.
 
     Errors have the correlation r**(gap) within one owner, with the gap in median time steps. The weight of r is the
     marginal likelihood of the residuals, with fitted numbers and variance integrated out (Harville 1974), times the
-    prior. Variances are second moments about the least-squares estimate. For several constants, the result is the
-    geometric mean, from the generalised variance.
+    prior. The variances are second moments about the least-squares estimate. If there are several constants, the result
+    is the geometric mean of their factors, computed from the generalised variance.
 
     Args:
         columns: (M, K), derivatives of the measured numbers by the fitted numbers, in units of the errors.

@@ -1,14 +1,15 @@
-"""Tests of the residuals of a simulated state: their size against the noise, and their pattern. Pure.
+"""Tests of the residuals of a simulated state: their size, compared with the noise, and their pattern. Pure.
 
-The residuals of a right model are the measurement errors: their variance is the variance of the noise, and neighbours
-are independent. `residual_statistics` tests both, over all trajectories together:
+The residuals of a right model are the measurement errors: their variance is the variance of the noise, and neighbouring
+residuals are independent. `residual_statistics` tests these two properties, over all trajectories together:
 
-- size: the residual variance over the noise variance. The distribution is chi-square if the noise is known, and a ratio
-  of quadratic forms if loess estimated the noise from the same errors (`quadratic_forms`).
-- pattern: the sum of correlations over a few lags, corrected for fitted parameters. The distribution is normal, or
-  exact if the covariance of the residuals is known (few rows).
+- size: the residual variance divided by the noise variance. If the noise is known, the distribution is chi-square. If
+  loess estimated the noise from the same errors, it is the distribution of a ratio of quadratic forms
+  (`quadratic_forms`).
+- pattern: the sum of correlations over a few lags, corrected for fitted parameters. The distribution is approximately
+  normal; for few rows, the exact distribution follows from the covariance of the residuals.
 
-Each test has a p-value and a power: the smallest departure of the model that the test detects in five of six tables.
+Each test has a p-value, and a power: the smallest error of the model that the test detects in five of six tables.
 Without this power, a test that passes would show nothing.
 
 Doubtful: errors must be normal and independent, or whitened. The correction for fitted parameters assumes smooth
@@ -35,7 +36,8 @@ _LAGS: Final = 3
 
 @dataclass(frozen=True)
 class ReferenceSmoother:
-    """Loess of the same measurements, the reference for the residuals: `span` in rows, `degree`, estimated `noise`."""
+    """Loess of the same measurements, the reference for the residuals. `span` is in rows, `degree` is the degree of the
+    polynomials, and `noise` is the noise that loess has estimated."""
 
     span: int
     degree: int
@@ -46,14 +48,15 @@ class ReferenceSmoother:
 class ResidualStatistics:
     """Tests of the residuals of one state.
 
-    `standard_deviation` is corrected for the fitted parameters. `ratio` is the standard deviation over the noise and
-    `size_probability` the probability of at least that ratio if the residuals were noise. `correlation` is the
+    `standard_deviation` is corrected for the fitted parameters. `ratio` is the standard deviation divided by the noise;
+    `size_probability` is the probability of at least this ratio if the residuals were noise. `correlation` is the
     correlation of neighbouring residuals minus the correlation that fitting causes. It is about the share of the
     residual variance that follows a pattern. `pattern_probability` is the probability of a correlation at least as
     large, over a few lags, if the residuals were noise.
 
     `detectable_ratio` and `detectable_correlation` describe the power of both tests. They are the smallest true ratio,
-    and the smallest share of a pattern, that the tests detect in five of six tables (infinite: no size is detected).
+    and the smallest share of a pattern, that the tests detect in five of six tables. They are infinite if a test
+    detects no size.
     """
 
     standard_deviation: float
@@ -74,15 +77,15 @@ def residual_statistics(
     Args:
         residuals: (R,) for each trajectory, measured minus simulated, finite.
         noise: standard deviation of the measurement errors, in the same unit. 0 gives an infinite ratio.
-        parameters: p, the number of constants and initial values fitted to these residuals; a number that several
-            states determine counts in part for each.
-        innovations: the whitened residuals if measurement errors are correlated, for both probabilities; None: errors
-            are independent.
-        reference: the smoother that estimates the noise from the same errors, for `size_probability`; None: `noise` is
-            known.
-        covariance: covariance (n, n) of the residuals for noise of variance one, all rows one after another. With it,
-            the distribution of the correlations is exact. None: correlations are assumed about normal, since the fitted
-            curves are smooth.
+        parameters: p, the number of constants and initial values fitted to these residuals. If several states determine
+            one fitted number, a part of it counts for each state.
+        innovations: the whitened residuals if measurement errors are correlated; both probabilities are computed from
+            them. None: errors are independent.
+        reference: the smoother that estimates the noise from the same errors; `size_probability` depends on it. None:
+            `noise` is known.
+        covariance: covariance (n, n) of the residuals for noise of variance one; the rows of all trajectories follow
+            one another. With this covariance, the distribution of the correlations is exact. None: the distribution is
+            assumed to be about normal, since the fitted curves are smooth.
     """
     rows = sum(len(series) for series in residuals)
     free = max(rows - parameters, 1.0)
@@ -114,21 +117,24 @@ def residual_statistics(
 
 
 def _normal_pattern(errors: Sequence[FloatArray], correlations: Sequence[float], variances: Sequence[float]) -> float:
-    """Return the probability of at least this sum of correlations in noise; its distribution is about normal."""
+    """Return the probability of at least this sum of correlations in noise. The distribution of the sum is about
+    normal."""
     from scipy import special
 
     return float(special.ndtr(-sum(correlations) / math.sqrt(sum(variances)))) if sum(variances) else 0.5
 
 
 def _count_lags(rows: float, parameters: float) -> int:
-    """Return the largest lag in rows: residuals after fitting p numbers change their sign within n/p rows."""
+    """Return the largest lag in rows. It is limited because, after a fit of p numbers, residuals change their sign
+    within n/p rows."""
     return max(1, min(_LAGS, int(rows / (2.0 * max(parameters, 1.0)))))
 
 
 def _exact_pattern(
     errors: Sequence[FloatArray], square: float, covariance: FloatArray, reach: int
 ) -> tuple[float, float]:
-    """Return the correlation of neighbours minus its mean in noise, and the probability of the sum over all lags.
+    """Return the correlation of neighbouring residuals minus its mean in noise, and the probability of at least this
+    sum of correlations over all lags.
 
     If the errors are noise, residuals e have the covariance I - H, with the projection H on the derivatives by the
     fitted numbers. The sum of correlations exceeds r if the quadratic form e'(A - r I)e is positive. A has 1/2 on the
@@ -151,9 +157,9 @@ def _exact_pattern(
 def _detectable_ratio(
     errors: Sequence[FloatArray], noise: float, parameters: float, reference: ReferenceSmoother | None
 ) -> float:
-    """Return the ratio of residuals to noise, as standard deviations, that the test detects in five of six tables.
+    """Return the ratio of the standard deviation of residuals to the noise that the test detects in five of six tables.
 
-    The variance at this ratio, minus one standard deviation of the estimated variance, is just significant.
+    At this true ratio, an estimated variance that is one standard deviation too small is just significant.
     """
     free = max(sum(map(len, errors)) - parameters, 1.0)
 
@@ -177,7 +183,7 @@ def _detectable_ratio(
 def _detectable_correlation(weights: Sequence[float], rows: int) -> float:
     """Return the share of a slow pattern in the residual variance that the test detects in five of six tables.
 
-    The correlation of rows at each lag is about equal to the share of a slow pattern.
+    For a slow pattern, the correlation at each lag is about equal to this share.
     """
     from scipy import special
 
@@ -192,7 +198,7 @@ def _detectable_correlation(weights: Sequence[float], rows: int) -> float:
 def _size_probability(
     errors: Sequence[FloatArray], variance: float, noise: float, parameters: float, reference: ReferenceSmoother | None
 ) -> float:
-    """Return the probability of at least this variance if the residuals were noise."""
+    """Return the probability of a variance at least as large as `variance`, if the residuals were noise."""
     from scipy import special
 
     if reference is None:
@@ -205,11 +211,12 @@ def _size_probability(
 
 
 def _correlations(errors: Sequence[FloatArray], square: float, parameters: float) -> tuple[list[float], list[float]]:
-    """Return the correlation at each lag, corrected for the effect of fitting, and its variance in noise.
+    """Return the correlation at each lag k, corrected for the effect of fitting, and the variance of this correlation
+    in noise.
 
-    With the projection H on the derivatives by p parameters, residuals of noise have E sum e_i e_(i+k) = - sigma^2 sum
-    H_(i,i+k) over n_k pairs. This is about - sigma^2 p n_k/n, since the derivatives are smooth. The variance is
-    n_k/(n (n + 2)) (Ljung & Box 1978).
+    H is the projection on the derivatives by p parameters, and sigma^2 is the variance of the noise. Residuals e of
+    noise have E sum e_i e_(i+k) = - sigma^2 sum H_(i,i+k) over the n_k pairs of rows. This is about - sigma^2 p n_k/n,
+    since the derivatives are smooth. The variance is n_k/(n (n + 2)) (Ljung & Box 1978).
     """
     rows = sum(len(series) for series in errors)
     correlations, variances = [], []

@@ -1,13 +1,14 @@
 """Terms that several equations share, fitted together: a flux that leaves one state and enters another (ADR 0058).
 
-With brackets expanded, each term has a factor and numbers inside, such as 2 and c in 2*u/(c + u). Two terms of the same
-shape are one flux if their numbers inside are equal. If one factor is a simple multiple of the other, the factors are
-the stoichiometry. `fit_shared_terms` decides which numbers become equal: near its minimum the misfit is a quadratic
-form, so the cost of making two numbers equal is known. Decisions are made one after another, as for simple numbers. The
-model is then fitted with all decisions, and used if its description is shorter.
+When brackets are expanded, each term has a factor and inner numbers: the factor of 2*u/(c + u) is 2, and c is an inner
+number. Two terms of the same shape are one flux if their inner numbers are equal. If one factor is a simple multiple of
+the other, the factors are the stoichiometry. `fit_shared_terms` decides which numbers become equal: near its minimum
+the misfit is a quadratic form, so the increase of the misfit is known if two numbers are made equal. Decisions are made
+one after another, as for simple numbers. The model is then fitted with all decisions, and used if its description is
+shorter.
 
-Doubtful: decisions are greedy and depend on the order of the terms. Terms are only compared after expansion, so an
-equation that must stay factored (known, or with bounds) shares nothing.
+Doubtful: decisions are greedy and depend on the order of the terms. Terms are only compared after expansion. A known
+equation, or an equation with bounds, must not be expanded, so it shares no terms.
 
 Letters: P fitted constants.
 """
@@ -52,9 +53,10 @@ class SharedTermsFit:
 
 
 def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequence[Program]) -> SharedTermsFit | None:
-    """Return `shown` with brackets expanded and shared terms fitted together; None if the description is no shorter.
+    """Return `shown` with brackets expanded and shared terms fitted together. None if this does not shorten the
+    description.
 
-    Equations that are given or have bounds are not changed.
+    Equations that the user gave, or that have bounds, are not changed.
     """
     sums = _expand_equations(comparison, shown)
     expansions = [None if summands is None else write_expansion(summands) for summands in sums]
@@ -92,9 +94,10 @@ def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequ
 
 @dataclass(frozen=True)
 class _Occurrence:
-    """A term of an equation: the place of its `factor` (None for a factor of one) and of its numbers inside (`inner`).
+    """A term of an equation: the place of its `factor` (None for a factor of one) and the places of its `inner`
+    numbers.
 
-    Each place has the sign of its constant. Numbers inside are in the order of their paths in the term. `layout` has
+    Each place has the sign of its constant. Inner numbers are in the order of their paths in the term. `layout` has
     these paths, and also the paths of numbers that the form of the term fixes at one or minus one.
     """
 
@@ -107,7 +110,8 @@ class _Occurrence:
 def _expand_equations(comparison: ModelComparison, shown: Sequence[Program]) -> list[Sum | None]:
     """Return the terms of each equation; None for equations that must not change.
 
-    A term n/(c + u) is written with n*u/(c + u) if another equation has a term of this shape.
+    If another equation has a term of the shape n*u/(c + u), a term n/(c + u) is written as a sum of n and a multiple of
+    n*u/(c + u).
     """
     sums = [_expand_equation(comparison, equation, program) for equation, program in enumerate(shown)]
     shapes = [{shape_of(monomial) for monomial, _ in summands or ()} for summands in sums]
@@ -120,9 +124,8 @@ def _expand_equations(comparison: ModelComparison, shown: Sequence[Program]) -> 
 
 
 def _price_of_repetition(shape: Shape, sums: Sequence[Sum | None]) -> float:
-    """Return the nats saved when a term with known numbers occurs again.
-
-    A repeated term then costs as little as a part that a program uses again within one equation.
+    """Return the nats that are saved if a term occurs again with the same numbers. The repeated term then costs as
+    little as the second use of a part within one equation.
     """
     monomials = (monomial for summands in sums for monomial, _ in summands or () if shape_of(monomial) == shape)
     expansion = write_expansion(((next(monomials), 1.0),))
@@ -130,7 +133,7 @@ def _price_of_repetition(shape: Shape, sums: Sequence[Sum | None]) -> float:
 
 
 def _expand_equation(comparison: ModelComparison, equation: int, program: Program) -> Sum | None:
-    """Return the terms of an equation; None if it must not change or has too many terms."""
+    """Return the terms of an equation. None if the equation must not change, or if it has too many terms."""
     if equation in comparison.fixed or comparison.restrictions(equation).bounds is not None:
         return None
     try:
@@ -176,7 +179,8 @@ def _list_occurrences(equation: int, expansion: Expansion) -> Iterator[tuple[Sha
 
 @dataclass(eq=False)
 class _PlacedEstimates:
-    """Fitted constants by place, with `values` (P,) and `covariance` (P, P), given the decisions so far."""
+    """Fitted constants by place. Their `values` (P,) and their `covariance` (P, P) hold for the decisions made so
+    far."""
 
     index: Mapping[Place, int]
     values: FloatArray
@@ -199,7 +203,8 @@ class _PlacedEstimates:
         return max(float(row @ self.covariance @ row), least * least, 1e-300)
 
     def with_zero_sum(self, row: FloatArray) -> tuple["_PlacedEstimates", float]:
-        """Return the estimates given that a sum of constants is zero, and by how many nats the misfit grows."""
+        """Return the estimates under the condition that a sum of constants is zero, and the increase of the misfit in
+        nats."""
         variance, away = self.variance(row), float(row @ self.values)
         column = self.covariance @ row
         values = self.values - column * (away / variance)
@@ -209,11 +214,11 @@ class _PlacedEstimates:
 
 @dataclass(eq=False)
 class Flux:
-    """Terms of this `shape` with the same numbers inside, each in a different equation.
+    """Terms of this `shape` with the same inner numbers, each in a different equation.
 
-    The description gets about `nats` shorter; `saving` is the part due to writing the flux only once. `reference` is
-    the smallest factor. `ratios` has, by equation, the ratio of the factor to the reference, if this ratio is a simple
-    number.
+    As a flux, they make the description about `nats` shorter; `saving` is the part of these nats that is saved because
+    the flux is written only once. `reference` is the smallest factor. `ratios` has, by equation, the ratio of the
+    term's factor to the reference; it has only ratios that are simple numbers.
     """
 
     shape: Shape
@@ -255,7 +260,7 @@ def _find_fluxes(
     comparison: ModelComparison, free: FittedModel, common: Mapping[Shape, Sequence[_Occurrence]],
     savings: Mapping[Shape, float],
 ) -> list[Flux]:  # fmt: skip
-    """Return the terms that share numbers and factors, by the estimates of a fit."""
+    """Return the fluxes: terms that share numbers and factors according to the estimates of a fit."""
     system = free.fit.system
     index = {place: number for number, place in enumerate(comparison.places(system))}
     estimates = _PlacedEstimates(index, system.values, comparison.score.inflation(free) * bounded_covariance(free.fit))
@@ -271,7 +276,7 @@ def _find_fluxes(
 def _group_equal_terms(
     estimates: _PlacedEstimates, shape: Shape, alike: Sequence[_Occurrence], constant_nats: float, saving: float
 ) -> tuple[_PlacedEstimates, list[Flux]]:
-    """Group terms of one shape into fluxes: numbers inside become equal if that shortens the description."""
+    """Group terms of one shape into fluxes: their inner numbers become equal if this shortens the description."""
     fluxes: list[Flux] = []
     for term in alike:
         for flux in fluxes:
@@ -292,7 +297,8 @@ def _group_equal_terms(
 
 
 def _decide_multiples(estimates: _PlacedEstimates, flux: Flux, constant_nats: float) -> _PlacedEstimates:
-    """Set the factors that are simple multiples of the smallest, and return the estimates given these decisions."""
+    """Decide which factors are simple multiples of the smallest factor, store them in `flux`, and return the estimates
+    under these decisions."""
     factors = {term.equation: term.factor for term in flux.terms if term.factor is not None}
     if len(factors) < 2:
         return estimates
@@ -312,7 +318,8 @@ def _decide_multiples(estimates: _PlacedEstimates, flux: Flux, constant_nats: fl
 def _simple_ratio(
     estimates: _PlacedEstimates, base: tuple[Place, float], constant: tuple[Place, float]
 ) -> float | None:
-    """Return the simple fraction that the data support as the factor `constant` over `base`; None if there is none."""
+    """Return the simple fraction that the data support as the ratio of the factor `constant` to `base`; None if there
+    is no such fraction."""
     below, above = (sign * estimates.value(place) for place, sign in (base, constant))
     if below == 0.0:
         return None

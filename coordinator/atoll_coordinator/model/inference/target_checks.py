@@ -1,4 +1,4 @@
-"""The checks of an equation on the rows of its target, without trajectories: quantities, limits, clauses. Pure.
+"""The checks of an equation on the rows of its target, if there are no trajectories: quantities, limits, clauses. Pure.
 
 `TargetChecks` linearises the equation about its constants and sets the quantities of `EquationChecks`: residuals, their
 covariance, leave-one-out R2, number of distinct rows, evidence against a constant. Rows of a target have no natural
@@ -6,7 +6,7 @@ order. So the rows are sorted by each input and by the fitted values. The order 
 neighbouring residuals is tested.
 
 Doubtful: there is no independent estimate of the noise, so the size of the residuals cannot be tested. Leave-one-out R2
-does not account for the choice of the structure.
+is computed for a given structure; it does not show that the same rows were used to choose the structure.
 
 Letters: R rows, K constants.
 """
@@ -31,7 +31,8 @@ from atoll_core.expression.evaluation import values_and_gradient, values_of
 from atoll_core.expression.program import constant_places, variables_of
 
 _MOST_ROWS: Final = 250
-"""Most rows for which the covariance of residuals is computed; with more, correlations are about normal."""
+"""Most rows for which the covariance of residuals is computed. With more rows, the distribution of correlations is
+about normal."""
 
 
 class TargetChecks(EquationChecks):
@@ -52,7 +53,8 @@ class TargetChecks(EquationChecks):
         self, shown: Refined, problem: Problem, weights: FloatArray | None, *, is_known: bool = False,
         stopped: str = "", is_cancelled: bool = False,
     ) -> None:  # fmt: skip
-        """Take the equation that is shown and the rows; `weights` (R,) are 1 on average, None: equal weights."""
+        """Set the equation that is shown, and the rows. The mean of `weights` (R,) is 1; None: all weights are
+        equal."""
         super().__init__(shown, problem.target, is_known=is_known, stopped=stopped, is_cancelled=is_cancelled)
         self._problem = problem
         places = thinned_places(len(problem.target.values), SETTINGS.rows.most)
@@ -63,8 +65,8 @@ class TargetChecks(EquationChecks):
     def _set_quantities(self, inputs: FloatArray, values: FloatArray, roots: FloatArray) -> None:
         """Set the quantities of the residuals; `roots` (R,) are the square roots of the weights.
 
-        The equation is linearised about its constants. No quantity is set if it has no finite value on some rows, or if
-        the target does not vary.
+        The equation is linearised about its constants. No quantity is set if the equation has no finite value on some
+        rows, or if the target does not vary.
         """
         program, weights = self.shown.program, roots * roots
         places = [] if self.is_known else constant_places(program)
@@ -75,7 +77,8 @@ class TargetChecks(EquationChecks):
         if not np.isfinite(errors).all() or not total > 0.0:
             return
         basis = orthonormal_basis((np.nan_to_num(slopes, posinf=0.0, neginf=0.0) * roots).T)
-        # Errors of an equation depend on its columns: sorted by the right column, neighbours have similar errors.
+        # Errors of an equation depend on columns of the table. If the rows are sorted by the right column, neighbouring
+        # rows have similar errors.
         orders = [np.argsort(key, kind="stable") for key in (*inputs, values - errors / np.maximum(roots, 1e-300))]
         order = max(orders, key=lambda order: float(errors[order][:-1] @ errors[order][1:]))
         square = float(errors @ errors)
@@ -103,7 +106,7 @@ class TargetChecks(EquationChecks):
 
         Args:
             values: the values of the target (R,), times the roots of the weights.
-            total: the sum of their squared differences from the mean.
+            total: the sum of the squared differences of `values` from their mean.
             square: the sum of squared errors.
             basis: the derivatives by the constants (R, K), orthonormal.
             roots: the square roots of the weights (R,).
@@ -121,7 +124,8 @@ class TargetChecks(EquationChecks):
         return log_bayes_factor(distinct + 1, constants, square / whole) - constant - price
 
     def _nearest_alternative(self) -> float | None:
-        """Return the nats of the best alternative with different values at and between the rows; None without one.
+        """Return the nats of the best alternative whose values differ, at the rows and between them. None if there is
+        no such alternative.
 
         Alternatives that agree with the equation do not count: they give the same predictions.
         """
@@ -135,7 +139,7 @@ class TargetChecks(EquationChecks):
     def check_rows_left_out(self) -> Finding | None:
         """Check that the leave-one-out R2 is above 0.9.
 
-        If the target is uncertain, the limit is lower by the share of the variance that the uncertainty explains.
+        If the target is uncertain, the limit is reduced by the share of the variance that is due to this uncertainty.
         """
         r2 = self.predicted_r2
         if r2 is None:
@@ -157,8 +161,8 @@ class TargetChecks(EquationChecks):
     def check_digits_of_constants(self) -> Finding:
         """Check that constants have no more digits than the values of the target.
 
-        A term with longer constants may fit the rounding errors: a wave in the last digit of a column can reproduce the
-        rounding of every row.
+        A term whose constants have more digits may fit the rounding errors. For example, a wave of the size of the last
+        digit can reproduce the rounding of every row.
         """
         values = self.target.values
         rounded = values[np.isfinite(values) & (values != 0.0)]

@@ -1,13 +1,14 @@
 """The checks of an equation along trajectories: quantities, limits, clauses. Pure.
 
-`TrajectoryChecks` belongs to an equation of a `FinalModel` that was simulated along the measured trajectories, and
-`UnsimulatedChecks` to an equation that was not simulated. `TrajectoryChecks._set_quantities` chooses the noise, its
-reference smoother and the number of fitted parameters; these choices decide the tests of the residuals. The other
-checks use the results of `long_run`, `prediction`, held-out trajectories, and alternatives.
+`TrajectoryChecks` has the checks of an equation that was simulated along the measured trajectories, as part of a
+`FinalModel`. `UnsimulatedChecks` has the checks of an equation that was not simulated.
+`TrajectoryChecks._set_quantities` chooses the noise, its reference smoother and the number of fitted parameters; these
+choices decide the tests of the residuals. The other checks use the results of `long_run`, `prediction`, held-out
+trajectories, and alternatives.
 
-Doubtful: the noise of interpolated states is hard to estimate. With few rows, the rough part of the residuals is then
-treated as noise, which can hide a missing term. The check of inputs assumes that the errors of inputs between rows have
-the size that the data suggest.
+Doubtful: the noise of interpolated states is hard to estimate. If there are few rows, the rough part of their residuals
+is treated as noise; this can hide a missing term. The check of inputs assumes that the errors of inputs between rows
+have the size that the data suggest.
 """
 
 import math
@@ -49,11 +50,12 @@ class TrajectoryChecks(EquationChecks):
     """The checks of an equation of a model that was simulated along the trajectories.
 
     `index` is the place of the equation in the model, and `equations` has the checks of all its equations.
-    `held_out_r2` is the R2 of simulations along held-out trajectories, or trajectories left out one at a time; None:
-    there are none. `fits_whole`: the equation describes whole trajectories; None: that was not tested. `noise_estimate`
-    is the estimated noise; for an interpolated state it comes from second differences, although the noise of this state
-    counts as 0. `is_noise_residual`: there are too few rows for an estimate, and the rough part of the residuals is
-    treated as noise. `solver` names the solver that computed the table, if its errors were subtracted from the table.
+    `held_out_r2` is the R2 of simulations along held-out trajectories, or along trajectories left out one at a time.
+    None: there are no such trajectories. `fits_whole`: the equation describes whole trajectories; None: this was not
+    tested. `noise_estimate` is the estimated noise. For an interpolated state this estimate comes from second
+    differences, although `noise` is 0 for this state. `is_noise_residual`: there are too few rows for an estimate, and
+    the rough part of the residuals is treated as noise. `solver` names the solver that computed the table, if its
+    errors were subtracted from the table.
     """
 
     kind: ClassVar[JobKind] = "trajectories"
@@ -68,7 +70,7 @@ class TrajectoryChecks(EquationChecks):
         self, final: FinalModel, long_run: LongRun, index: int, shown: Refined, held_out_r2: float | None,
         equations: "Sequence[TrajectoryChecks]",
     ) -> None:  # fmt: skip
-        """Take the model, its description of whole trajectories, and the equation."""
+        """Set the model, its test on whole trajectories (`long_run`), and the equation."""
         task = final.task
         self.name = task.variables[index]
         stopped = "the choice of the equations" if task.has_been_stopped else ""
@@ -98,8 +100,9 @@ class TrajectoryChecks(EquationChecks):
                 final.shown_comparison.estimator.whiten(residuals, sensor), measurements, index
             )
         if smoothing.method == "interpolation" and np.bincount(measurements.owners_of_rows).max() <= 2 * HALF_WIDTHS:
-            # With so few rows, no row has all the neighbours that its estimate needs. Interpolation hides noise then,
-            # because it uses the smallest of several estimates. So the rough part of the residuals counts as noise.
+            # With so few rows, no row has all neighbours that an estimate of its noise needs. Then interpolation hides
+            # noise, because it uses the smallest of several estimates. So the rough part of the residuals counts as
+            # noise.
             rough = float(roughness(measurements, residuals)[index])
             self.is_noise_residual = rough > self.noise_estimate
             self.noise_estimate = max(self.noise_estimate, rough)
@@ -115,8 +118,9 @@ class TrajectoryChecks(EquationChecks):
             self.reference = ReferenceSmoother(smoothing.narrower_span, smoothing.degree, narrower)
         covariance = None if final.residual_covariances is None else final.residual_covariances[index]
         self.covariance = covariance if sensor is None else None
-        # With few rows, the trace of the projection on all fitted numbers gives the number of parameters that each
-        # state determines. With many rows, or without noise, fitted numbers are divided evenly between the states.
+        # The number of parameters that a state determines: with few rows, it is the part of the trace of the projection
+        # (on the derivatives by all fitted numbers) that belongs to the rows of the state. With many rows, or without
+        # noise, fitted numbers are divided evenly between the states.
         numbers = final.free.fit.system.count + final.shown_fit.starts.size
         self.parameters = numbers / len(measurements.observed)
         if covariance is not None and not is_free_of_noise:
@@ -124,7 +128,8 @@ class TrajectoryChecks(EquationChecks):
         self.null_nats = self._nats_over_no_equation(sensor)
         self.fits_whole = self._fits_whole(noise / self.standard_deviation)
         # An equation with more constants always fits about as well. This is no reason to doubt the equation with fewer
-        # constants (counted before some became simple numbers), unless the longer equation fits far better.
+        # constants, unless the longer equation fits far better. Constants are counted before some of them are replaced
+        # by simple numbers.
         most = len(constant_places(final.ranking.selection.model.programs[index]))
         self.alternative = min((one.nats for one in drop_larger_equations(most, self.shown.alternatives)), default=None)
 
@@ -144,14 +149,15 @@ class TrajectoryChecks(EquationChecks):
         return len(np.unique(np.nan_to_num(np.round(values / (EXACT_ERROR * scales))) + 0.0, axis=1).T)
 
     def _nats_over_no_equation(self, sensor: ErrorModel | None) -> float:
-        """Return by how many nats the equation describes the measured state better than no equation does.
+        """Return by how many nats the equation describes the measured state better than the null models do.
 
-        There are two null models: the state is constant along each trajectory, or a random walk. The better null model
-        counts. An equation with a constant rate is compared with a walk with drift, since few rows of any smooth curve
-        are almost on a line. Against a constant, only independent rows count. Against a walk, the innovations are used
-        if errors are correlated. Rows count by their weights. The number of constants is the largest of three numbers:
-        the constants of the equation, the mean number of constants per equation, and the numbers fitted to this state.
-        Initial values beyond one per trajectory are added.
+        There are two null models: the state is constant along each trajectory, or it is a random walk. The better null
+        model counts. If the rate of the equation is a constant, the walk has a drift, since few rows of any smooth
+        curve are almost on a line. In the comparison with a constant, only independent rows count. In the comparison
+        with a walk, the innovations are used if errors are correlated. Each row counts with its weight. The number of
+        constants is the largest of three numbers: the number of constants of the equation, the mean number of constants
+        per equation, and the count of numbers fitted to this state. If there are more initial values than trajectories,
+        the additional values are also counted.
         """
         final, measurements, index, fit = self.final, self.measurements, self.index, self.final.shown_fit
         program, is_given = self.shown.program, index in final.comparison.fixed
@@ -184,7 +190,7 @@ class TrajectoryChecks(EquationChecks):
         innovations = squares
         if sensor is not None:
             innovations = float(final.shown_comparison.estimator.squared_innovations(fit.residuals, sensor)[index])
-            constants += 1.0  # the correlation was also fitted; a walk has no such parameter
+            constants += 1.0  # the correlation of the errors was also fitted; a random walk has no such parameter
         free = effective - drift - (len(series) - 1)
         of_walk = log_bayes_factor(free, max(constants - drift, 0.0), innovations / steps)
         price = 0.0 if is_given else structure_price(program, len(final.task.dataset.names))
@@ -255,7 +261,7 @@ class TrajectoryChecks(EquationChecks):
 
     @property
     def are_integration_errors(self) -> bool:
-        """Whether the residuals may be integration errors, also of a solver that computed the table."""
+        """Whether the residuals may be integration errors, or errors of a solver that computed the table."""
         is_of_solver = self.final.are_errors_summed or self.solver is not None
         return super().are_integration_errors or (is_of_solver and not self.is_noisy)
 
@@ -288,8 +294,8 @@ class TrajectoryChecks(EquationChecks):
     def _fits_whole(self, noise: float) -> bool | None:
         """Tell whether the equation describes whole trajectories; None if this was not tested.
 
-        If the size of the residuals was tested for pieces only, the R2 of whole trajectories must be above 0.9 minus
-        the square of `noise`, which is relative to the standard deviation.
+        `noise` is relative to the standard deviation of the state. If the size of the residuals was tested for pieces
+        only, the R2 of whole trajectories must be above 0.9 minus the square of `noise`.
         """
         long_run = self.long_run
         if long_run.fits is not None or long_run.r2 is None:
@@ -375,9 +381,11 @@ class TrajectoryChecks(EquationChecks):
 
     @cached_property
     def unsupported_state(self) -> str:
-        """A state on which the predictions depend, and whose equation is not better than the null models; "" if none.
+        """The name of a state on which the predictions depend, although its equation is not better than the null
+        models; "" if there is no such state.
 
-        The simulation of such a state is only valid along the measured trajectories. Given equations need no evidence.
+        The simulation of such a state is only valid along the measured trajectories. Equations that the user gave need
+        no evidence.
         """
         least, given = SETTINGS.inference.chance_nats, self.final.comparison.fixed
         return next(
@@ -386,7 +394,7 @@ class TrajectoryChecks(EquationChecks):
 
     @cached_property
     def prediction(self) -> Prediction | None:
-        """How well the state can be predicted from other initial states; None if that was not tested."""
+        """The test of predictions of the state from other initial states; None if predictions were not tested."""
         if self.unsupported_state or self.shown.prediction is None or not self._are_alternatives_likely:
             return None if self.unsupported_state else self.shown.prediction
         ranking = self.final.ranking
@@ -428,14 +436,14 @@ class TrajectoryChecks(EquationChecks):
 
     @property
     def _advice_where_to_measure(self) -> str:
-        """The advice where to measure; empty without a prediction."""
+        """The advice where to measure; empty if predictions were not tested."""
         return "" if self.prediction is None else f"measure from {describe_initial_state(self.prediction)} to decide"
 
     # ----------------------------------------------------------------------------------------------------- alternatives
 
     @cached_property
     def odds_of_alternatives(self) -> float:
-        """The sum of the odds of all other equations for a table without noise; 0 with noise."""
+        """The sum of the odds of all other equations, for a table without noise. For a table with noise, it is 0."""
         if not self.final.task.is_nearly_clean:
             return 0.0
         return sum(math.exp(-max(one.nats, 0.0)) for one in self.shown.alternatives if not one.is_shown)
@@ -445,7 +453,8 @@ class TrajectoryChecks(EquationChecks):
         return self.odds_of_alternatives > math.exp(-SETTINGS.inference.exact_nats)
 
     def check_alternative_equations(self) -> Finding | None:
-        """Check that no alternative fits about as well; without noise, add the advice where the equations differ."""
+        """Check that no alternative fits about as well. If there is no noise, the finding also advises to measure where
+        the equations differ."""
         finding = super().check_alternative_equations()
         if finding is None or finding.outcome != "failed" or not self._are_alternatives_likely:
             return finding
@@ -467,9 +476,10 @@ class TrajectoryChecks(EquationChecks):
 
     @cached_property
     def unknown_inputs(self) -> dict[str, float]:
-        """The share of the variance of a rate that is due to the uncertainty of each input between its rows.
+        """For each input, the share of the variance of a rate that is due to the uncertainty of the input between its
+        rows.
 
-        This is the largest share over the equations on which the state depends, and over groups of trajectories. NaN if
+        It is the largest share for all equations on which the state depends, and for all groups of trajectories. NaN if
         there are too few rows.
         """
         names, shares = self.final.task.dataset.names, dict[str, float]()
@@ -514,7 +524,7 @@ class TrajectoryChecks(EquationChecks):
 class UnsimulatedChecks(TrajectoryChecks):
     """The checks of an equation that was not simulated along the trajectories: it failed, or time was over.
 
-    The equation was fitted to derivatives only, so that the quantities of a simulation are not known.
+    The equation was fitted to derivatives only, so the quantities that need a simulation are not known.
     """
 
     unknown_inputs: ClassVar = {}
@@ -527,12 +537,12 @@ class UnsimulatedChecks(TrajectoryChecks):
         return Finding("failed", f"{UNSIMULATED.reason}; it was fitted to the derivatives only")
 
     def check_constants(self) -> Finding | None:
-        """Check constants, if they have errors."""
+        """Check the constants, if their standard errors are known."""
         return super().check_constants() if self.shown.constants else None
 
 
 def drop_larger_equations(most: int, alternatives: Sequence[Alternative]) -> list[Alternative]:
-    """Return the alternatives with at most `most` constants, or with a far shorter description."""
+    """Return the alternatives that have at most `most` constants, or a far shorter description."""
     return [
         one
         for one in alternatives
@@ -564,9 +574,9 @@ def _quoted(names: Sequence[str]) -> str:
 def share_of_rate(program: Program, points: FloatArray, column: int, by: float) -> float:
     """Return the share of the variance of a rate that is due to errors of size `by` in one variable.
 
-    The variable is changed by `by` in both directions at each of the points (V, R), and the larger change of the rate
-    counts. The share is relative to the sum of both variances. It is 1 if a changed rate has no finite value, and NaN
-    if `by` is not known.
+    At each of the points (V, R), `by` is added to the variable and also subtracted from it; the larger change of the
+    rate counts. The share is the mean square of these changes, divided by the sum of this mean square and the variance
+    of the rate. It is 1 if a changed rate has no finite value, and NaN if `by` is not known.
     """
     if not by > 0.0:
         return by

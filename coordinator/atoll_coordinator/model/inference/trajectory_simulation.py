@@ -1,10 +1,10 @@
 """Simulations of a fitted model along measured trajectories: values, standard errors, R2. Pure.
 
-`simulated_standard_errors` propagates the covariance of the constants and of the initial states by the sensitivities,
-to first order. `compute_r2` compares simulations with measurements, row by row with weights.
+`simulated_standard_errors` computes the errors of a simulation to first order, from the covariance of the constants and
+initial states and from the sensitivities. `compute_r2` compares simulations with measurements, row by row with weights.
 
-Doubtful: the bands are first-order, so they are wrong where a small change of a constant changes a trajectory
-qualitatively. They contain no measurement errors and no uncertainty of the structure.
+Doubtful: the bands are first-order, so they are wrong if a small change of a constant changes a trajectory
+qualitatively. The bands do not include measurement errors or the uncertainty of the structure.
 
 Letters: P fitted constants, D states, O measured states, N rows, R rows of one trajectory, G pieces; each piece is
 simulated without a break.
@@ -43,7 +43,8 @@ def fit_initial_states(
 def simulated_states(
     measurements: TrajectoryMeasurements, fit: TrajectoryFit, states: Sequence[str]
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return the simulated values (O, N) of measured states, offsets included, and the offsets (N,) by state."""
+    """Return the simulated values (O, N) of measured states, which include the offsets, and the offsets (N,) by
+    state."""
     values, offsets = fit.simulated[measurements.observed], dict[str, FloatArray]()
     lengths = fit.segments[:, 1] - fit.segments[:, 0]
     columns = fit.starts[:, fit.starts.shape[1] - len(measurements.offset) :].T
@@ -68,7 +69,8 @@ def list_trajectories(
     measurements: TrajectoryMeasurements, fit: TrajectoryFit | None, errors: FloatArray | None, states: Sequence[str],
     preparation: Preparation, quantile: float,
 ) -> list[Simulated]:  # fmt: skip
-    """Return the simulations for a result: thinned, at the times of the user's file, with the measurements.
+    """Return the simulations for a result: with fewer rows, at times of the user's file, together with the
+    measurements.
 
     Without a fit there are no curves. If the errors of a solver were subtracted from the measurements, the result
     contains the original measurements.
@@ -79,7 +81,8 @@ def list_trajectories(
         errors: the standard errors (O, N) of the simulated states; None: there are no bands.
         states: names of the O states.
         preparation: the prepared table.
-        quantile: half the width of the 95 % bands in standard errors (Student's t, as for the constants).
+        quantile: half the width of the 95 % bands, in standard errors. It is a quantile of Student's t distribution,
+            the same as for the constants.
     """
     recording, source = preparation.recording, preparation.source
     assert recording is not None
@@ -120,7 +123,7 @@ def list_trajectories(
 
 
 def compute_r2(measurements: TrajectoryMeasurements, fit: TrajectoryFit, rows: IntArray | slice) -> list[float | None]:
-    """Return R2 of the simulation along these rows for each measured state; None if the state does not vary."""
+    """Return R2 of the simulation along these rows, for each measured state. R2 is None if the state does not vary."""
     shares: list[float | None] = []
     for state in range(len(measurements.observed)):
         squares = measurements.weights[state, rows] * fit.residuals[state, rows] ** 2
@@ -147,14 +150,15 @@ def simulated_standard_errors(
     """Return the standard errors (O, N) of the simulated states, from constants and initial states together.
 
     To first order, the variance of a state is K S K' + Y C^-1 Y' with K = J - Y C^-1 B'. J are the sensitivities to the
-    constants, and Y the sensitivities to the initial state of the piece. B (coupling) and C (own) are blocks of the
-    normal equations. The constants may have been fitted to these or to other trajectories.
+    constants, and Y the sensitivities to the initial state of the piece. B and C are blocks of the normal equations: B
+    couples constants and initial state, and C belongs to the initial state alone. The constants may have been fitted to
+    these or to other trajectories.
 
     Args:
         measurements: the trajectories.
         fit: the fit of their initial states, in which the constants are free.
         spread: S, the covariance (P, P) of the constants.
-        scale: factor of the variances from the normal equations.
+        scale: a factor by which variances from the normal equations are multiplied.
     """
     fitted = fit.system.count
     standard_errors = np.zeros((len(measurements.observed), measurements.rows))

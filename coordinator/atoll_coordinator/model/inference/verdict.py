@@ -3,14 +3,14 @@
 `RULES` is the table: the name of each check, the quantity it measures, its limit, and the kinds of job to which it
 applies. The check is the method `check_` with this name, of `checks`, `trajectory_checks`, `target_checks` or
 `stochastic.checks`: it measures the quantity and returns a `Finding` with a clause for the sentence. A check has
-passed, has failed, is not applicable to this table, or was not made; the clause then says why and what to do.
+passed, has failed, does not apply to this table, or was not made. The clause gives the reason; it may also give advice.
 
 `judge` decides: an equation is `good` or `exact` only if every check that applies was made, could detect a relevant
 departure, and passed. A departure is relevant if it causes more than 0.1 of the variance of a state, since predictions
 of a good equation have an R2 above 0.9. A test that was not made never counts as passed.
 
-Doubtful: a grade says that no check found a fault. Limits are conventions, and a wrong equation can pass all checks if
-it fits and no tried alternative fits as well.
+Doubtful: a good grade only says that no check found a fault. Limits are conventions, and a wrong equation can pass all
+checks if it fits and no tried alternative fits as well.
 """
 
 import math
@@ -35,7 +35,7 @@ from atoll_coordinator.settings import SETTINGS
 class Rule:
     """A check: its `name`, the quantity it `measures`, its `limit` in words, and the `kinds` of job it applies to.
 
-    Checks with `is_exactness` are needed for the grade `exact` alone.
+    If `is_exactness`, the check is needed only for the grade `exact`.
     """
 
     name: str
@@ -45,7 +45,8 @@ class Rule:
     is_exactness: bool = False
 
     def apply(self, equation: EquationChecks) -> Finding:
-        """Return the finding; a check that passed but could not detect a relevant departure counts as not made."""
+        """Return the finding. If a check passed, but could not have detected a relevant departure, it counts as not
+        made."""
         finding: Finding = getattr(equation, "check_" + re.sub(r"\W", "_", self.name))() or equation.default_finding
         power = finding.power
         if finding.outcome != "passed" or power is None or not power > SETTINGS.inference.part:
@@ -98,7 +99,7 @@ RULES: Final[Sequence[Rule]] = (
 
 @dataclass(frozen=True)
 class Verdict:
-    """The `grade` of an equation, the `reason` as a sentence, and the `checks` that it follows from."""
+    """The `grade` of an equation, the `reason` as a sentence, and the `checks` from which the grade follows."""
 
     grade: Grade
     reason: str
@@ -109,8 +110,8 @@ def judge(equation: EquationChecks) -> Verdict:
     """Return the verdict on an equation.
 
     `no model`: the equation explains less than 0.1 of the variance. `doubtful`: a check that applies has failed, was
-    not made, or could not detect a relevant departure. `exact`: the checks of exactness have also passed. `good`:
-    otherwise.
+    not made, or could not detect a relevant departure. `exact`: the checks of exactness have also passed. `good`: in
+    all other cases.
     """
     findings, exactness = make_checks(equation), make_checks(equation, of_exactness=True)
     checks = list_checks(findings)
@@ -130,7 +131,7 @@ def judge(equation: EquationChecks) -> Verdict:
 
 
 def make_checks(equation: EquationChecks, *, of_exactness: bool = False) -> dict[str, Finding]:
-    """Return the findings of the checks that apply to this kind of job by name, the most important check first."""
+    """Return, by name, the findings of the checks that apply to this kind of job, the most important check first."""
     return {
         rule.name: rule.apply(equation)
         for rule in RULES
@@ -150,7 +151,8 @@ def list_checks(findings: Mapping[str, Finding]) -> tuple[Check, ...]:
 
 
 def add_objection(verdict: Verdict, name: str, outcome: CheckOutcome, reason: str) -> Verdict:
-    """Return a verdict with a further check that has failed or was not made; the grade is at best `doubtful`."""
+    """Return a verdict with a further check, which has failed or was not made. The grade becomes `doubtful`, unless it
+    is `no model`."""
     checks = (*verdict.checks, Check(name=name, outcome=outcome, reason=reason))
     if verdict.grade in ("no model", "doubtful"):
         return Verdict(verdict.grade, verdict.reason, checks)
@@ -168,7 +170,8 @@ def list_failures(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def format_sentence(findings: Sequence[Finding]) -> str:
-    """Return the first two clauses as one sentence; with two clauses, their advice follows in separate sentences."""
+    """Return the first two clauses as one sentence. If there are two clauses, their advice follows in separate
+    sentences."""
     if len(findings) == 1:
         return _capitalise(findings[0].clause)
     advice = dict.fromkeys(finding.advice for finding in findings[:2] if finding.advice)

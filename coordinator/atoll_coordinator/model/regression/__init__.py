@@ -1,6 +1,6 @@
 """The equation of one variable, fitted to its target without simulations.
 
-- `equation`: `fit_equation` chooses the equation that is shown, and the errors of its constants
+- `equation`: `refine_equation` chooses the equation that is shown, and the errors of its constants
 - `shortening`: `Shortening` finds the shortest descriptions near candidates; processes use it as well
 - `fit`: `LeastSquares` fits constants to the rows of a target
 - `errors`: `measure_errors` returns loss and mean squared error of a program

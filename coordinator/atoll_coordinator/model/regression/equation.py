@@ -1,9 +1,11 @@
-"""The equation of one variable by regression on its target: the shortest description near the front (ADR 0012).
+"""The equation of one variable by regression on its target: the shortest description among programs similar to the
+front (ADR 0012).
 
-`fit_equation` decides in two stages. *Shortening* (`shortening`): the members of the front are reduced and varied, and
+`refine_equation` decides in two stages. *Shortening* (`shortening`): members of the front are reduced and varied, and
 all programs are compared by their description length on the rows. *Finishing* (`_finish_equation`): constants of the
-shortest program become simple numbers where the data support them (`constants.rounding`, as for trajectories); the
-constants get standard errors, and the program its errors on all rows. The front itself is not changed.
+shortest program become simple numbers if the data support these numbers (`constants.rounding`, as for trajectories).
+Then the standard errors of the constants and the errors of the program on all rows are computed. The front itself is
+not changed.
 
 Doubtful: the search for shorter programs is local and limited by a number of evaluations. It compares programs on a
 subsample of large tables. The standard errors assume independent errors with equal variances, or with variances
@@ -45,13 +47,15 @@ from atoll_core.expression.writing.shortest import shortest, shortest_over
 
 @dataclass(frozen=True, eq=False)
 class WeightedRows:
-    """The rows to which constants are fitted, with their `weights` (R,), 1 on average; None: equal weights."""
+    """The rows to which constants are fitted, and their `weights` (R,). The mean of the weights is 1; None: all weights
+    are equal."""
 
     problem: Problem
     weights: FloatArray | None = None
 
     def subsample(self, most: int) -> "WeightedRows":
-        """Return about `most` rows, spread over all rows in a way that does not follow a period of the data."""
+        """Return about `most` rows, spread over all rows. The choice has no period, so a period of the data does not
+        matter."""
         problem, weights = self.problem, self.weights
         if len(problem.target.values) > most:
             places = thinned_places(len(problem.target.values), most)
@@ -87,15 +91,16 @@ def make_target_shortening(
     )  # fmt: skip
 
 
-def fit_equation(
+def refine_equation(
     problem: Problem, config: JobConfig, front: Sequence[FrontMember], counted: WeightedRows | None = None,
     deadline: Deadline | None = None, *, has_intervals: bool = False,
 ) -> Refined | None:  # fmt: skip
-    """Return the equation with the shortest description near `front`; None if no equation replaces the front's member.
+    """Return the equation with the shortest description among programs similar to the `front`; None if no equation
+    replaces the shown member of the front.
 
-    None is returned if the front is empty. It is also returned if a member has reached the target error, but no
-    candidate that may be shown reaches it. After the `deadline` no new program is tried; without one, equal arguments
-    give equal results. Takes about a second for a few hundred noisy rows, less for exact rows.
+    There are two such cases: the front is empty, or a member has reached the target error, but no candidate that may be
+    shown has reached it. After the `deadline` no new program is tried. Without a deadline, equal arguments give equal
+    results. Takes about a second for a few hundred noisy rows, less for exact rows.
 
     Args:
         problem: the rows of the search; the errors of the equation are measured on these rows, with equal weights.
@@ -132,7 +137,7 @@ def fit_equation(
         is_member = structure(start_programs[place]) == structure(shortest(candidate.program))
         refined = replace(refined, member=kept[place], origin="front" if is_member else "descent")
         if refined.error <= limit and is_allowed(refined.program):
-            for index, same in enumerate(front):  # a program equal to a member has the errors that the search measured
+            for index, same in enumerate(front):  # a member: use the errors of the search
                 if same.program == refined.program:
                     refined = replace(refined, member=index, error=same.error, mse=same.mse, origin="front")
                     break
@@ -146,10 +151,10 @@ def fit_equation(
 def _describe_alternatives(
     shown: Refined, chosen: MeasuredProgram, candidates: Sequence[MeasuredProgram], rows: LeastSquares
 ) -> tuple[Alternative, ...]:
-    """Return the equation that is shown and its alternatives, the shortest descriptions first, each form once.
+    """Return the equation that is shown and its alternatives, the shortest description first; each form occurs once.
 
-    Equations with more constants always fit about as well. They count as alternatives only if their description is far
-    shorter. Constants are counted before some are replaced by simple numbers.
+    An equation with more constants always fits about as well, so it counts as an alternative only if its description is
+    far shorter. Constants are counted before some of them are replaced by simple numbers.
     """
     most = len(constant_places(chosen.program))
     distinct = {form_of(shown.program): chosen}
@@ -171,14 +176,15 @@ def _finish_equation(
     problem: Problem, counted: WeightedRows, candidate: MeasuredProgram, config: JobConfig,
     least_squares: LeastSquares, *, has_intervals: bool,
 ) -> Refined:  # fmt: skip
-    """Return a candidate with constants fitted to all `counted` rows and rounded, and with its errors."""
+    """Return a candidate as a finished equation: its constants are fitted to all `counted` rows and rounded, and its
+    errors are computed."""
     restrictions, criterion = least_squares.restrictions, RegressionCriterion.of(counted.problem.target)
     bounds = restrictions.bounds
     fitted = least_squares.fit(candidate.program)
     program = fitted.program
     if math.isfinite(fitted.mse):
         least = criterion.misfit(fitted.mse)
-        (program,) = _attach_estimates(fitted, criterion, restrictions).simplify(
+        (program,) = _attach_estimates(fitted, criterion, restrictions).accept_simple_numbers(
             lambda programs: criterion.misfit(least_squares.mse(programs[0])) - least
         )
     short = shortest_over(program, counted.problem.inputs) if bounds is None else bounds.written(program) or program
@@ -191,7 +197,7 @@ def _finish_equation(
         program = written if may_be_shown(written, config.space.max_size) else program
     fitted, simple, together = least_squares.fit(program), None, None
     if math.isfinite(fitted.mse):
-        rounded = _attach_estimates(fitted, criterion, restrictions).round_constants()
+        rounded = _attach_estimates(fitted, criterion, restrictions).round_equations()
         (program,), (simple,), (together,) = rounded.programs, rounded.simple, rounded.together
     error, mse = measure_errors(problem, program, config.evolution.loss)
     known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).with_simple_numbers(
@@ -213,8 +219,9 @@ def estimate_errors(
 ) -> ConstantErrors:
     """Return the errors of fitted constants.
 
-    The variance of the residuals is the sum of their squares over n - K (at least 1), or the square of the target's
-    uncertainty if this square is larger. If there are not more rows n than constants K, no constant is determined.
+    There are n rows and K constants. The variance of the residuals is the sum of squared residuals divided by n - K (at
+    least 1); if the square of the target's uncertainty is larger, this square is used. If n is not larger than K, no
+    constant is determined.
     """
     values = fitted.program.constants[constant_places(fitted.program)]
     freedom = criterion.rows - len(values)
@@ -231,7 +238,8 @@ def estimate_errors(
 def estimate_constants(
     program: Program, least_squares: LeastSquares, criterion: RegressionCriterion, *, has_intervals: bool
 ) -> EquationConstants:
-    """Return the fitted constants of `program` with standard errors, which are infinite if n <= K.
+    """Return the fitted constants of `program` with standard errors. With n rows and K constants, these errors are
+    infinite if n <= K.
 
     Factors of one that are not written are also fitted.
 
@@ -239,8 +247,8 @@ def estimate_constants(
         program: the equation as it is shown.
         least_squares: fits the program to the rows.
         criterion: has the number n of these rows and the least variance of their errors.
-        has_intervals: whether the errors are independent, so that there are 95 % intervals (Student's t with n - K
-            degrees of freedom) and constants that the data do not determine are recognised.
+        has_intervals: whether the errors are independent. Only then are 95 % intervals computed (Student's t with n - K
+            degrees of freedom), and constants that the data do not determine are recognised.
     """
     restrictions = least_squares.restrictions
     explicit = make_explicit_if_free(program, restrictions, is_given=False)

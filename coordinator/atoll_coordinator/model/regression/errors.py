@@ -1,4 +1,4 @@
-"""Errors of a program on the rows of a problem. Pure. Loads no compiled kernels."""
+"""Errors of a program on the rows of a problem. Pure. This module loads no compiled kernels."""
 
 import math
 from collections.abc import Sequence
@@ -31,7 +31,8 @@ def measure_errors(problem: Problem, program: Program, loss: Loss) -> tuple[floa
 
 
 def measure_grouped_errors(problem: Problem, programs: Sequence[Program], loss: Loss) -> tuple[float, float]:
-    """Return loss and mean squared error of an equation with one program for each group of rows, or one for all."""
+    """Return loss and mean squared error of an equation. It has one program for each group of rows, or a single program
+    for all rows."""
     if len(programs) == 1:
         return measure_errors(problem, programs[0], loss)
     parts = [problem.of_group(group) for group in range(len(programs))]

@@ -1,11 +1,11 @@
 """Fits the constants of a program to the rows of a target, by damped least squares within bounds.
 
 `LeastSquares.fit` evaluates the program and its derivatives by the constants, builds the normal equations, and lets
-`least_squares.minimize` take the steps. This is the maximum-likelihood fit if the errors are normal and independent,
-with the same variance on all rows, or with a variance that is inversely proportional to the weight of each row.
+`least_squares.minimize` take the steps. This is the maximum-likelihood fit if the errors are normal and independent.
+Their variance must be the same on all rows, or inversely proportional to the weight of the row.
 
-Doubtful: the fit finds a local minimum near the initial constants of the program. If a value of the program is not
-finite on a single row, its error is infinite. So one pole excludes the program.
+Doubtful: the fit finds a local minimum near the initial constants of the program. If the program has no finite value on
+a single row, its error is infinite. So one pole excludes the program.
 
 Letters: R rows, K fitted constants.
 """
@@ -25,7 +25,7 @@ from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.restrictions import NONE, Restrictions
 
 _OVERHEAD_ROWS: Final = 500
-"""The fixed cost of a program, as the number of rows whose evaluation takes as long."""
+"""The fixed cost of a program: evaluating this number of rows takes as long."""
 _EQUAL_SHARE: Final = 1e-9
 """Two functions are equal if the mean square of their difference is below this share of the mean square."""
 
@@ -34,9 +34,9 @@ _EQUAL_SHARE: Final = 1e-9
 class FittedProgram:
     """A program with fitted constants.
 
-    `mse` is the mean squared error on all rows, infinite if the program has no finite value on some row. `normal` (K,
-    K) is the matrix of the normal equations for the fitted constants, in node order, and `gradient` (K,) the gradient
-    of half the sum of squares.
+    `mse` is the mean squared error on all rows; it is infinite if the program has no finite value on some row. `normal`
+    (K, K) is the matrix of the normal equations for the fitted constants, in node order. `gradient` (K,) is the
+    gradient of half the sum of squares by these constants.
     """
 
     program: Program
@@ -49,7 +49,8 @@ class LeastSquares:
     """Fits programs to the rows of one problem. `evaluations` counts point evaluations, including the overhead."""
 
     def __init__(self, problem: Problem, weights: FloatArray | None = None, restrictions: Restrictions = NONE) -> None:
-        """Take the rows, their `weights` (R,), 1 on average (None: equal weights), and the `restrictions` of programs.
+        """Set the rows, their `weights` (R,), and the `restrictions` of programs. The mean of the weights is 1; None:
+        all weights are equal.
 
         `half_count` is half the number of rows: half the sum of squares is `half_count` times the mean squared error.
         """
@@ -82,8 +83,8 @@ class LeastSquares:
         enough: float = 0.0,
         steps: int = SETTINGS.effort.steps,
     ) -> FittedProgram:
-        """Return `program` with fitted constants; if constants have bounds, the program is rewritten so that bounds
-        apply.
+        """Return `program` with fitted constants. If constants have bounds, the program is rewritten in the form to
+        which the bounds apply.
 
         A program that the restrictions do not admit has an infinite error.
 
@@ -91,7 +92,7 @@ class LeastSquares:
             program: its constants are the start of the fit.
             fixed: indices of nodes whose constants are not fitted.
             enough: a mean squared error; the fit stops early if it will not reach this error.
-            steps: the largest number of steps, successful or not.
+            steps: the largest number of steps; successful and failed steps count.
         """
         admitted = self.restrictions.admitted(program)
         if admitted is None or (fixed and admitted is not program):
@@ -144,8 +145,8 @@ class _TargetFit(Fitter[FittedProgram, FloatArray, FittedProgram]):
         return SETTLED * self._rows.half_count * point.mse
 
     def done(self, point: FittedProgram, promise: float, taken: int) -> bool:
-        """Tell whether the fit would miss the error `enough` if each remaining step had the relative gain predicted for
-        the next step."""
+        """Tell whether the fit will not reach the error `enough`. It is assumed that each remaining step has the
+        relative gain that is predicted for the next step."""
         if taken <= SETTINGS.effort.brief_steps or not self._enough > 0.0:
             return False
         left = max(1.0 - promise / (self._rows.half_count * point.mse), 0.0)
@@ -162,7 +163,8 @@ def _mse(errors: FloatArray) -> float:
 
 
 def contains(program: Program, other: Program, points: FloatArray) -> bool:
-    """Tell whether `program`, with some values of its constants, equals the `other` at these points (V, R)."""
+    """Tell whether `program` equals the program `other` at these points (V, R), for some values of the constants of
+    `program`."""
     values = values_of(other, points)
     square = float(np.mean(values * values))
     names = tuple(str(number) for number in range(len(points)))

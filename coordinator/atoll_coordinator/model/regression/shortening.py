@@ -1,17 +1,18 @@
-"""Finds the shortest description near some candidates for one equation (ADR 0012). Pure without a deadline.
+"""Finds the shortest description for one equation, among some candidates and programs similar to them (ADR 0012). Pure
+if there is no deadline.
 
-The search compares individuals by their error on some rows. This module compares description lengths: misfit plus the
-price of the program, in nats. `Shortening.find_candidates` decides, in this order:
+The symbolic search compares individuals by their error on some rows. This module compares description lengths: misfit
+plus the price of the program, in nats. `Shortening.find_candidates` decides, in this order:
 
 1. Members of the front are measured. Members that are far longer than the shortest are not changed further.
 2. The others are reduced: parts are removed as long as the description gets shorter.
-3. Among the programs with nearly the shortest description, the smallest program is selected, and its neighbours
-   (programs one step away) are tried: a larger program may already describe noise.
+3. Among the programs with nearly the shortest description, the smallest program is selected, since a larger program may
+   already describe noise. The neighbours of the smallest program (programs one step away) are tried.
 4. Neighbours of the shortest program are tried, as long as the description gets shorter.
 
 Steps 3 and 4 are skipped if the misfit is already at its lower limit: then only the size could improve. The caller
-supplies the function that fits a program, to the rows of a target or to the steps of a process, and measures its
-description.
+supplies the function that fits a program and computes its description length. This function fits to the rows of a
+target, or to the steps of a process.
 
 Doubtful: this is a local search, and each step keeps only `SETTINGS.effort.beam` programs.
 """
@@ -28,13 +29,13 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program, structure
 
 MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
-"""Neighbours are kept if their description is longer than the best by at most this many nats (odds of 400). Neighbours
-of the smallest program within this margin are tried as well."""
+"""Neighbours are kept if their description is at most this many nats longer than the shortest description (odds of
+400). Neighbours of the smallest program within this margin are tried as well."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredProgram:
-    """A fitted program, its misfit and the length of its description, in nats."""
+    """A fitted program, its misfit (nats), and the length of its description (nats)."""
 
     program: Program
     misfit: float
@@ -47,15 +48,16 @@ class MeasuredProgram:
 
 
 Measure = Callable[[Program, float], MeasuredProgram]
-"""Fits and measures a program; the fit may be less precise if the description will be longer than this many nats."""
+"""A function of a program and a length in nats. It fits and measures the program. If the description will be longer
+than this length, the fit may be less precise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shortening:
-    """Finds shorter programs near a front. Remembers the measured programs by their structure.
+    """Finds shorter programs similar to the members of a front. The measured programs are stored by their structure.
 
-    No program is tried once `is_over` returns True. `least_misfit` is the lower limit of the misfit. Members that are
-    longer than the shortest by more than `reach` nats are not reduced.
+    When `is_over` returns True, no further program is tried. `least_misfit` is the lower limit of the misfit. Members
+    that are more than `reach` nats longer than the shortest member are not reduced.
     """
 
     measure: Measure
@@ -73,9 +75,10 @@ class Shortening:
     def find_candidates(
         self, front: Sequence[Program], tries_neighbours: bool = True
     ) -> list[tuple[MeasuredProgram, int]]:
-        """Return the programs found near `front`, the shortest first, each with the index of the member it came from.
+        """Return the members of `front` and similar programs, the shortest first. Each has the index of the member from
+        which it was derived.
 
-        Without `tries_neighbours`, neighbours of the members are not tried.
+        If `tries_neighbours` is False, neighbours of the members are not tried.
         """
         found: dict[bytes, tuple[MeasuredProgram, int]] = {}
 
@@ -110,7 +113,8 @@ class Shortening:
         return measured.misfit <= self.least_misfit
 
     def _measure_members(self, front: Sequence[Program]) -> list[tuple[MeasuredProgram, int]]:
-        """Return the shortest members, measured, by rising length; of equal structures only the first."""
+        """Return the shortest members, measured and sorted by rising length. If several have the same structure, only
+        the first is returned."""
         programs = {structure(program): (index, program) for index, program in reversed([*enumerate(front)])}
         members, least = list[tuple[MeasuredProgram, int]](), math.inf
         for index, program in sorted(programs.values(), key=lambda entry: entry[0]):
@@ -127,8 +131,8 @@ class Shortening:
         return known[0]
 
     def _reduce(self, measured: MeasuredProgram) -> MeasuredProgram:
-        """Replace the program by its reduction with the shortest description, repeatedly, until no reduction is
-        shorter."""
+        """Replace the program by its reduction with the shortest description. Repeat this until no reduction has a
+        shorter description."""
         while True:
             best = measured
             for program in reductions(measured.program):
@@ -142,8 +146,8 @@ class Shortening:
     def _measure_neighbours(self, best: MeasuredProgram) -> list[MeasuredProgram]:
         """Return the shortest programs one step from `best`, and the reductions of each.
 
-        Programs with equal misfits are equal functions: only the shortest is kept. Of programs equal to `best`, the
-        shortest for each collection of operators is kept, since their constants may be simpler.
+        Programs with equal misfits are equal functions: only the shortest of them is kept. Programs equal to `best` are
+        an exception: for each collection of operators the shortest is kept, since its constants may be simpler.
         """
         most = best.length + MARGIN
         found: dict[tuple[str, bytes], MeasuredProgram] = {}

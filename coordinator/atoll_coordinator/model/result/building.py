@@ -1,8 +1,8 @@
 """Builds the result of a job from the outcome of the search and of refining; docs/result.md explains its keys.
 
-`build_result` decides everything in result.json: `select_equation` chooses the equation that is shown (the refined one,
-or a member of the front), `_judge_equation` its grade and reason, and `_list_front` the members that are listed.
-Programs become text with the names and units of the columns.
+`build_result` decides everything in result.json. `select_shown_equation` chooses the equation that is shown: the
+refined equation, or a member of the front. `_judge_equation` decides its grade and the reason, and `_list_front` the
+members that are listed. Programs become text with the names and units of the columns.
 
 Doubtful: an equation that refining did not judge is judged here, by its error on the target alone, when a client asks
 for the result. `result_digest` covers the search only: results with equal digests can differ in refined equations.
@@ -33,7 +33,7 @@ from atoll_coordinator.model.result.tables import (
     describe_smoothing,
     describe_system,
 )
-from atoll_coordinator.model.selection.front_member import select_member
+from atoll_coordinator.model.selection.front_member import select_shortest_description
 from atoll_coordinator.model.thinning import curve, spread_places
 from atoll_coordinator.result.base import finite
 from atoll_coordinator.result.equations import (
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from atoll_coordinator.model.inference.verdict import Verdict
 
 KNOWN: Final = "known"
-"""The value of `VariableOutcome.why` if there was no search: the equation was given."""
+"""The value of `VariableOutcome.why` if there was no search, because the user gave the equation."""
 _ADVICE_AFTER_STOP: Final = {
     "max-time": "the time limit stopped the search before it converged or stagnated: give more time with --max-time",
     "max-epochs": "the search ended with its last epoch before it converged or stagnated: allow more with --max-epochs",
@@ -93,12 +93,12 @@ class VariableOutcome:
 
     The numbers include the last completely reported epoch, or the slice of generations in which the search stopped.
     `front` is the merged front, by rising complexity. `epoch` is the number of completely reported epochs (0: none
-    yet). `generation` is the generation that reached the target, counted from the start of the search, or None.
-    `evaluations` are the cumulative point evaluations by part, for all islands together. `seconds` is the time from the
-    start of the first epoch to the end of the last counted one. `why` is the reason for the end of the search (None: it
-    still runs), as in `atoll_core.wire.messages.views.VariableView`; `runners_up` are the next best programs;
-    `convergence` has, for each island, the generations in which it found a lower error, and this error. A known
-    equation is the only member of its front, and `why` is `KNOWN`.
+    yet). `generation` is the generation that reached the target error, counted from the start of the search; None: no
+    generation has reached it. `evaluations` are the cumulative point evaluations by part, for all islands together.
+    `seconds` is the time from the start of the first epoch to the end of the last counted epoch. `why` is the reason
+    for the end of the search (None: the search still runs), as in `atoll_core.wire.messages.views.VariableView`.
+    `runners_up` are the next best programs. `convergence` has, for each island, the generations in which the island
+    found a lower error, and this error. A known equation is the only member of its front, and `why` is `KNOWN`.
     """
 
     variable: str
@@ -108,14 +108,14 @@ class VariableOutcome:
     evaluations: Mapping[str, int] = field(default_factory=dict)
     seconds: float = 0.0
     why: str | None = None
-    refined: None = None  # kept since it is part of the serialised task; always None
+    refined: None = None  # always None; the field remains because it is part of the serialised task
     runners_up: tuple[FrontEntry, ...] = ()
     convergence: Mapping[int, Sequence[tuple[int, float]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Account:
-    """State and times of the job as a whole.
+    """The state of the whole job, and its times.
 
     `seconds` is the time since the job was submitted. `search_seconds` is the time from the start of the first epoch to
     the end of the last epoch that counts. `reason` says why a job failed.
@@ -135,7 +135,7 @@ def build_result(
     account: Account,
     refinement: Refinement | None = None,
 ) -> Result:
-    """Return the result of `job`; while it runs, this is the best result so far.
+    """Return the result of `job`. While the job runs, this is the best result so far.
 
     Args:
         job: the job's id.
@@ -151,7 +151,9 @@ def build_result(
     if is_final and recording is not None and recording.groups and not model.by_group:
         warnings.append(NOT_BY_GROUP)
     notes = {*dataset.notes, *notes_of(model.warnings)}
-    shown = {one.variable: select_equation(one, model.equations.get(one.variable), dataset, config) for one in outcomes}
+    shown = {
+        one.variable: select_shown_equation(one, model.equations.get(one.variable), dataset, config) for one in outcomes
+    }
     known = {name: equation for name, equation in shown.items() if equation is not None}
     first = next(iter(shown.values()), None)
     shared: tuple[SharedTerm, ...] = ()
@@ -298,10 +300,11 @@ def _judge_equation(
 ) -> "Verdict":
     """Return the verdict on an equation of a job that has ended.
 
-    If refining did not judge the equation, its error on the target decides. With trajectories, its grade is then at
-    best `doubtful`: the equation could not be simulated along the trajectories, or there was no time.
+    If refining did not judge the equation, its error on the target decides. If there are trajectories, the grade is
+    then at best `doubtful`: the equation was not simulated along the trajectories, because this failed or because there
+    was no time.
     """
-    # These modules load kernels, and the server needs them only for jobs that were not refined.
+    # These modules load kernels. The server needs these modules only for jobs that were not refined.
     from atoll_coordinator.model.inference.target_checks import TargetChecks
     from atoll_coordinator.model.inference.trajectory_checks import UnsimulatedChecks
     from atoll_coordinator.model.inference.verdict import Verdict, add_objection, judge
@@ -331,10 +334,11 @@ def _judge_equation(
     return verdict
 
 
-def select_equation(
+def select_shown_equation(
     outcome: VariableOutcome, refined: Refined | None, dataset: Dataset, config: JobConfig
 ) -> Refined | None:
-    """Return the equation that is shown: the `refined` one if there is one, or else the selected member of the front.
+    """Return the equation that is shown: the `refined` equation if there is one, or else the selected member of the
+    front.
 
     None if no member can be printed.
     """
@@ -345,7 +349,7 @@ def select_equation(
     if not printable:
         return None
     front = [outcome.front[index] for index in printable]
-    member = printable[select_member(front, len(target.values), target, config.budget.target_error)]
+    member = printable[select_shortest_description(front, len(target.values), target, config.budget.target_error)]
     entry = outcome.front[member]
     origin: Origin = "known" if outcome.why == KNOWN else "front"
     return Refined(member, _write_member(entry, outcome, dataset), entry.error, entry.mse, origin=origin)
@@ -356,7 +360,7 @@ def _describe_constants(
 ) -> tuple[Constant, ...]:
     """Return the constants in node order with the values of the program and the units of the equation `shown`.
 
-    `known` are the constants with errors from refining, empty without refining.
+    `known` are the constants with errors from refining; it is empty if there was no refining.
     """
     values = program.constants[constant_places(program)].tolist()
     units = shown.units.constants if shown is not None and shown.units is not None else ()
@@ -402,8 +406,8 @@ def _list_front(
 ) -> tuple[Member, ...]:
     """Return the printable members in their shortest form, by rising complexity and falling error.
 
-    Of several members with the same structure, only the most accurate member is listed. It is marked as selected if one
-    of them was selected.
+    If several members have the same structure, only the most accurate of them is listed. It is marked as selected if
+    one of these members was selected.
     """
     dataset = preparation.dataset
     best: dict[bytes, tuple[FrontEntry, Program, bool]] = {}
@@ -437,7 +441,7 @@ def _list_front(
 
 
 def _write_member(entry: FrontEntry, outcome: VariableOutcome, dataset: Dataset) -> Program:
-    """Return the shortest form of a member; a known equation is not changed."""
+    """Return the shortest form of a member. A known equation is returned unchanged."""
     program = Program.from_bytes(entry.program, len(dataset.names))
     return program if outcome.why == KNOWN else shortest_at(program, lambda: _sampled_points(dataset))
 
@@ -457,7 +461,8 @@ def is_printable(program: bytes, inputs: int) -> bool:
 
 
 def _describe_convergence(outcome: VariableOutcome, target: Target) -> tuple[Convergence, ...]:
-    """Return for each island the generations in which its error fell (at most `MOST_STEPS`), and normalized errors."""
+    """Return, for each island, the generations in which its error decreased (at most `MOST_STEPS`), and the normalized
+    errors."""
     courses = []
     for island, steps in sorted(outcome.convergence.items()):
         chosen = [steps[index] for index in spread_places(len(steps), MOST_STEPS)]
@@ -475,11 +480,11 @@ def _total_evaluations(outcome: VariableOutcome) -> int:
 
 
 def result_digest(outcomes: Sequence[VariableOutcome]) -> str:
-    """Return the hex digest (sha256) of the outcomes, in this order: equal digests mean equal results of the searches.
+    """Return the hex digest (sha256) of the outcomes, in their order. Equal digests mean equal results of the searches.
 
-    The digest covers fronts and runners-up with every bit of constants and errors, epochs, and counters. It does not
-    cover times, the number of workers, or refining. For a job without a search it covers the known equations with their
-    errors on the data.
+    The digest covers epochs, counters, fronts and runners-up, with every bit of their constants and errors. It does not
+    cover times, the number of workers, or refining. For a job without a search, the digest covers the known equations
+    with their errors on the data.
     """
     digest = hashlib.sha256()
     for outcome in outcomes:
@@ -505,6 +510,6 @@ def _entry_bytes(entry: FrontEntry) -> bytes:
 
 
 def _update(digest: "hashlib._Hash", data: bytes) -> None:
-    """Add the length of `data` and then `data`, so that different lists of parts never give the same bytes."""
+    """Add the length of `data`, then `data`. With the lengths, different lists of parts never give the same bytes."""
     digest.update(struct.pack("<q", len(data)))
     digest.update(data)

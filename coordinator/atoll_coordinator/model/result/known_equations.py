@@ -27,7 +27,8 @@ def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:
 
 
 def warn_of_missing_values(preparation: Preparation, config: JobConfig) -> Preparation:
-    """Return `preparation` with a warning for each known equation without a value on some rows; `config` is resolved.
+    """Return `preparation` with a warning for each known equation that has no finite value on some rows. `config` is
+    resolved.
 
     The error of such an equation is infinite; the warning tells the user the reason.
     """

@@ -1,11 +1,12 @@
 """Terms that several equations have in common, such as a flux that leaves one state and enters another.
 
-`find_shared_terms` compares the terms of all equations with brackets expanded. Two terms are the same if they differ
-only in their factors: the numbers inside agree within two standard errors of their difference. Terms that were fitted
-together have the same numbers inside.
+`find_shared_terms` expands the brackets of all equations and compares their terms. Two terms are the same if they
+differ only in their factors: their inner numbers, such as c in 2*u/(c + u), agree within two standard errors of their
+difference. Terms that were fitted together have the same inner numbers.
 
-Doubtful: standard errors of both numbers are treated as independent. Equations with too many terms share nothing. The
-comparison is for display and changes no equation; `inference.shared_terms` decides which terms are fitted together.
+Doubtful: the standard errors of two numbers are treated as independent. No shared terms are found for an equation with
+too many terms. The comparison is for display and changes no equation; `inference.shared_terms` decides which terms are
+fitted together.
 """
 
 import math
@@ -32,8 +33,8 @@ def find_shared_terms(
 ) -> tuple[SharedTerm, ...]:
     """Return the terms that occur in at least two equations, with their `factors` in each.
 
-    Numbers are not listed as shared terms. Single variables are listed only if they were fitted together. Numbers
-    inside are taken from the first equation. For terms fitted together, `multiples` has the multiple of the flux in
+    Numbers are not listed as shared terms. Single variables are listed only if they were fitted together. The result
+    has the inner numbers of the first equation. For terms fitted together, `multiples` has the multiple of the flux in
     each equation.
 
     Args:
@@ -89,7 +90,7 @@ def _are_same_term(left: Monomial, left_equation: Refined, right: Monomial, righ
 
 
 def _standard_error(number: float, equation: Refined) -> float:
-    """Return the standard error of a number in a term; 0.001 of the number if no error is known."""
+    """Return the standard error of a number in a term. If no error is known, 0.001 of the number is returned."""
     for constant in equation.constants:
         if abs((constant.value or 0.0) - number) <= _SAME_NUMBER * abs(number):
             if constant.std_error is not None:

@@ -24,7 +24,8 @@ from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 
 MOST_ROWS: Final = 2_000
-"""Most listed rows of each state, for all trajectories together, spread evenly; also most listed excluded rows."""
+"""Most listed rows of each state, for all trajectories together; they are evenly spread. It is also the limit for
+listed excluded rows."""
 MOST_NUMBERS: Final = 100_000
 """Most listed numbers in all, about 1 MB as text."""
 MOST_REGRESSION_ROWS: Final = 1_000
@@ -38,9 +39,11 @@ DIGITS: Final = 12
 
 
 def describe_data(preparation: Preparation, *, has_trajectories: bool = True) -> Data | None:
-    """Return digest, files and number of rows of the table, how it was read, and the measured rows of each trajectory.
+    """Describe the table: its digest, files, number of rows and how it was read, and the measured rows of each
+    trajectory.
 
-    None if the source is not known. `trajectories` is null if states were not measured in time, or not requested.
+    The result is None if the source is not known. `trajectories` is null if states were not measured in time, or if
+    trajectories were not requested.
     """
     source, recording = preparation.source, preparation.recording
     if source is None:
@@ -61,7 +64,8 @@ def _thin_trajectory(recording: Recording, part: Trajectory, share: float) -> Re
     count = len(part.times)
     rows = spread_places(count, max(LEAST_ROWS, int(share * count)))
     if len(rows) < count:
-        # Include the rows at which a held input changes: without them the previous value would last too long.
+        # Include the rows at which a held input changes. Without these rows, the previous value would seem to last too
+        # long.
         held = part.inputs[np.isnan(part.input_slopes).any(axis=1)]
         switches = (np.flatnonzero((held[:, 1:] != held[:, :-1]).any(axis=0)) + 1).tolist()
         rows = sorted({*rows, *switches[:MOST_ROWS]})
@@ -83,7 +87,7 @@ def _thin_trajectory(recording: Recording, part: Trajectory, share: float) -> Re
 def describe_system(preparation: Preparation) -> System | None:
     """Return the roles of the columns, their units, and the range of each variable in the rows that count.
 
-    Everything is by column name; angles are in radians. None if the source is not known.
+    The keys of all parts are column names; angles are in radians. None if the source is not known.
     """
     source, recording = preparation.source, preparation.recording
     if source is None:
@@ -162,7 +166,8 @@ def _describe_noise_of_state(
 
 
 def _measure_residuals(recording: Recording, index: int) -> tuple[float | None, LargestResidual | None]:
-    """Return the root mean square of measured minus smoothed values of one state, and the largest difference."""
+    """Return the root mean square of the differences between measured and smoothed values of one state, and the largest
+    difference."""
     residuals = [
         (residual, part.name, time)
         for part in recording.trajectories
@@ -199,7 +204,7 @@ def _list_excluded_rows(recording: Recording, rows: Sequence[ExcludedRow]) -> tu
 def describe_smoothing(recording: Recording | None) -> Smoothing | None:
     """Return smoothed and measured values of the states that were smoothed; None if no state was smoothed.
 
-    `rows` is the number of all rows. `listed` is the number of listed rows: all, or evenly spread rows of each
+    `rows` is the number of all rows. `listed` is the number of listed rows: all rows, or evenly spread rows of each
     trajectory.
     """
     if recording is None:

@@ -1,4 +1,4 @@
-"""Candidates for one variable's equation: where they come from, and which are the best.
+"""Candidates for one variable's equation: their origins and their ranking.
 
 How it works. Programs come from the front and the runners-up of the search, from the user's guesses, and from libraries
 of terms. Each program is simplified, and its constants are fitted to the derivatives. The program is then fitted to the
@@ -33,8 +33,8 @@ from atoll_core.expression.writing.shortest import collected, shortened, shortes
 class CandidateSet:
     """The candidate programs for one variable's equation, by origin.
 
-    `front` and `runners_up` are the programs passed from the search to refining; `guesses` are the user's programs,
-    with which the search begins; `known` is an equation that the user has fixed.
+    `front` and `runners_up` are the programs that the search has passed to refining. `guesses` are the user's programs,
+    with which the search begins. `known` is an equation that the user has fixed.
     """
 
     front: tuple[FrontMember, ...] = ()
@@ -54,14 +54,13 @@ class CandidateSet:
 
     @property
     def nearest(self) -> list[Program]:
-        """The front, guesses, and the smallest of the runners-up, two for each member of the front."""
+        """The front, the guesses, and the smallest runners-up (twice as many as the front has members)."""
         return [*(member.program for member in self.front), *self.guesses, *self.runners_up[: 2 * len(self.front)]]
 
     def origins(self, compared: Sequence[Program]) -> dict[bytes, Origin]:
-        """Return the origin of each structure; `compared` are all candidates. The first origin counts.
-
-        A guess that is also on the front has the origin "guess". A program of no listed structure was derived from
-        these programs by removing, adding or changing parts.
+        """Return the origin of each structure; `compared` are all candidates. If several programs have this structure,
+        the first origin counts: a guess that is also on the front has the origin "guess". If a structure is not in the
+        result, its program was derived from these programs by removing, adding or changing parts.
         """
         programs: dict[Origin, Sequence[Program]] = {
             "guess": self.guesses,
@@ -76,7 +75,8 @@ class CandidateSet:
         return origins
 
     def member_of(self, program: Program) -> int | None:
-        """Return the index of the front member of this structure, None without one; a known equation is member 0."""
+        """Return the index of the front member that has this structure; None if no member has it. A known equation is
+        member 0."""
         if self.known is not None:
             return 0
         key = form_key(program)
@@ -85,12 +85,12 @@ class CandidateSet:
 
 
 def form_key(program: Program) -> bytes:
-    """Return the structure of a program as a sum of products, regardless of the values of constants, as a key."""
+    """Return a key of a program: its structure as a sum of products, without the values of its constants."""
     return structure(collected(program))
 
 
 def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dict[str, CandidateSet]:
-    """Return the decoded candidates of each variable that was searched or is known, in the order of the dataset."""
+    """Return the decoded candidates of each variable with a search or a known equation, in the order of the dataset."""
     known, guesses = known_programs(dataset, config), guessed_programs(dataset, config)
     inputs = len(dataset.names)
     return {
@@ -117,7 +117,7 @@ def _least_squares(rows: _Rows) -> LeastSquares:
 
 
 def _fit_start(least_squares: LeastSquares, start: _Start) -> tuple[Program, ...]:
-    """Return the program with its constants fitted; an empty tuple if it is not finite on all rows."""
+    """Return a tuple with the fitted program. It is empty if the program is not finite on all rows."""
     fitted = least_squares.fit(start[0], steps=start[1])
     return (fitted.program,) if math.isfinite(fitted.mse) else ()
 
@@ -130,7 +130,7 @@ _STARTS: Final[BatchFunction[LeastSquares, _Start, tuple[Program, ...]]] = Batch
 
 
 def _rewrite(comparison: ModelComparison, programs: Sequence[Program], *, is_shortest: bool) -> Iterator[Program]:
-    """Yield programs in a short form, or in the shortest form; unchanged if the time is over."""
+    """Yield programs in a short form, or in the shortest form. If the time is over, the program is not changed."""
     rewritten = comparison.spread.map(_WRITINGS, lambda: is_shortest, programs, _WRITINGS_OF_A_BATCH[is_shortest])
     yield from (program if brief is None else brief for program, brief in zip(programs, rewritten, strict=True))
 
@@ -148,10 +148,10 @@ class RankedCandidates:
     """Candidates for the equation of one variable, ranked by its trajectories alone."""
 
     def __init__(self, comparison: ModelComparison, problem: Problem, whole: ModelComparison | None = None) -> None:
-        """Constants are first fitted to the rows of `problem`; then `comparison` fits the equation of this variable
-        alone.
+        """Prepare a ranking by two fits: constants are first fitted to the rows of `problem`; then `comparison` fits
+        the equation of this variable alone.
 
-        The comparison of the `whole` system decides which programs are too long.
+        `whole`, the comparison of whole systems, decides which programs are too long.
         """
         self._whole = whole or comparison
         self._comparison = comparison
@@ -162,7 +162,8 @@ class RankedCandidates:
         self._shortest: dict[bytes, Program] = {}
 
     def add(self, programs: Iterable[Program], most: float = math.inf) -> None:
-        """Fit and rank `programs` shorter than `most` nats; of equal structures only the first."""
+        """Fit and rank the `programs` that are shorter than `most` nats. If several have the same structure, only the
+        first is ranked."""
         comparison, effort = self._comparison, SETTINGS.effort
         new: dict[bytes, Program] = {}
         for program in self._shorten(programs, most):

@@ -1,18 +1,18 @@
 """Comparison of systems: each is fitted to the trajectories, and the shortest description wins (Rissanen 1978).
 
 How it works. A `ModelComparison` has measurements, constraints and one `Score`. It builds an `OdeSystem` from one
-program for each equation, fits constants and initial states by multiple shooting (`fit_model`: in stages of growing
-segments; `fit_from`: whole pieces from the initial states of a similar system), and returns a `FittedModel` with its
-nats. Many systems are fitted in threads or on workers; a worker returns a small `FitSummary`, and one integration here
-restores the complete fit when it is needed. `narrow_down` is a tournament: many programs with few steps, then fewer
-programs with more steps. `calibrate` returns a new comparison whose errors come from the residuals of a model. Lengths
-of two comparisons must not be compared.
+program for each equation, fits constants and initial states by multiple shooting, and returns a `FittedModel` with its
+nats. `fit_model` fits in stages of growing segments. `fit_from` fits whole pieces, starting from the initial states of
+a similar system. Many systems are fitted in threads or on workers; a worker returns a small `FitSummary`, and one
+integration here restores the complete fit when it is needed. `narrow_down` is a tournament: many programs with few
+steps, then fewer programs with more steps. `calibrate` returns a new comparison whose error model is estimated from the
+residuals of a model. The length of a system in one comparison must not be compared with a length in another comparison.
 
 Trajectories decide, and not derivatives: smoothing errors are large and correlated, so a wrong equation often has a
 smaller error of the derivative than the true equation. It hardly ever has a smaller misfit to the measured states.
 
-Doubts. A tournament can drop the right program early if its fit needs many steps. Budgets count work and not seconds,
-so results are reproducible but depend on the constants in the settings.
+Doubts. A tournament can drop the right program early if its fit needs many steps. Budgets count work and not seconds.
+So results are reproducible, but they depend on the constants in the settings.
 """
 
 import math
@@ -45,8 +45,8 @@ Programs = tuple[Program, ...]
 STAGES: Final[tuple[int | None, ...]] = (*SETTINGS.shooting.lengths[:2], None)
 """Segment lengths, in rows, of the successive stages of a fit; None: whole trajectories."""
 _REPEATED: Final = 10.0 * SETTLED
-"""If the relative difference of two misfits is smaller, both programs count as the same function: fits converge only to
-this accuracy."""
+"""If the relative difference of two misfits is smaller, the misfits count as equal: fits converge only to this
+accuracy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +76,9 @@ class FitPlan:
 class FitSummary:
     """The numbers that determine a fit: `constants` of all nodes (with groups, also by group), and initial states.
 
-    `length` is the length of its segments (rows; None: whole trajectories); `squares` are mean squares of residuals.
-    One integration restores the complete fit from these numbers. States, residuals and normal equations are hundreds of
-    times as large, and are not needed for most candidates.
+    `length` is the length of the fit's segments (rows; None: whole trajectories). `squares` are mean squares of
+    residuals. One integration restores the complete fit from these numbers. States, residuals and normal equations are
+    hundreds of times as large, and are not needed for most candidates.
     """
 
     constants: FloatArray
@@ -95,14 +95,14 @@ class FitSummary:
 PlannedFit = tuple[FitPlan, Programs]
 """A plan, and the programs of the system to be fitted."""
 FitOutcome = tuple[FitSummary | None, int]
-"""The summary of a fit (None if the system could not be fitted), and its work."""
+"""The summary of a fit, and the work of this fit. The summary is None if the system could not be fitted."""
 _FITS_OF_A_BATCH: Final = 12
 """Most fits of a batch: one fit takes from a millisecond to some seconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class PrefetchedModels:
-    """Models fitted in advance with other programs for one equation, and the work of these fits."""
+    """Models that were fitted in advance, with other programs for one equation; and the work of these fits."""
 
     models: Sequence[FittedModel]
     work: int
@@ -154,16 +154,17 @@ class ComparisonParts:
 class ModelComparison:
     """Fits systems to the same measurements and compares them by one score.
 
-    The score never changes: `calibrate` returns another comparison, without fitted models.
+    A comparison never changes its score: `calibrate` returns another comparison, without fitted models.
 
     Attributes:
         estimator: fits systems to the measurements.
         names: the variables of the programs.
         fixed: equations, by index, whose constants are given.
-        leading: with order 2 the equations of the positions, which come before the other equations.
+        leading: for order 2, the equations of the positions, which come before the other equations.
         spread: fits systems in threads or on workers; by default one after another.
         constraints: restrictions of the equations.
-        calibration: the score with errors from earlier residuals; None: with the smoother's noise.
+        calibration: the score whose errors were estimated from the residuals of an earlier model; None: the score uses
+            the smoother's noise.
         fitted_models: the best model of each program that was fitted for an equation, by (equation, structure).
     """
 
@@ -188,8 +189,8 @@ class ModelComparison:
         return self.constraints.groups
 
     def calibrate(self, model: FittedModel) -> tuple["ModelComparison", FittedModel]:
-        """Return a comparison whose errors are estimated from the residuals of a model, and the model fitted with these
-        errors."""
+        """Return a comparison whose error model is estimated from the residuals of `model`, and `model` fitted with
+        this error model."""
         score, fit = self.score.calibrate(model.fit)
         comparison = replace(self, calibration=score)
         return comparison, comparison.score_fit(fit)
@@ -207,8 +208,8 @@ class ModelComparison:
     def _fit_systems(self, plan: FitPlan, systems: Sequence[Programs], until: float = math.inf) -> list[FittedModel]:
         """Return the models of systems, the shortest description first; failed fits are left out.
 
-        Systems are fitted in order as long as the estimator's work is less than `until`, and none after the deadline.
-        Workers may fit more systems than this limit allows; these results and their work are then dropped.
+        Systems are fitted in order until the estimator's work reaches `until`, or until the deadline. Workers may fit
+        more systems than this limit allows; these results and their work are then dropped.
         """
         bounded = SETTINGS.effort.kept if until < math.inf else max(len(systems), 1)
         ahead = self._fit_on_workers(plan, systems) if self.spread.is_shared and len(systems) > 1 else None
@@ -227,7 +228,8 @@ class ModelComparison:
         return sorted(models, key=lambda model: model.nats)
 
     def fit_by_plan(self, plan: FitPlan, programs: Programs) -> FittedModel | None:
-        """Return the fitted system; None if it cannot be simulated, violates restrictions, or the time is over."""
+        """Return the fitted system. None if it cannot be simulated, if it violates restrictions, or if the time is
+        over."""
         if self.estimator.deadline.is_over:
             return None
         if plan.near is None:
@@ -301,7 +303,7 @@ class ModelComparison:
 
     @classmethod
     def from_parts(cls, parts: ComparisonParts) -> "ModelComparison":
-        """Return the comparison with these parts; it cannot calibrate."""
+        """Return the comparison with these parts. It must not be calibrated."""
         estimator = MultipleShooting(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
         comparison = cls(estimator, parts.names, parts.fixed, parts.leading, constraints=parts.constraints)
         score = replace(comparison.score, roughness=parts.roughness, rows=parts.rows, errors=parts.errors)
@@ -331,9 +333,9 @@ class ModelComparison:
         Args:
             programs: one for each equation.
             fixed_nodes: for each program, the nodes whose constants are not fitted.
-            near: used if groups of trajectories have their own constants. An equation that `near` also has starts with
-                the constants that each group has in `near`. The constants of other equations are first fitted to the
-                rows of each group.
+            near: a similar system, used if groups of trajectories have their own constants. If an equation is also in
+                `near`, its fit starts with the constants that each group has in `near`. The constants of other
+                equations are first fitted to the rows of each group.
             shared: fitted numbers that are common to all groups, or to several constants.
         """
         fixed = [
@@ -419,12 +421,12 @@ class ModelComparison:
         self, near: FittedModel, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
         until: float = math.inf,
     ) -> list[FittedModel]:  # fmt: skip
-        """Return the models with the best `programs` for one equation; in each of the `rounds`, fewer programs are
-        kept.
+        """Return the models with the best `programs` for one equation.
 
-        Each round is a number of steps and the number of programs that are kept. Of equivalent programs only the
-        program with the shortest description is kept, see `distinct_models`. When the estimator's work has reached
-        `until`, at most one more block of programs is fitted.
+        The programs are fitted in `rounds`; each round has a number of steps and the number of programs that are kept
+        for the next round. If several programs are equivalent, only the program with the shortest description is kept,
+        see `distinct_models`. When the estimator's work has reached `until`, at most one more block of programs is
+        fitted.
         """
         models: list[FittedModel] = []
         waiting = list(programs)
@@ -439,10 +441,11 @@ class ModelComparison:
     def prefetch_models(
         self, near: FittedModel, lists: Mapping[int, Sequence[Program]], rounds: Sequence[tuple[int, int]]
     ) -> dict[int, PrefetchedModels]:
-        """Return the results of `narrow_down` for several equations, valid as long as `near` is the best model.
+        """Return the results of `narrow_down` for several equations. They are valid as long as `near` is the best
+        model.
 
-        Workers fit the programs for all equations at the same time. The result is empty without workers or with a
-        single equation. The work is not counted until `accept_prefetched`.
+        Workers fit the programs for all equations at the same time. Without workers, or for a single equation, the
+        result is empty. The work is not counted until `accept_prefetched`.
         """
         if len(lists) < 2 or not self.spread.is_shared:
             return {}
@@ -461,7 +464,7 @@ class ModelComparison:
         return prefetched
 
     def accept_prefetched(self, equation: int, prefetched: PrefetchedModels) -> list[FittedModel]:
-        """Return the models that were prefetched, their work counted as in `narrow_down`."""
+        """Return the models that were prefetched, and count their work as `narrow_down` does."""
         self.estimator.add_work(prefetched.work)
         return self._remember(equation, prefetched.models)
 
@@ -479,8 +482,8 @@ class ModelComparison:
         return list(models)
 
     def distinct_models(self, models: Iterable[FittedModel], equation: int) -> list[FittedModel]:
-        """Return the models (sorted by nats) without models whose `equation` is equivalent to the equation of an
-        earlier model.
+        """Return the `models` (sorted by nats), but drop each model whose `equation` is equivalent to the equation of
+        an earlier model.
 
         Equations are equivalent if their misfits are equal and if they agree away from the measured curves. Equal
         misfits alone are not enough: all equations that agree along the curves have the same integration errors.
@@ -501,10 +504,11 @@ class ModelComparison:
         return kept
 
     def differ_off_trajectories(self, model: FittedModel, other: FittedModel, equation: int) -> bool:
-        """Tell whether the equations of two models differ away from the measured curves by more than their errors.
+        """Tell whether the values of an equation in two models differ away from the measured curves, by more than a
+        limit.
 
-        Without noise a relative difference of a thousandth counts; with noise, a difference that matters for
-        predictions.
+        If there is no noise, the limit is a relative difference of a thousandth. If there is noise, the limit is the
+        smallest difference that matters for predictions.
         """
         first, second = (values_of(one.programs[equation], self._points_off_trajectories) for one in (model, other))
         either = np.isfinite(first) | np.isfinite(second)
@@ -512,10 +516,10 @@ class ModelComparison:
         return bool(either.any()) and differ(first[either], second[either], share)
 
     def disputed_state(self, model: FittedModel, others: Sequence[FittedModel], equation: int) -> dict[str, float]:
-        """Return the state away from the measured curves, by name, at which one equation differs most from the
-        `others`.
+        """Return a state away from the measured curves, the value of each variable by name. At this state, one equation
+        of `model` differs most from the same equation of the `others`.
 
-        The difference from each other model is weighted by the odds of this model against `model`.
+        The difference from each other model is weighted by the odds of the other model against `model`.
         """
         own = values_of(model.programs[equation], self._points_off_trajectories)
         differences = np.zeros_like(own)

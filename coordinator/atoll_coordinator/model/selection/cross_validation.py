@@ -2,7 +2,7 @@
 
 Each fold leaves out one trajectory (Stone 1974), or several if there are many trajectories. The constants are fitted to
 the other trajectories, starting from the fit to all trajectories. Along the trajectories that were left out, only the
-initial state is fitted. Doubt: the equations were chosen on all trajectories, so that only the constants are validated,
+initial state is fitted. Doubt: all trajectories were used to choose the equations. So only the constants are validated,
 and not the structure.
 """
 
@@ -22,8 +22,8 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program
 
 R2 = tuple[float | None, ...]
-"""R2 of each measured state along trajectories left out; minus infinity if they could not be simulated, None if the
-state is constant there."""
+"""R2 of each measured state along trajectories that were left out. It is minus infinity if these trajectories could not
+be simulated, and None if the state is constant along them."""
 
 _LEAST_FOLDS: Final = 3
 """Fewest trajectories for cross-validation: with fewer, too few rows remain for fitting constants."""
@@ -49,10 +49,11 @@ class Validation:
         count = min(len(owners), SETTINGS.effort.beam)
         self._folds = [frozenset(owners[fold::count]) for fold in range(count)]
         self.is_possible: Final = count >= _LEAST_FOLDS and comparison.groups is None
-        """Whether there are enough trajectories, and all have the same constants."""
+        """Whether cross-validation is possible: there are enough trajectories, and they all have the same constants."""
 
     def of(self, model: FittedModel) -> R2 | None:
-        """Return the R2 of the system of `model`. None if the time is over, since fits that end early do not count."""
+        """Return the R2 of the system of `model`. None if the time is over, since a fit that ends early cannot be
+        used."""
         comparison, fit = self._comparison, model.fit
         measurements = comparison.estimator.measurements
         squares, total = np.zeros((2, len(measurements.observed)))
@@ -67,7 +68,8 @@ class Validation:
 
 
 def squared_errors(comparison: ModelComparison, fold: Fold) -> FloatArray:
-    """Return the sums of squared errors (O,) along trajectories left out; infinite where they cannot be simulated."""
+    """Return the sums of squared errors (O,) along trajectories left out; they are infinite if these trajectories
+    cannot be simulated."""
     whole, steps = comparison.estimator, SETTINGS.effort.steps
     measurements, left_out = whole.measurements, fold.left_out
     is_out = np.isin(measurements.owners, list(left_out))
@@ -90,7 +92,8 @@ def _make_estimator(whole: MultipleShooting, measurements: TrajectoryMeasurement
 FOLDS: Final[BatchFunction[ModelComparison, Fold, FloatArray]] = BatchFunction(
     "folds", ComparisonParts, Fold, FloatArray, squared_errors, ModelComparison.from_parts
 )
-"""Systems fitted without some trajectories, and their residuals on these."""
+"""The batch function for folds: systems are fitted without some trajectories, and their squared errors on these
+trajectories are summed."""
 
 
 def _total_squares(measurements: TrajectoryMeasurements) -> FloatArray:

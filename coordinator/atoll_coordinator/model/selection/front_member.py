@@ -29,7 +29,7 @@ def front_length(
     Args:
         entry: the member, with its complexity and mean squared error.
         rows: n, number of rows on which the error was measured, or number of rows with independent errors.
-        uncertainty: mean uncertainty of the target over its standard deviation.
+        uncertainty: mean uncertainty of the target, divided by the standard deviation of the target.
         standard_deviation: standard deviation of the target, in its unit.
         constants: k.
     """
@@ -38,11 +38,14 @@ def front_length(
     return 0.5 * rows * log(misfit) + entry.complexity * SETTINGS.criterion.node + 0.5 * constants * log(float(rows))
 
 
-def select_member(front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None) -> int:
-    """Return the index of the member with the least description length; of equal lengths, the first.
+def select_shortest_description(
+    front: Sequence[FrontEntry], rows: int, target: Target, target_error: float | None = None
+) -> int:
+    """Return the index of the member with the least description length; if several lengths are equal, the first of
+    them.
 
     If some members reach the error at which an equation counts as found, only these members are considered. So if a
-    search ended because it reached its target error, the shown equation reaches this error.
+    search ended because it reached its target error, the shown equation also has at most this error.
 
     Raises:
         ValueError: the front is empty.

@@ -1,7 +1,7 @@
-"""Start values of the constants of one structure, where constants differ between groups of trajectories.
+"""Start values of constants if groups of trajectories have their own constants.
 
-Constants are fitted to the rows of each group before trajectories are simulated, or taken from a similar system.
-Letters: G groups, P fitted constants, Q fitted numbers of all groups together, N nodes.
+The start values are fitted to the rows of each group before any trajectory is simulated, or taken from a similar
+system. Letters: G groups, P fitted constants, Q fitted numbers of all groups together, N nodes.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -24,7 +24,7 @@ class GroupedRows:
 
     Attributes:
         count: number of groups.
-        problems: for each equation the problem of each group; empty for a known equation.
+        problems: for each equation, the regression problem of each group; empty for a known equation.
         restrictions: of equations, by index.
     """
 

@@ -1,13 +1,14 @@
-"""The best system of all candidates: programs are exchanged, then shorter descriptions are searched nearby (ADR 0021).
+"""The best system of all candidates: programs are exchanged, then similar systems with shorter descriptions are
+searched (ADR 0021).
 
 How it works. `find_starting_system` fits a few combinations of the best candidates. `exchange_programs` then tries the
 candidates of each equation in turn, with all other equations unchanged, until no exchange shortens the description.
 `search_locally` changes equations at single nodes, restarts from other candidates, and removes unnecessary parts.
-`search_terms` adds or removes single terms along the trajectories. The errors are calibrated by the residuals of the
-best system between these steps. All work is bounded by counts, never by the clock.
+`search_terms` adds or removes single terms along the trajectories. Between these steps, the error model is estimated
+again from the residuals of the best system. All work is limited by counts, not by the clock.
 
-Doubts. An exchange of one equation at a time does not reach a system if two equations must change together. A used-up
-budget ends the search early.
+Doubts. If two equations must change together, an exchange of one equation at a time does not find the system. The
+search ends early if its budget is used up.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -38,8 +39,8 @@ def fit_jointly(
         task: the measurements and candidates.
         lists: candidates of each variable, the best first.
         start: programs of the first system; None: the best of a few combinations.
-        are_laws: whether all candidates are laws, and no further terms are searched. Then no term can describe errors
-            of coarse integration steps.
+        are_laws: whether all candidates are laws. Then no further terms are searched, because such a term could
+            describe errors of coarse integration steps.
     """
     comparison = task.comparison
     best = find_starting_system(comparison, lists) if start is None else comparison.fit_model(start)
@@ -60,7 +61,8 @@ def search_jointly(
 ) -> SelectedModel | None:
     """Return the best system of these candidates and their neighbourhood, see `fit_jointly`.
 
-    If `is_hopeless` returns True for the best system of the candidates, its neighbours are not searched.
+    If `is_hopeless` returns True for the best system of the candidates, the neighbourhood of this system is not
+    searched.
     """
     selection = fit_jointly(task, lists, start)
     if selection is None:
@@ -76,11 +78,12 @@ def search_jointly(
 def _treat_as_noise_free(
     task: ModellingTask, comparison: ModelComparison, best: FittedModel
 ) -> tuple[ModelComparison, FittedModel]:
-    """Return comparison and system for noise-free data if the residuals show that there is no noise; else both
-    unchanged.
+    """Return comparison and system for noise-free data, if the residuals show that there is no noise. If not, both are
+    returned unchanged.
 
     With few rows, or few rows in a period, a smoother treats fast motion as noise. The tolerance of the integration is
-    proportional to the noise: here it would be so large that unnecessary terms describe the integration errors.
+    proportional to the noise. So in this case the tolerance would be so large that unnecessary terms would describe the
+    integration errors.
     """
     limit = SETTINGS.selection.least_noise * comparison.estimator.measurements.scales
     observed = comparison.estimator.measurements.observed
@@ -125,8 +128,8 @@ def exchange_programs(
     """Return the best system found by exchanging the program of one variable at a time.
 
     If the residuals are integration errors, only shorter programs are tried. Candidates are narrowed down in `rounds`.
-    Workers fit the candidates for all equations at the same time, as if the best system stayed the same; after an
-    exchange the later results are dropped.
+    Workers fit the candidates for all equations at the same time, with the present best system. After an exchange in
+    one equation, the results for the later equations are dropped.
     """
     until = comparison.estimator.work + SETTINGS.effort.work
     if comparison.score.is_exact(best):
@@ -159,11 +162,13 @@ def exchange_programs(
 
 
 def _exchange_two(comparison: ModelComparison, best: FittedModel) -> FittedModel:
-    """Return the best system, or a shorter description with two equations exchanged at the same time.
+    """Return the best system, or a system with a shorter description in which two equations are exchanged at the same
+    time.
 
     If noise hides the difference between alternatives, the best equation of one state depends on the equation of
-    another state. Then no single exchange may shorten the description: with 21 rows of hares and lynxes, the system of
-    both best alternatives was 2 nats shorter. The pairs whose alternatives are closest are fitted.
+    another state. Then no single exchange may shorten the description: for example, with 21 rows of hares and lynxes,
+    the system with the best alternative of each equation was 2 nats shorter. Pairs of alternatives are sorted by the
+    nats that their two single exchanges cost together; the first pairs are fitted.
     """
     alternatives: list[list[tuple[float, Program]]] = [[] for _ in best.programs]
     own_forms = [structure(program) for program in best.programs]
@@ -188,8 +193,8 @@ def _exchange_two(comparison: ModelComparison, best: FittedModel) -> FittedModel
 def _promising_programs(
     comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]
 ) -> dict[int, list[Program]]:
-    """Return, by equation, the programs that may shorten the description; equations without such programs are left
-    out."""
+    """Return, by equation, the programs that may shorten the description. Equations without such programs are not in
+    the result."""
     room = comparison.score.possible_gain(best)
     lengths = [comparison.score.length_limit(best, equation, room) for equation in range(len(lists))]
     shorter = [
@@ -243,11 +248,12 @@ def search_terms(
 ) -> FittedModel:  # fmt: skip
     """Return the end of a descent from the best system; each step adds or removes one term of one equation.
 
-    Each changed system is fitted along the trajectories from the current one, until the estimator's work is `until`.
-    All terms are tried, even if the residuals are small: other constants partly compensate for a missing term, so that
-    noise hides the remaining pattern. The expanded sum is tried as well: in this form each term, or its coefficient,
-    can be removed. Descents also start from two programs that adding one term does not reach: the best candidate in
-    `lists` without functions, if the equation has functions; and the best sum of two terms in `pairs`.
+    Each changed system is fitted along the trajectories, starting from the fit of the current system. The descent ends
+    when the estimator's work reaches `until`. All terms are tried, even if the residuals are small: other constants
+    partly compensate for a missing term, so noise may hide the remaining pattern. The equation is also tried as an
+    expanded sum: in this form each term, or its coefficient, can be removed. Two programs cannot be reached by adding
+    one term, so descents also start from these programs. The first is the best candidate in `lists` without functions;
+    it is used if the equation has functions. The second is the best sum of two terms in `pairs`.
     """
 
     def around(equation: int, program: Program) -> Iterator[Program]:
@@ -272,9 +278,9 @@ def search_terms(
 def recalibrate(
     comparison: ModelComparison, best: FittedModel, others: Sequence[FittedModel]
 ) -> tuple[ModelComparison, FittedModel]:
-    """Return a comparison whose errors are estimated from the residuals of the best system, and this system.
+    """Return a comparison whose error model is estimated from the residuals of the best system, and this system.
 
-    The closest alternatives, and the equations of `others`, are compared again.
+    The closest alternatives and the equations of `others` are compared again.
     """
     known_models = sorted(comparison.fitted_models.items(), key=lambda item: item[1].nats)
     comparison, best = comparison.calibrate(comparison.fit_from(best, best.programs) or best)
@@ -295,8 +301,8 @@ def compare_alternatives(
 ) -> None:  # fmt: skip
     """Fit programs in the place of one equation, and remember the best.
 
-    The unnecessary constants of the first few are removed: alternatives with more constants than the equation usually
-    do not count.
+    The unnecessary constants of the first few programs are removed: an alternative that has more constants than the
+    equation usually does not count.
     """
     effort = SETTINGS.effort
     rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
@@ -318,7 +324,7 @@ def reduce_all(comparison: ModelComparison, best: FittedModel) -> FittedModel:
 def _restart(
     comparison: ModelComparison, descent: LocalSearch, best: FittedModel, equation: int, programs: Sequence[Program]
 ) -> FittedModel:
-    """Return the best end of descents that begin with other programs for one equation, all other equations
+    """Return the best result of descents that begin with other programs for one equation. All other equations begin
     unchanged."""
     effort = SETTINGS.effort
     rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))

@@ -1,12 +1,12 @@
 """Local search: shortens the description of a system by changes of one equation at one node.
 
-How it works. `improve` takes one equation after another. It removes unnecessary parts, and fits the programs nearby
-(`narrow_down`: many programs with few steps, the best with more steps). If the description of such a program is about
-as short, its unnecessary parts are removed. The search continues from the shortest description. The search ends when no
-equation changes, or when the work budget is used up.
+How it works. `improve` takes one equation after another. It removes unnecessary parts, and fits programs that differ
+from the equation at one node. `narrow_down` fits many of these programs with few steps, and the best with more steps.
+If the description of such a program is about as short, its unnecessary parts are removed. The search continues from the
+shortest description. The search ends when no equation changes, or when the work budget is used up.
 
-Doubts. Only one equation changes at a time, at one node. `prune` uses standard errors from the normal equations, which
-are too small if the residuals have a pattern; each removal is therefore confirmed by a fit."""
+Doubts. Only one equation changes at a time, at one node. `prune` uses standard errors from the normal equations. These
+standard errors are too small if the residuals have a pattern, so each removal is confirmed by a fit."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -26,15 +26,15 @@ from atoll_core.expression.writing.shortest import collected
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
 
 ProgramsNearby = Callable[[int, Program], Iterator[Program]]
-"""Returns programs near a program of an equation (index, program) that may replace it."""
+"""A function of an equation (its index, its program). It returns similar programs that may replace this program."""
 
 
 class LocalSearch:
-    """Shortens systems until no system nearby is shorter, or the estimator's `budget` of work is used up.
+    """Shortens systems until no similar system is shorter, or until the estimator's `budget` of work is used up.
 
     A step that has begun is finished, unless it exceeds the budget by more than `SETTINGS.effort.work`. A descent ends
-    at a system that was tried before. Unless the search `is_thorough`, only unnecessary constants are removed from
-    systems on the way, and no other parts.
+    at a system that was tried before. If the search is not `is_thorough`, only unnecessary constants are removed from
+    intermediate systems, and no other parts.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class LocalSearch:
         return estimator.deadline.is_over or estimator.work > self._budget
 
     def improve(self, model: FittedModel, equations: list[int]) -> FittedModel:
-        """Return the end of the descent from `model`, by changes of `equations`."""
+        """Return the result of the descent that begins with `model` and changes `equations`."""
         waiting = list(equations)
         while waiting and not self.is_exhausted:
             equation = waiting.pop(0)
@@ -81,10 +81,10 @@ class LocalSearch:
         return model
 
     def prune(self, model: FittedModel, equation: int) -> FittedModel:
-        """Set constants of one equation to 0, 1 or -1 as long as this shortens the description.
+        """Set constants of one equation to 0, 1 or -1, as long as such a step shortens the description.
 
-        Candidates follow from the distance of a constant from 0, 1 or -1 in standard errors (Wald's test). So each step
-        takes one or two fits. There are few constants, so this is done even if the budget is used up.
+        The constants are tried in the order of their distance from 0, 1 or -1, in standard errors (Wald's test). So
+        each step takes one or two fits. There are few constants, so this is done even if the budget is used up.
         """
         while True:
             following = None
@@ -102,8 +102,8 @@ class LocalSearch:
         """Return programs with one constant set to 0, 1 or -1, the most promising first.
 
         Constants of infinite variance, which the data do not determine, come first. The other constants are sorted by
-        their distance. Integration errors do not show the uncertainty of constants. So if residuals are integration
-        errors, their upper limit counts instead.
+        their distance. If the residuals are integration errors, they do not show the uncertainty of constants. Then the
+        upper limit of integration errors is used instead of the residuals.
         """
         program = model.programs[equation]
         fit = model.fit
@@ -127,8 +127,8 @@ class LocalSearch:
     def _is_new(
         self, known_lengths: dict[tuple[int, tuple[bytes, ...]], float], model: FittedModel, equation: int
     ) -> bool:
-        """Tell whether an equation of a system is not in `known_lengths`, or only with a longer description; add it
-        then."""
+        """Tell whether this change of a system is new: the system and `equation` are not in `known_lengths`, or only
+        with a longer description. A new one is added."""
         system = equation, tuple(map(structure, model.programs))
         if model.nats > known_lengths.get(system, math.inf) - SETTINGS.selection.least_gain:
             return False

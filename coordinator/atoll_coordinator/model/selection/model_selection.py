@@ -6,12 +6,12 @@ the next state. There are three kinds of stages:
 
 1. *Shortcuts*: laws by sparse regression are fitted first. If these laws describe the trajectories up to the noise,
    nothing else is proposed.
-2. *Candidates*: each stage adds its proposals for each equation to the pool. This ends when the pool suffices
-   (`CandidatePool.is_sufficient`): the residuals of a system are noise, and its equations are not longer than laws
-   usually are. Then the best system is searched: candidates are exchanged, and descents look for shorter descriptions
-   nearby.
-3. *Improvements* of the system found: candidates that were too long, with one part removed; operators that a search
-   does not use at first; the user's guesses; and terms that noise has hidden.
+2. *Candidates*: each stage adds its proposals for each equation to the pool. No stage adds further proposals when the
+   pool suffices (`CandidatePool.is_sufficient`): the residuals of a system are noise, and its equations are not longer
+   than laws usually are. Then the best system is searched: candidates are exchanged, and local searches look for
+   shorter descriptions.
+3. *Improvements* of the system found: the stages try candidates that were too long, with one part removed; operators
+   that a search does not use at first; the user's guesses; and terms that noise has hidden.
 
 Doubts: each improvement was added for a kind of law that the earlier stages had missed. A search over all candidates by
 one criterion would make the improvements unnecessary, at several times the work.
@@ -65,9 +65,9 @@ class Choice:
 
     Attributes:
         task: the measurements and candidates.
-        pool: the candidates; None before the first stage that proposes any.
+        pool: the candidates; None before the first stage that proposes candidates.
         selection: the best system so far; None if no system could be simulated yet.
-        law_selection: the best system of laws alone, fitted first if there is a time limit.
+        law_selection: the best system of laws alone; if there is a time limit, it is fitted first.
         is_searched: whether the selection comes from the search among candidates, and not from laws alone.
     """
 
@@ -84,7 +84,8 @@ class Choice:
 
     @property
     def may_improve(self) -> bool:
-        """Whether the search has found a system that may lack a part of the law, and time is left."""
+        """Whether a stage may improve the system: the search has found it, a part of the law may be missing, and time
+        is left."""
         return self.is_searched and self.selection is not None and not (self.is_exact or self.is_over)
 
     @property
@@ -100,7 +101,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of the choice: its name in the log, its condition, and the function from one choice to the next."""
+    """One stage of the choice: its name in the log, its condition, and the function that returns the next choice."""
 
     name: str
     is_due: Callable[[Choice], bool]
@@ -128,7 +129,7 @@ def fit_laws(choice: Choice) -> Choice:
 
 
 def begin_with_laws(choice: Choice) -> Choice:
-    """Fit the laws in short pieces; they are the model if the time ends before a shorter description is found."""
+    """Fit the laws in short pieces. These laws are the model if the time ends before a shorter description is found."""
     return replace(choice, law_selection=fit_laws_in_short_pieces(choice.task))
 
 
@@ -174,9 +175,9 @@ def search(choice: Choice) -> Choice:
 def compare_with_laws(choice: Choice) -> Choice:
     """Select the laws that were fitted first, unless the search has found a shorter description.
 
-    With a time limit, the search may have fitted only some members of the fronts. Both systems are fitted to the same
-    pieces. The result of the search is then compared with all laws, because it may not have been compared with its
-    alternatives.
+    With a time limit, the search may have fitted only some members of the fronts. The system of the search and the
+    system of laws are fitted to the same pieces. Each equation of the search is then compared with all laws, because it
+    may not have been compared with its alternatives.
     """
     law_selection, selection = choice.law_selection, choice.selection
     assert law_selection is not None
@@ -206,10 +207,11 @@ def improve(change: Callable[[SelectedModel], SelectedModel]) -> Callable[[Choic
 
 
 def try_reduced_candidates(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter description by a long candidate with one part removed.
+    """Return the selection, or a selection with a shorter description. In the latter, one equation is a long candidate
+    from which one part was removed.
 
-    If the residuals of a short equation are noise, longer candidates are not fitted. One of them may be the law plus
-    one term, for example a x**b - c x**d - 0.003 for the law 0.8 x**0.75 - 1.5 x**3.
+    If the residuals of a short equation are noise, longer candidates are not fitted. One of the longer candidates may
+    be the law plus one term, for example a x**b - c x**d - 0.003 for the law 0.8 x**0.75 - 1.5 x**3.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
     lists = [
@@ -223,7 +225,8 @@ def try_reduced_candidates(selection: SelectedModel) -> SelectedModel:
 
 
 def try_guesses(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter description by the user's guesses, one at a time or all together.
+    """Return the selection, or a selection with the user's guesses that has a shorter description. The guesses are
+    tried one at a time and all together.
 
     All guesses are fitted along the trajectories, even if the search has rejected them, since the search compares
     derivatives.
@@ -244,12 +247,13 @@ def try_guesses(selection: SelectedModel) -> SelectedModel:
 
 
 def try_other_terms(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter description with terms added or removed, see `search_terms`.
+    """Return the selection, or a selection with a shorter description after terms were added or removed, see
+    `search_terms`.
 
-    Noise may have hidden a term, or caused an unnecessary term. After each better system, the errors of measurement are
-    estimated again from its residuals. Without noise the stage does not run: no term is hidden then, and an added term
-    could describe errors of coarse integration steps. It does not run for laws by derivatives among many variables,
-    because these were chosen from all terms.
+    Noise may have hidden a term, or caused an unnecessary term. When a better system is found, the errors of
+    measurement are estimated again from its residuals. Without noise the stage does not run: no term is hidden then,
+    and an added term could describe errors of coarse integration steps. It does not run for laws that were found among
+    many variables from derivatives, because these laws were chosen from all terms.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
     until, known_structures = comparison.estimator.work + SETTINGS.effort.work, {_structures_of(best)}
@@ -271,7 +275,8 @@ def _structures_of(model: FittedModel) -> tuple[bytes, ...]:
 
 
 def try_further_operators(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter description with operators that a search does not use at first."""
+    """Return the selection, or a selection with a shorter description that has operators which a search does not use at
+    first."""
     task, comparison, before = selection.task, selection.comparison, selection.model
     widened = [name for name in task.variables if may_use_further_operators(task, name)]
     if not widened:
@@ -329,7 +334,8 @@ STAGES: Final = (
 
 
 def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> Iterator[str]:
-    """Yield a remark for the user: which further operators the `shown` equations have, or that none was useful."""
+    """Yield a remark for the user. It names the further operators that the `shown` equations have, or tells that no
+    further operator was useful."""
     programs = [shown[name] for name in selection.widened if name in shown]
     codes = {code for program in programs for code in program.operators.tolist()}
     taken = [name for name in FURTHER_OPERATORS if BY_NAME[name].code in codes]

@@ -1,10 +1,10 @@
 """Piece length: the number of rows of a trajectory that are simulated without a break.
 
 Errors of an initial state grow along a trajectory; a chaotic trajectory cannot be predicted beyond some hundred rows.
-If whole trajectories cannot be fitted, shorter pieces, each from its own initial state, often can. Shorter pieces are a
-weaker test of a model. So `search_in_pieces` begins with the longest pieces, and takes shorter pieces only if the
-system fits these shorter pieces well. Doubt: a wrong system can also fit short pieces; a remark in the result says that
-the model was tested in pieces.
+If whole trajectories cannot be fitted, shorter pieces often can be fitted: each piece has its own initial state.
+Shorter pieces are a weaker test of a model. So `search_in_pieces` begins with the longest pieces, and takes shorter
+pieces only if the system fits these shorter pieces well. Doubt: a wrong system can also fit short pieces; a remark in
+the result says that the model was tested in pieces.
 """
 
 from collections.abc import Iterator, Sequence
@@ -97,8 +97,8 @@ def _calibrate(selection: SelectedModel) -> SelectedModel:
 
 
 def piece_remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:
-    """Yield remarks for the user: subtracted solver errors, trajectories simulated in pieces, states without an
-    equation."""
+    """Yield remarks for the user on subtracted solver errors, on trajectories simulated in pieces, and on states
+    without an equation."""
     if task.solver is not None:
         yield f"{task.solver}, reproduces the rows from these equations; its errors were subtracted from the rows."
     whole = task.longest
@@ -132,7 +132,8 @@ def _fits_in_shorter_pieces(tasks: Sequence[ModellingTask], selection: SelectedM
 def _lengthen_pieces(
     task: ModellingTask, selection: SelectedModel, lists: Sequence[Sequence[Program]]
 ) -> SelectedModel:
-    """Return the system fitted to longer pieces if it describes these, else the system for short pieces."""
+    """Return the system fitted to longer pieces, if it describes these pieces; if not, return the system for short
+    pieces."""
     rows = selection.comparison.estimator.measurements.rows
     for longer in _tasks_by_piece_length(task):
         if longer.piece <= selection.task.piece:
@@ -154,18 +155,19 @@ def _fit_task(
 
 
 def _tasks_by_piece_length(task: ModellingTask) -> list[ModellingTask]:
-    """Return the task with its own piece length, and with shorter piece lengths, at most half of the longest
-    trajectory."""
+    """Return the task with its own piece length, and with shorter piece lengths. A shorter piece has at most half of
+    the rows of the longest trajectory."""
     most = min(task.piece, task.longest)
     return [task, *(replace(task, piece=rows) for rows in reversed(SETTINGS.shooting.lengths[1:]) if 2 * rows <= most)]
 
 
 def choose_piece_length(task: ModellingTask, programs: Sequence[Program]) -> ModellingTask:
-    """Return the task with the piece length at which a system describes nearly noise-free rows in the fewest nats.
+    """Return the task with a new piece length: with this length, a system describes nearly noise-free rows in the
+    fewest nats.
 
     Errors of a solver add up along a trajectory. Each piece begins with a new initial state, without accumulated
-    errors; it costs 1/2 ln N for each number. In a whole trajectory, terms that are not in the law would describe the
-    accumulated errors.
+    errors; each number of this initial state costs 1/2 ln N. In a whole trajectory, terms that are not in the law would
+    describe the accumulated errors.
     """
     lengths: dict[int, float] = {}
     tasks = {task.piece: task}

@@ -1,8 +1,8 @@
 """The pool of candidates: the ranked programs for each equation, and the best system of a few of them.
 
 Proposals come in stages (`STAGES`). Each call of `add` ranks the new programs of each equation by its trajectories
-alone (`candidates`), then fits a few systems of the best ones. As soon as the residuals of a system are noise, new
-programs are no longer added if they are so long that no decrease of the misfit could compensate their length. Doubt:
+alone (`candidates`), then fits a few systems of the best ones. If the residuals of a system are noise, there is a limit
+of length: longer programs are not added, because no decrease of the misfit could compensate their length. Doubt:
 `is_sufficient` can stop too early if the best system fits by chance; later stages try further programs.
 """
 
@@ -29,11 +29,10 @@ class CandidatePool:
         self, task: ModellingTask, comparison: ModelComparison, fixed_candidates: Mapping[str, Sequence[Program]],
         best: FittedModel | None = None, *, is_calibrating: bool = True,
     ) -> None:  # fmt: skip
-        """The equations of variables in `fixed_candidates` have these candidates only.
+        """Create a pool. If a variable is in `fixed_candidates`, its equation has only the candidates given there.
 
-        The `best` system, if there is one already, has calibrated the errors of the `comparison`. Unless the pool
-        `is_calibrating`, better systems do not calibrate the comparison again, so that old and new lengths can be
-        compared.
+        The `best` system, if there is one already, has calibrated the errors of the `comparison`. If `is_calibrating`
+        is False, better systems do not calibrate the comparison again, so that old and new lengths can be compared.
         """
         self._is_calibrating = is_calibrating
         self.comparison = comparison
@@ -73,7 +72,8 @@ class CandidatePool:
 
     @property
     def longest(self) -> float:
-        """Nats of the longest equation of the best system, among equations with ranked candidates; 0 without any."""
+        """Nats of the longest equation of the best system. Only equations with ranked candidates count; 0 if there are
+        none."""
         programs = [] if self.best is None else self.best.programs
         pairs = zip(self._task.variables, programs, strict=False)
         searched = [program for name, program in pairs if name in self._ranked]
@@ -83,9 +83,10 @@ class CandidatePool:
     def is_sufficient(self) -> bool:
         """Whether further candidates are unlikely to shorten the description.
 
-        False if a longer system could still reduce the misfit by more than its length. Also False if a shorter system
-        may be missing: when targets are so uncertain that the search cannot distinguish equations of the same error
-        (for example bar magnets with 5 % of noise), or when an equation is longer than laws usually are.
+        False if a longer system could still reduce the misfit by more than it adds to the length. Also False if a
+        shorter system may be missing. This is so in two cases: targets are so uncertain that the search cannot
+        distinguish equations of the same error (for example bar magnets with 5 % of noise), or an equation is longer
+        than laws usually are.
         """
         if self.best is None or self.comparison.score.may_be_improved(self.best):
             return False
@@ -98,7 +99,8 @@ class CandidatePool:
 def _programs_of_search(task: ModellingTask, name: str) -> list[Program]:
     """Return the programs of the search for an equation, used if no time is left to rank candidates.
 
-    First come the shortest programs that describe the target up to its uncertainty, then the others by their error.
+    First come the programs that describe the target up to its uncertainty, the shortest first; then the other programs,
+    sorted by their error.
     """
     target, members = task.dataset.problem(name).target, task.candidates[name].front
     limit = (target.uncertainty * target.standard_deviation) ** 2

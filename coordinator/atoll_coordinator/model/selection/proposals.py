@@ -1,9 +1,9 @@
 """Proposers: functions that return candidate programs for an equation. They do not choose among these programs.
 
 Each takes the modelling task, the name of a variable, and a limit of the length in nats (infinite if no limit is
-known). Longer programs cannot be the model. Sources are the search, sparse regression, matching pursuit of derivatives,
-pairs of terms, and candidates with one part removed. Doubt: most proposals are selected by their error on smoothed
-derivatives, where the right program may have a low rank.
+known). Programs above this limit cannot be the model. Sources of proposals are the search, sparse regression, matching
+pursuit of derivatives, pairs of terms, and candidates with one part removed. Doubt: most proposals are selected by
+their error on smoothed derivatives, where the right program may have a low rank.
 """
 
 import math
@@ -31,7 +31,7 @@ from atoll_core.expression.writing.shortest import shortened
 
 
 def propose_nearest(task: ModellingTask, name: str, most: float) -> Iterable[Program]:
-    """Return the best programs of the search, and laws by sparse regression."""
+    """Return the best programs of the search, and the laws found by sparse regression."""
     del most
     settled = [task.settled[name].program] if name in task.settled else []
     laws = (law.program for law in task.laws.get(name, ()))
@@ -67,7 +67,8 @@ def propose_reduced(
 
 
 def _with_whole_powers(program: Program) -> Iterator[Program]:
-    """Yield the program with each constant exponent rounded to a whole number, and with all of them rounded."""
+    """Yield copies of the program in which one constant exponent is rounded to a whole number, and a copy in which all
+    constant exponents are rounded."""
     nodes = program.nodes()
     exponents = {right: nodes[right][3] for code, _, right, _ in nodes if code == POW and nodes[right][0] == CONSTANT}
     whole = {place: float(round(value)) for place, value in exponents.items() if math.isfinite(value) and round(value)}
@@ -77,7 +78,8 @@ def _with_whole_powers(program: Program) -> Iterator[Program]:
 
 
 def with_target_values_of(program: Program, problem: Problem, uncertainty: float) -> Problem | None:
-    """Return the problem with the values of a program as target; `uncertainty` is a share of their standard deviation.
+    """Return the problem with the values of a program as target. `uncertainty` is a share of the standard deviation of
+    these values.
 
     None if the values are constant or not finite.
     """
@@ -98,8 +100,8 @@ def propose_all(task: ModellingTask, name: str, most: float) -> Iterable[Program
 def propose_pairs(task: ModellingTask, name: str) -> list[Program]:
     """Return the sums of two products up to the second degree, sorted by their residuals on the derivatives.
 
-    In logistic growth, for example, each term alone describes less than a constant does, so that adding or changing one
-    term at a time does not reach the sum of both.
+    In logistic growth, for example, each of the two terms alone fits worse than a constant. So the sum of both terms is
+    not found by adding or changing one term at a time.
     """
     problem = task.dataset.problem(name)
     terms = next(polynomial_and_fourier_libraries(task.columns(name), task.operators(name)), [])
@@ -127,8 +129,8 @@ def propose_further_sums(task: ModellingTask, name: str, most: float) -> Iterabl
 def may_use_further_operators(task: ModellingTask, name: str) -> bool:
     """Tell whether further operators may be tried for an equation.
 
-    False for a known equation, and for a law that was found among many variables from derivatives: it has no other
-    candidates."""
+    False for a known equation. Also False for a law that was found among many variables from derivatives: such an
+    equation has no other candidates."""
     return bool(task.further_operators(name)) and name not in task.rate_law_variables and name not in task.known
 
 

@@ -4,11 +4,11 @@ How it works. A description consists of three parts: the residuals of the simula
 the structures of the equations, and 1/2 ln N for each fitted constant (`model.description_length`). The error model
 consists of the size of the independent errors and of correlated errors of a sensor. At first the error model comes from
 the smoother, later from the residuals of the best system. A score never changes: `Score.calibrate` returns another
-score, and lengths by two scores are never compared.
+score. The length of a system by one score is never compared with a length by another score.
 
 Doubts: the calibration treats the residuals of the best system so far as errors of measurement. If this system is
-wrong, the score is too lenient for other systems. So the errors are calibrated again after each stage that found a
-better system.
+wrong, the errors are overestimated, and other wrong systems may seem to fit. So the errors are calibrated again after
+each stage that found a better system.
 """
 
 import math
@@ -39,8 +39,8 @@ from atoll_core.expression.program import Program, constant_places
 
 @dataclass(frozen=True, eq=False)
 class SummarizedFit:
-    """The mean squares (O,) of a fit that a worker has made; `complete` integrates the system again and returns the
-    fit."""
+    """The mean squares (O,) of the residuals of a fit that a worker has made. `complete` integrates the system again
+    and returns the complete fit."""
 
     squares: FloatArray
     complete: Callable[[], TrajectoryFit] = field(repr=False)
@@ -83,10 +83,10 @@ class Score:
         estimator: fits systems to the measurements.
         leading: number of equations of positions that come before the other equations (order 2); not scored.
         fixed: equations, by index, whose constants are given.
-        groups: groups of trajectories that may have their own constants; 1 without groups.
+        groups: number of groups of trajectories that may have their own constants; 1 if there are no groups.
         roughness: standard deviations (O,) of independent errors.
         rows: number of independent rows (O,) from which `roughness` was estimated.
-        errors: errors that are correlated between neighbouring rows; None if all are independent.
+        errors: errors that are correlated between neighbouring rows; None if all errors are independent.
     """
 
     estimator: MultipleShooting
@@ -120,28 +120,29 @@ class Score:
 
     @property
     def _least_squares(self) -> FloatArray:
-        """Mean squares (O,) of residuals below which smaller residuals gain nothing. They are the mean squares of
-        integration errors. For rounded values they are at least the smallest mean squares that rounding errors have by
-        chance, so that a function that follows the steps of rounded values has no advantage."""
+        """Lower limits (O,) of the mean squares of residuals: smaller residuals do not shorten the description. The
+        limits are the mean squares of integration errors. For rounded values, the limits are at least the smallest mean
+        squares that rounding errors have by chance. So a function that follows the steps of rounded values has no
+        advantage."""
         rounding, least = self.estimator.measurements.rounding, self.least_errors**2
         return least if rounding is None else np.maximum(least, rounding**2 / _variance_factors(self.counts))
 
     @cached_property
     def pieces(self) -> FloatArray:
-        """Number of independent numbers in the systematic errors of each state (O,)."""
+        """How many independent numbers the systematic errors of each state (O,) have."""
         least = SETTINGS.selection.systematic_numbers
         return np.minimum(np.maximum(count_pieces(self.estimator.measurements), least), self.counts)
 
     @cached_property
     def is_noisy(self) -> npt.NDArray[np.bool_]:
-        """Which states (O,) have independent errors, as the smoother estimates them, that are large enough to hide a
-        term."""
+        """For each state (O,), whether its independent errors are large enough to hide a term. The smoother has
+        estimated these errors."""
         return self.estimator.measurements.noise >= SETTINGS.selection.least_noise * self._scales
 
     @cached_property
     def misfit(self) -> TrajectoryMisfit:
-        """The misfit in nats for mean squares of residuals, whose independent part has about the size of
-        `roughness`."""
+        """The function from mean squares of residuals to nats. It assumes that independent errors have about the
+        standard deviations `roughness`."""
         smallest, spread = SETTINGS.selection.least_noise * self._scales, _variance_factors(self.rows)
         is_noisy, variances = self.roughness >= smallest, np.maximum(self.roughness, smallest) ** 2
         return TrajectoryMisfit(
@@ -202,11 +203,11 @@ class Score:
         return system_length(misfit, system.programs[self.leading :], 1, self._constants_length(system))
 
     def _misfit_of(self, system: OdeSystem) -> TrajectoryMisfit:
-        """Return the misfit function for systems with as many fitted numbers as this system."""
+        """Return the misfit function for systems that have as many fitted numbers as `system`."""
         return self.misfit.with_fitted(self._fitted_numbers(system))
 
     def _fitted_numbers(self, system: OdeSystem) -> float:
-        """Return the number of fitted numbers per measured state: constants, including temporarily fixed constants, and
+        """Return the number of fitted numbers per measured state: constants (also the temporarily fixed constants) and
         initial states."""
         programs = system.programs[self.leading :]
         searched = (program for index, program in enumerate(programs) if index not in self.fixed)
@@ -214,14 +215,14 @@ class Score:
         return (constants + self._initial_values) / len(self.counts)
 
     def _constants_length(self, system: OdeSystem) -> float:
-        """Return the nats of all fitted constants; a constant of one group is determined by the rows of this group
-        only."""
+        """Return the nats of all fitted constants; a constant that belongs to one group is determined by the rows of
+        this group only, so it costs less."""
         own = 0 if system.sharing is None else system.sharing.own_numbers
         return self._own_nats * own + self._shared_nats * (system.count - own)
 
     def _resting_misfit(self, fit: TrajectoryFit) -> float:
-        """Return the misfit of states that rest at 0, n/2 ln(s / least^2): only integration errors are expected
-        there."""
+        """Return the misfit of simulations of states that rest at 0. It is n/2 ln(s / least^2) with n rows, the mean
+        square s and the size `least` of integration errors: only these errors are expected there."""
         measurements = self.estimator.measurements
         total = 0.0
         for resting, state, least in zip(
@@ -236,7 +237,8 @@ class Score:
         return total
 
     def _independent_noise(self, deviations: FloatArray, free: FloatArray) -> FloatArray:
-        """Return the standard deviations (O,) of independent errors, by the roughness of residuals.
+        """Return the standard deviations (O,) of independent errors, computed from the roughness `deviations` (O,) of
+        residuals.
 
         Only `free` rows (O,) count: rows minus fitted numbers. The smoother's noise counts as one more row, because
         residuals of a system with as many fitted numbers as rows have no information.
@@ -245,12 +247,13 @@ class Score:
         return np.asarray(np.sqrt((squares * (free > 0.0) + smoother) / (np.maximum(free, 0.0) + 1.0)))
 
     def refit_with_errors(self, fit: TrajectoryFit, errors: ErrorModel | None) -> TrajectoryFit | None:
-        """Return the fit repeated with these errors; None: with independent errors."""
+        """Return the fit repeated with the error model `errors`; None: with independent errors."""
         errors = errors or ErrorModel.independent(np.sqrt(fit.squares))
         return self.estimator.fit(fit.system, None, SETTINGS.effort.steps, fit.starts, errors, is_stiff=fit.is_stiff)
 
     def _refit_with_sensor_errors(self, fit: TrajectoryFit) -> TrajectoryFit | None:
-        """Return a fit repeated with correlated errors of a sensor; None without such errors, or if they are refuted.
+        """Return a fit repeated with correlated errors of a sensor. None if there are no such errors, or if they are
+        refuted.
 
         See `Innovations.sensor_errors` and `_is_refuted`. Nearly noise-free states have no errors of a sensor.
         """
@@ -276,7 +279,8 @@ class Score:
         return self.is_noisy & (self.errors is None)
 
     def inflation(self, model: FittedModel) -> float:
-        """Return the variance inflation: the number of rows that count as one row in the covariance of constants.
+        """Return the variance inflation: the number of correlated rows that count as one independent row in the
+        covariance of constants.
 
         It is 1 if errors are independent."""
         return self._inflation(model.fit)
@@ -295,17 +299,18 @@ class Score:
         return structure_length(program) + self.constant_nats * len(constant_places(program))
 
     def may_be_improved(self, model: FittedModel) -> bool:
-        """Tell whether a system with more terms could be a shorter description than `model`, which calibrated the
-        errors."""
+        """Tell whether a system with more terms could be a shorter description than `model`. The residuals of this
+        model have calibrated the errors."""
         return self.possible_gain(model) >= least_term_length(self.constant_nats)
 
     def possible_gain(self, model: FittedModel) -> float:
-        """Return by how many nats the misfit of `model`, which calibrated the errors, could decrease.
+        """Return the largest possible decrease of the misfit of `model`, in nats. The residuals of this model have
+        calibrated the errors.
 
         The misfit of a nearly noise-free state could decrease to the noise, or to the residuals of an exact model. If
-        the residuals of a state are as small as the smoother's noise, a longer system could at most explain the excess
-        of the slow part of the residuals over the slow part of independent errors. If the residuals are larger than the
-        noise, the result is infinite.
+        the residuals of a state are as small as the smoother's noise, a longer system could at most explain one part of
+        the residuals: their slow part, as far as it is larger than the slow part of independent errors. If the
+        residuals are larger than the noise, the result is infinite.
         """
         measurements, squares = self.estimator.measurements, self.squares(model.fit)
         misfit = self._misfit_of(model.fit.system)
@@ -319,15 +324,16 @@ class Score:
         return misfit.total(squares) - misfit.total(np.where(is_clean, least, left * squares))
 
     def _noise(self, errors: ErrorModel | None) -> FloatArray:
-        """Return the standard deviations (O,) of errors: the smoother's noise, which is the size of independent
-        errors, or the size of the correlated `errors`."""
+        """Return the standard deviations (O,) of errors. This is the smoother's noise if errors are independent. If
+        `errors` of a state are correlated, it is their standard deviation, but at least the smoother's noise."""
         noise = self.estimator.measurements.noise
         return noise if errors is None else np.where(errors.shares > 0.0, np.maximum(errors.sigmas, noise), noise)
 
     def length_limit(self, model: FittedModel, equation: int, room: float | None = None) -> float:
-        """Return the length in nats above which no program for one equation can give a description about as short.
+        """Return a limit of the length in nats for programs of one equation: with a longer program, no description can
+        be about as short as the description by `model`.
 
-        The misfit decreases at most by `room` nats (None: `possible_gain`).
+        The limit assumes that the misfit decreases at most by `room` nats (None: `possible_gain`).
         """
         room = self.possible_gain(model) if room is None else room
         return self.length(model.programs[equation]) + room + SETTINGS.inference.distinct_nats
@@ -353,7 +359,7 @@ class Score:
     def excess(self, model: FittedModel) -> float:
         """Return the ratio of the residuals to the noise, for the state with the largest ratio.
 
-        If smoothed states are inputs, they are assumed to add residuals as large as the noise.
+        Smoothed states that are inputs are assumed to add residuals as large as the noise.
         """
         measurements, residuals = self.estimator.measurements, np.sqrt(model.fit.squares)
         least = SETTINGS.common.negligible * self._scales

@@ -6,7 +6,7 @@ parts are removed, and the few possible systems are compared. If the residuals a
 stages run.
 
 Doubt. A sum of products can approximate a law of another form so well that its residuals look like noise. So the laws
-are only used if the descriptions by other programs of the search are clearly longer (`Law.lead`).
+are only used if the other programs of the search give clearly longer descriptions (`Law.lead`).
 """
 
 import math
@@ -36,9 +36,9 @@ from atoll_core.expression.program import Program
 from atoll_core.expression.writing.shortest import shortest
 
 _LEAST_SIZE: Final = 1e-4
-"""Least relative size that is assumed for the errors of an initial state. Along a piece the errors grow by a factor g,
-to the square root of this size: g is 100. The relative precision of the normal equations of constants and initial
-states is g^4 times double precision: about 1e-8."""
+"""Errors of an initial state are assumed to have at least this relative size s. A piece ends where they have grown to
+the square root of s, that is by a factor g of 100. The normal equations of constants and initial states then have a
+relative precision of g^4 times double precision, about 1e-8."""
 
 
 def add_laws(task: ModellingTask) -> ModellingTask:
@@ -69,8 +69,8 @@ def select_laws(task: ModellingTask) -> SelectedModel | None:
 def fit_laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
     """Return the best system of laws at the noise level, in short pieces; None if a variable has no such law.
 
-    A choice with a time limit begins with this system, since it takes little more than one fit. Unlike in
-    `select_laws`, the laws may come from few rows, and other programs may fit these rows about as well.
+    A choice with a time limit begins with this system, since it takes little more than one fit. `select_laws` has
+    stricter conditions: here the laws may come from few rows, and other programs may fit these rows about as well.
     """
     if task.recording.groups:
         return None
@@ -96,7 +96,8 @@ def fit_laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
 
 
 def laws_at_noise_level(task: ModellingTask, name: str) -> list[Law]:
-    """Return the laws of one variable, the best first, if the residuals of the best are noise."""
+    """Return the laws of one variable, the best first. The result is empty if the residuals of the best law are larger
+    than the noise."""
     laws = [law for law in task.laws.get(name, ()) if task.may_be_shown(law.program)]
     return laws if laws and laws[0].excess <= SETTINGS.inference.excess else []
 
@@ -104,7 +105,8 @@ def laws_at_noise_level(task: ModellingTask, name: str) -> list[Law]:
 def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
     """Return the best system of these candidates.
 
-    None if no system can be simulated, or if there are so few rows that all stages can run on whole trajectories."""
+    The result is None in two cases: no system can be simulated, or there are so few rows that all stages can run on
+    whole trajectories."""
     short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))
     start = _fit_first(short, lists)
     if start is None:
@@ -129,7 +131,8 @@ def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -
 
 
 def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison, rate: float) -> float:
-    """Return the number of rows over which errors as large as the noise stay small; infinite if errors do not grow.
+    """Return the number of rows over which errors that begin as large as the noise remain small; infinite if errors do
+    not grow.
 
     It is half of the number of rows after which the errors are as large as the state. If errors grow by a factor of e
     in the time T, an error of the relative size s is as large as the state after the time T ln(1/s). `rate` is 1/T.
@@ -140,10 +143,11 @@ def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison, rate: floa
 
 
 def _law_programs(task: ModellingTask, name: str) -> list[Program]:
-    """Return the laws of one variable, the best first; empty if the residuals are larger than the noise.
+    """Return the laws of one variable, the best first. The result is empty if the residuals are larger than the noise.
 
-    If the search of a noise-free target has converged, its equation comes first if it is shorter; without a law it is
-    the only program. The list is empty if the search has found another equation that fits the rows about as well.
+    A search of a noise-free target may have converged to an equation. If this equation is shorter than the best law, it
+    comes first; if there is no law, it is the only program. The result is also empty if the search has found another
+    equation that fits the rows about as well as the best law.
     """
     if name in task.known:
         return [task.known[name]]
@@ -163,6 +167,7 @@ def _fit_first(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Selec
 
 
 def _count_rows(task: ModellingTask) -> int:
-    """Return the number of measured rows; a mean counts as all of its rows."""
+    """Return the number of measured rows. If rows are means of several measured rows, all these measured rows are
+    counted."""
     recording = task.recording
     return sum(len(part.times) for part in recording.trajectories if not part.held_out) * recording.rows_of_mean

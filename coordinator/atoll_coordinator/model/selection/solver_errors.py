@@ -1,14 +1,14 @@
 """Errors of the solver that computed a table: the table is computed again, and the errors are subtracted.
 
-How it works. The errors of a solver are a function of the equations, of the first row and of the solver (Zadunaisky
-1976, Numerische Mathematik 27:21): the same solver makes the same errors again. So each common solver is tried, and
-constants are fitted so that the solutions of this solver reproduce the rows. The solutions of a solver depend on
-constants almost like exact solutions, so Gauss-Newton steps with exact sensitivities converge (defect correction,
-Stetter 1978, Numerische Mathematik 29:425). The fit begins with few rows, because the solutions jump where the solver
-accepts a step for some constants and rejects it for others. With wrong equations, or another solver, the residuals stay
-as large as before, and no errors are subtracted.
+How it works. The errors of a solver depend only on the equations, on the first row and on the solver (Zadunaisky 1976,
+Numerische Mathematik 27:21). So the same solver makes the same errors again. Each common solver is tried. For each
+solver, constants are fitted so that its solutions reproduce the rows. The solutions of a solver depend on constants
+almost like exact solutions, so Gauss-Newton steps with exact sensitivities converge (defect correction, Stetter 1978,
+Numerische Mathematik 29:425). The fit begins with few rows, because the solutions jump where the solver accepts a step
+for some constants and rejects it for others. With wrong equations, or another solver, the residuals stay as large as
+before, and no errors are subtracted.
 
-Doubt. Only the solvers and tolerances in `SOLVERS` are tried, and only tables that begin at the first row of the
+Doubt. Only the solvers and tolerances in `SOLVERS` are tried. The first row of the table must be the first row of the
 simulation.
 """
 
@@ -56,8 +56,8 @@ SOLVERS: Final = tuple(
 
 
 _PATIENCE: Final = 5
-"""Most steps of a fit without halving the residuals: at first, residuals are irregular, since the solver accepts and
-rejects different steps for other constants."""
+"""A fit ends after this number of steps that have not halved the residuals. The limit is not 1, since the residuals
+change irregularly at first: with other constants, the solver accepts and rejects other steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class _Run:
 
 @dataclass(frozen=True, eq=False)
 class _Reproduction:
-    """The constants with which a solver reproduces the rows, as a system, and the residuals of each state (S,)."""
+    """A system with the constants with which a solver reproduces the rows, and the residuals of each state (S,)."""
 
     solver: Solver
     system: OdeSystem
@@ -102,10 +102,10 @@ def _times(recording: Recording) -> Iterator[FloatArray]:
 def _reproduce_rows(
     task: ModellingTask, whole: TrajectoryMeasurements, solver: Solver, system: OdeSystem
 ) -> _Reproduction | None:
-    """Return the constants with which the solver reproduces all rows; None if there are none.
+    """Return the constants with which the solver reproduces all rows; None if there are no such constants.
 
-    Along chaotic trajectories the last digits of the constants matter. So simple numbers, which are known exactly, are
-    also tried there.
+    Along chaotic trajectories the last digits of the constants matter. So simple numbers are also tried as constants,
+    since all digits of these numbers are known.
     """
     at = whole.times + task.recording.offset  # LSODA's first step depends on the time
     runs = [_Run(at[first:end], whole.measured[:, first:end]) for first, end in whole.bounds.tolist()]
@@ -133,10 +133,11 @@ def _reproduce_rows(
 def _fit_constants(
     task: ModellingTask, part: TrajectoryMeasurements, solver: Solver, system: OdeSystem, runs: Sequence[_Run]
 ) -> tuple[OdeSystem, FloatArray, float]:
-    """Return the constants with the smallest residuals of a solver on the first rows, and two sizes of these residuals.
+    """Return the constants for which the solutions of a solver have the smallest residuals on the first rows, and two
+    ratios.
 
-    The sizes are: for each state (S,), the residuals over its standard deviation; for all states together, the
-    residuals over the errors of the solver.
+    The first ratio is, for each state (S,), the rms residual divided by the standard deviation of the state. The second
+    ratio is, for all states together, the rms residual divided by the rms error of the solver.
     """
     estimator = task.make_comparison(part, task.variables, has_noise=False).estimator
     scales, starts = part.scales[:, None], np.ascontiguousarray(part.measured[:, part.bounds[:, 0]].T)
@@ -166,7 +167,8 @@ def _fit_constants(
 
 
 def _round_to_simple_numbers(system: OdeSystem) -> OdeSystem:
-    """Return the system with constants rounded to simple numbers within the errors of an exact model."""
+    """Return the system with constants rounded to simple numbers. The errors that constants have in an exact model
+    limit the rounding."""
     values = system.values.copy()
     simple = Estimates(values, np.diag((SETTINGS.inference.exact * values) ** 2)).accepted_numbers
     values[[*simple]] = [*simple.values()]
@@ -176,7 +178,7 @@ def _round_to_simple_numbers(system: OdeSystem) -> OdeSystem:
 def _step_constants(system: OdeSystem, slopes: FloatArray, residuals: FloatArray) -> OdeSystem:
     """Return the system after a least-squares step for `residuals` (M,) with the sensitivities `slopes` (M, P).
 
-    In directions that the rows hardly determine, constants keep their values before the step.
+    Combinations of constants that the rows hardly determine are not changed.
     """
     sizes = np.abs(system.values)
     left, singular, right = np.linalg.svd(slopes * sizes, full_matrices=False)
@@ -218,7 +220,8 @@ def _solve_rows(
 
 
 def _correct_task(task: ModellingTask, found: _Reproduction) -> ModellingTask | None:
-    """Return the task with corrected tables: exact solutions along each piece from its first row."""
+    """Return the task with a corrected table: along each piece it has the exact solution that begins at the first row
+    of the piece."""
     trajectories = list(task.recording.trajectories)
     for is_held_out in sorted({part.held_out for part in trajectories}):
         measurements = task.measurements(task.variables, held_out=is_held_out)
@@ -250,7 +253,8 @@ def _correct_task(task: ModellingTask, found: _Reproduction) -> ModellingTask | 
 
 
 def _remove_noise(smoothing: StateSmoothing, left: float) -> StateSmoothing:
-    """Return the smoothing of a state whose errors are a share `left` of its standard deviation."""
+    """Return the smoothing of a state whose errors have the size `left`, a share of the standard deviation of the
+    state."""
     deviation = smoothing.noise / smoothing.relative_noise if smoothing.relative_noise > 0.0 else 0.0
     return replace(
         smoothing, method="interpolation", noise=left * deviation, relative_noise=left, span=None, degree=None

@@ -4,11 +4,11 @@
 - `measurements`: the recording as arrays for fits: all rows one after another, and the pieces that are simulated
 - `system`: several programs as one system whose constants can be fitted
 - `integration`: states and sensitivities along segments; `kernels`: compiled parts of integration and of a fit's steps
-- `error_model`: correlated errors of neighbouring rows; `smoothing_noise` and `residual_noise`: the size of errors of
-  measurement, before a law is known and from its residuals
+- `error_model`: correlated errors of neighbouring rows; `smoothing_noise`: the size of errors of measurement before a
+  law is known; `residual_noise`: their size from the residuals of a law
 - `fit_result`: a fitted system (`TrajectoryFit`), the covariance of its constants, the growth of its errors
 - `points_between`: points away from the measured curves, each computed from two measured points
 - `warmup`: compiles or loads the kernels
 
-A recording and programs go in, a `TrajectoryFit` comes out: states as simulated, residuals, normal equations.
+A recording and programs go in, a `TrajectoryFit` comes out, with simulated states, residuals and normal equations.
 """

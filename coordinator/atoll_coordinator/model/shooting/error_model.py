@@ -1,10 +1,11 @@
-"""The error model of measured states, which weights the residuals of a fit, and its estimation from residuals. Pure.
+"""The error model of measured states, and its estimation from residuals. The error model weights the residuals of a
+fit. Pure.
 
 The errors of a state have one variance for rows of weight 1. A share of this variance may be correlated between
-neighbouring rows (an Ornstein-Uhlenbeck process, see `atoll_coordinator.model.shooting.kernels.innovations`), as in
+neighbouring rows (an Ornstein-Uhlenbeck process, see `atoll_coordinator.model.shooting.kernels.innovations`), as in the
 errors of simulators, filters and drifting sensors. `Innovations` whitens residuals by the Kalman filter of this
-process, and estimates share and decay on a grid by description length. Doubt: correlated residuals may also be errors
-of the law; only rough residuals count as errors of a sensor. Letters: O measured states, N rows.
+process, and chooses the share and the decay with the shortest description from a grid. Doubt: correlated residuals may
+also be errors of the law. So only rough residuals count as errors of a sensor. Letters: O measured states, N rows.
 """
 
 import math
@@ -29,7 +30,7 @@ class ErrorModel:
     """The errors of O measured states. All arrays are (O,).
 
     `sigmas` are standard deviations, and `shares` the correlated shares of the variances. `decays` are the correlations
-    of the correlated parts between rows one median time step apart.
+    of the correlated parts of the errors between two rows whose distance is the median time step.
 
     A fit estimates `sigmas`, unless the errors are known (`is_known`); `shares` and `decays` are constant in a fit.
     """
@@ -41,24 +42,27 @@ class ErrorModel:
 
     @classmethod
     def independent(cls, sigmas: FloatArray) -> "ErrorModel":
-        """Return independent errors of these standard deviations."""
+        """Return the model of independent errors with these standard deviations."""
         return cls(sigmas, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
 
     @property
     def degrees_of_freedom(self) -> FloatArray:
-        """Degrees of freedom of the variance of each state (O,) over its number of rows: 1 if errors are independent.
+        """Degrees of freedom of the estimated variance of each state (O,), divided by the number of rows. It is 1 if
+        errors are independent.
 
-        If neighbouring errors have the correlation r, the variance of a mean is multiplied by (1 + r)/(1 - r). The
-        estimated correlation r has the variance (1 - r^2)/n, so that the logarithm of this factor has the variance 4/(n
-        (1 - r^2)). The logarithm of the innovations' variance has the variance 2/n (Satterthwaite 1946).
+        If neighbouring errors have the correlation r, the variance of a mean is multiplied by (1 + r)/(1 - r). With n
+        rows, the estimated correlation r has the variance (1 - r^2)/n. So the logarithm of this factor has the variance
+        4/(n (1 - r^2)). The logarithm of the innovations' variance has the variance 2/n. The degrees of freedom follow
+        from the sum of both (Satterthwaite 1946).
         """
         return np.asarray(1.0 / (1.0 + (self.shares > 0.0) * 2.0 / (1.0 - self.decays**2)))
 
     @property
     def lengths(self) -> FloatArray:
-        """Number of rows (O,) that count as one independent row: the ratio of the variances of a mean.
+        """Number of rows (O,) that count as one independent row: the ratio of the variance of a mean to its variance
+        for independent errors.
 
-        It is (1 + r) / (1 - r) if all errors are correlated, 1 if none are.
+        It is (1 + r) / (1 - r) if all errors have the correlation r, and 1 if no errors are correlated.
         """
         return np.asarray(1.0 - self.shares + self.shares * (1.0 + self.decays) / (1.0 - self.decays))
 
@@ -66,8 +70,8 @@ class ErrorModel:
 class Innovations:
     """Whitens the residuals of one layout of rows.
 
-    `segments` (G, 2) are row ranges; `steps` (N,) are the time steps from the previous row over their median; `weights`
-    are (O, N).
+    `segments` (G, 2) are row ranges; `steps` (N,) are the time steps from the previous row, divided by the median step;
+    `weights` are (O, N).
     """
 
     def __init__(self, segments: Ints, steps: FloatArray, weights: FloatArray) -> None:
@@ -82,15 +86,16 @@ class Innovations:
         self._decays: Final = [1.0 - 1.0 / length for length in lengths]
 
     def squares(self, residuals: FloatArray, model: ErrorModel) -> tuple[FloatArray, FloatArray]:
-        """Return two sums for each state (O,): squared innovations of `residuals` (O, N) over their relative variances,
-        and the logarithms of these variances."""
+        """Return two sums for each state (O,). The first is the sum of the squared innovations of `residuals` (O, N),
+        each divided by its relative variance. The second is the sum of the logarithms of these relative variances."""
         sums = np.empty((len(residuals), 2))
         for state, (share, decay) in enumerate(zip(model.shares.tolist(), model.decays.tolist(), strict=True)):
             self._innovate(state, residuals, share, decay, sums[state])
         return sums[:, 0], sums[:, 1]
 
     def whiten(self, residuals: FloatArray, model: ErrorModel) -> FloatArray:
-        """Return the innovations (O, N) of `residuals` (O, N): independent, with one variance for each state."""
+        """Return the innovations (O, N) of `residuals` (O, N). They are independent, and all innovations of a state
+        have the same variance."""
         whitened, sums = np.zeros_like(residuals), np.empty(2)
         for state, (share, decay) in enumerate(zip(model.shares.tolist(), model.decays.tolist(), strict=True)):
             self._innovate(state, residuals, share, decay, sums, whitened[state])
@@ -103,18 +108,20 @@ class Innovations:
         innovate(self.segments, self._steps, residuals[state], self._weights[state], share, decay, sums, whitened)
 
     def sensor_errors(self, residuals: FloatArray, sigmas: FloatArray, fitted: float, turns: FloatArray) -> ErrorModel:
-        """Return the errors of measurement in these residuals, which may also contain errors of the law.
+        """Return the model of the errors of measurement in these residuals. The residuals may also contain errors of
+        the law.
 
-        Correlated residuals are errors of the sensor if they are rough: then an Ornstein-Uhlenbeck process describes
-        them in fewer nats than independent errors, and in fewer nats than a smooth process. Errors of the law are
-        smooth, since they add up along the trajectory, and their derivatives vary no faster than the derivative of the
-        state. If residuals are not rough in this sense, errors are treated as independent.
+        Correlated residuals count as errors of the sensor if they are rough: then an Ornstein-Uhlenbeck process
+        describes the residuals in fewer nats than independent errors, and in fewer nats than a smooth process. Errors
+        of the law are smooth: they add up along the trajectory, and their derivatives vary no faster than the
+        derivative of the state. If residuals are not rough in this sense, errors are treated as independent.
 
         Args:
             residuals: residuals (O, N).
             sigmas: their standard deviations (O,).
             fitted: number of fitted numbers per state.
-            turns: rows (O,) after which the correlation of the derivative has fallen to 1/e.
+            turns: for each state (O,), the lag in rows at which the autocorrelation of the derivative has fallen to
+                1/e.
         """
         shares, decays = self.estimate(residuals, fitted)
         for state in np.flatnonzero(shares).tolist():
@@ -147,11 +154,12 @@ class Innovations:
         return 0.5 * count * math.log(max(float(sums[0]) / count, 1e-300)) + 0.5 * float(sums[1])
 
     def estimate(self, residuals: FloatArray, fitted: float) -> tuple[FloatArray, FloatArray]:
-        """Return the shares and decays (O,) of least description length for these residuals (O, N).
+        """Return the shares and decays (O,) with which these residuals (O, N) have the shortest description.
 
-        A correlation has two more numbers, which cost ln n nats (Schwarz 1978). Residuals of fitted slow curves are
-        less correlated than the errors. With `fitted` numbers for each state, the estimated decay d is too small by (2
-        d + (1 + d) `fitted`)/n (Marriott & Pope 1954 for a mean, `fitted` 1), and is corrected by this bias.
+        Correlated errors need two more numbers, which cost ln n nats together (Schwarz 1978). Residuals of fitted slow
+        curves are less correlated than the errors. With `fitted` numbers for each state, the estimated decay d is too
+        small by (2 d + (1 + d) `fitted`)/n, and this bias is corrected (Marriott & Pope 1954, for the fit of a mean:
+        `fitted` is 1).
         """
         shares, decays = np.zeros((2, len(residuals)))
         for state in np.flatnonzero(self._counts).tolist():
@@ -161,7 +169,8 @@ class Innovations:
         return shares, decays
 
     def _estimate_state(self, state: int, residuals: FloatArray) -> tuple[float, float]:
-        """Return share and decay of one state by a descent on the grid of both; zeros if errors are independent."""
+        """Return the share and the decay of one state, found by a descent on a grid of both. Both are zero if errors
+        are independent."""
         sums, count = np.empty(2), float(self._counts[state])
         lengths: dict[tuple[int, int], float] = {}
 

@@ -20,12 +20,13 @@ if TYPE_CHECKING:
     from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 
 _LEAST_CURVATURE: Final = 1e-13
-"""Least eigenvalue of the scaled normal matrix (unit diagonal) of an initial state: smaller eigenvalues are rounding
-errors.
+"""Least eigenvalue of the normal matrix of an initial state, which is scaled to a unit diagonal: smaller eigenvalues
+are rounding errors.
 
-Entries are sums over N rows, rounded by about eps*sqrt(N) each, and the largest eigenvalue is at most D, so that
-eigenvalues are known to about eps*D*sqrt(N): 1e-13 at D = 7 and N = 4000. The same value is used for all fits. With
-fewer rows, some known eigenvalues are raised to it; with more rows, some rounding errors remain.
+The matrix has D columns. Its elements are sums over N rows, with rounding errors of about eps*sqrt(N), and its largest
+eigenvalue is at most D. So eigenvalues are known to about eps*D*sqrt(N): 1e-13 at D = 7 and N = 4000. The same value is
+used for all fits. With fewer rows, some eigenvalues are raised although they are known; with more rows, some rounding
+errors remain.
 """
 
 
@@ -36,18 +37,19 @@ class TrajectoryFit:
     Attributes:
         system: the system with fitted constants.
         segments: the segments (G, 2) of rows.
-        starts: the fitted initial states (G, D) of the segments. If whole trajectories are fitted, (G, D + K): the last
-            columns are K offsets.
+        starts: the fitted initial states (G, D) of the segments. If whole trajectories are fitted, the shape is (G, D +
+            K): the last columns are K offsets.
         simulated: the simulated states (D, N).
-        residuals: measured values minus simulated values and offsets (O, N).
+        residuals: measured values minus simulated values minus offsets (O, N).
         errors: the error model by which residuals are weighted.
         squares: the mean squares (O,) of the residuals.
-        normal: block of the weighted normal equations at the end of the fit: constants (P, P).
-        coupling: block of constants and initial states (G, P, L).
-        own: blocks of the initial states of each segment (G, L, L).
+        normal: the block (P, P) of the constants in the weighted normal equations at the end of the fit.
+        coupling: the blocks (G, P, L) of constants and initial states.
+        own: the blocks (G, L, L) of the initial state of each segment.
         estimator: the estimator that fitted the system.
         is_stiff: whether the implicit method was used.
-        gradient: the derivative (P,) of the log-likelihood by the constants: zero, except for constants on bounds.
+        gradient: the derivative (P,) of the log-likelihood by the constants. It is zero for a constant that is not on a
+            bound.
     """
 
     system: OdeSystem
@@ -75,8 +77,8 @@ class TrajectoryFit:
     def reduced(self) -> FloatArray:
         """The normal matrix (P, P) of the constants after elimination of the initial states.
 
-        Initial states that hardly affect a trajectory have nearly singular blocks. Their part is subtracted by roots W
-        (G, D, D) of the inverse blocks (W W' is the inverse), so that the result is positive semidefinite up to
+        Initial states that hardly affect a trajectory have nearly singular blocks. So the elimination uses roots W (G,
+        D, D) of the inverse blocks, with W W' equal to the inverse. Then the result is positive semidefinite up to
         rounding errors; with plain inverses it could become indefinite.
         """
         scale = np.sqrt(np.maximum(np.einsum("gdd->gd", self.own), 1e-200))
@@ -97,7 +99,8 @@ def covariance(fit: TrajectoryFit) -> FloatArray:
 
 
 def bounded_covariance(fit: TrajectoryFit) -> FloatArray:
-    """Return the covariance (P, P) with large finite variances instead of infinite ones: a positive definite matrix."""
+    """Return the covariance (P, P), but with large finite variances instead of infinite variances. The matrix is
+    positive definite."""
     return _covariance_and_undetermined(fit)[0]
 
 
@@ -108,11 +111,11 @@ def _covariance_and_undetermined(fit: TrajectoryFit) -> tuple[FloatArray, Flags]
 def growth_rate(fit: TrajectoryFit) -> float:
     """Return the rate at which errors of a state grow, in e-folds per unit of time: the largest Lyapunov exponent.
 
-    The result is the mean over all trajectories: negative if errors shrink, NaN without a segment of two rows. The
-    sensitivities to a segment's initial state give the size of a small error at its end. An error vector is propagated
-    from segment to segment of a trajectory and normalised at each, so that it turns into the direction of fastest
-    growth (Benettin et al. 1980). For a trajectory with one segment, the growth in the direction of fastest growth is
-    used, which is an upper limit.
+    The result is the mean over all trajectories. It is negative if errors shrink, and NaN if no segment has two rows.
+    The sensitivities to the initial state of a segment give the size of a small error at the end of the segment. An
+    error vector is propagated from segment to segment of a trajectory, and normalised in each segment. So it turns into
+    the direction of fastest growth (Benettin et al. 1980). For a trajectory with one segment, the growth in the
+    direction of fastest growth is used, which is an upper limit.
     """
     measurements = fit.estimator.measurements
     fitted, states = fit.system.count, len(fit.system.outputs)
@@ -132,7 +135,7 @@ def growth_rate(fit: TrajectoryFit) -> float:
 def _growths(matrices: FloatArray) -> list[float]:
     """Return the logarithm of the growth of an error over each of these `matrices` (S, D, D) except the first.
 
-    For a single matrix, the logarithm of its largest singular value."""
+    For a single matrix, return the logarithm of its largest singular value."""
     if len(matrices) == 1:
         return [math.log(max(float(np.linalg.norm(matrices[0], 2)), 1e-300))]
     error = np.linalg.svd(matrices[0])[0][:, 0]
@@ -148,9 +151,9 @@ def _growths(matrices: FloatArray) -> list[float]:
 def speed_growth(fit: TrajectoryFit) -> float:
     """Return the mean growth rate of the speed along the trajectories of `fit`, in e-folds per unit of time.
 
-    An error in time causes an error of the state that is proportional to the speed. If a whole process grows, all its
-    errors grow like this, and stay constant relative to the state. Speeds are means over the first and the second half
-    of a trajectory, so that a recurrent process has a rate of about zero.
+    An error in time causes an error of the state that is proportional to the speed. So in a process that grows as a
+    whole, errors grow like the speed, and are constant relative to the state. The rate follows from the mean speeds in
+    the first and the second half of a trajectory. So the rate of a recurrent process is about zero.
     """
     measurements = fit.estimator.measurements
     owners, times = measurements.owners_of_rows, measurements.times

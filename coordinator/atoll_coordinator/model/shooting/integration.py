@@ -1,11 +1,11 @@
 """Integration of systems along the rows of measurements, with sensitivities.
 
 Each segment of rows is integrated from its own initial state, together with the derivatives of the states by constants
-and initial states (variational equations). There is an explicit Runge-Kutta method (with a quick and a precise table),
-and an implicit method for stiff systems. A caller tries the implicit method if the explicit method has used up its
-steps. Doubt: the limits on the number of steps were tuned on one machine; they can reject a correct system that is very
-stiff. Letters: D states, P fitted numbers, L numbers of one segment (D initial states, then offsets), G segments, N
-rows, O measured states.
+and initial states (variational equations). There are two methods: an explicit Runge-Kutta method (with a quick and a
+precise table of coefficients), and an implicit method for stiff systems. A caller tries the implicit method if the
+explicit method has used all its allowed steps. Doubt: the limits on the number of steps were tuned on one machine; they
+can reject a correct system that is very stiff. Letters: D states, P fitted numbers, L numbers of one segment (D initial
+states, then offsets), G segments, N rows, O measured states.
 """
 
 from dataclasses import dataclass
@@ -23,29 +23,29 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 STEPS_PER_ROW: Final = 40
-"""Most integration steps for each row, on average: systems that need more are stiff or blow up."""
+"""Most integration steps for each row, on average. A system that needs more steps is stiff or blows up."""
 OVERHEAD_NUMBERS: Final = 10
-"""Fixed work of a row, in addition to its states and sensitivities, expressed as the number of integrated numbers that
-take the same time."""
+"""Fixed work for a row, in addition to the work for its states and sensitivities. The unit is the work for one
+integrated number."""
 STEEPEST: Final = 1e60
-"""Guard: systems with larger sensitivities (of a scaled state to a scaled constant) are rejected, since squares
-overflow."""
+"""Guard: systems with larger sensitivities (of a scaled state to a scaled constant) are rejected, since squares of such
+sensitivities overflow."""
 _FREE_STEPS: Final = (4.0, 12.0, 1.0)
 """Steps for each row that do not count as additional work: quick, precise and implicit method."""
 _QUICK_STEPS: Final = 8
 """Steps for each row above which the implicit method takes less time than the quick method."""
 _FINEST_IMPLICIT: Final = 1e-6
-"""Least error of an implicit step over a state's standard deviation: for smaller errors, a method of low order needs
-too many steps."""
+"""Least tolerated error of an implicit step, divided by the standard deviation of the state. For a smaller error, a
+method of low order needs too many steps."""
 
 Unsimulated = Literal["ran away", "out of steps"]
-"""Why a simulation ended early: states left their range, or all allowed steps were used."""
+"""The reason why a simulation ended early: states left their range, or all allowed steps were used."""
 
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """An integration method: its table, most steps for each row, free steps for each row, and tolerated error (D,) of a
-    step."""
+    """An integration method: its table of coefficients, the most steps for each row, the free steps for each row, and
+    the tolerated error (D,) of a step."""
 
     table: Table
     steps: int
@@ -59,9 +59,11 @@ class Method:
 
 @dataclass(frozen=True, eq=False)
 class Integration:
-    """States (D, N) along segments and their sensitivities (N, D, P + L); (0, D, P + L) if not requested.
+    """States (D, N) along segments, and their sensitivities (N, D, P + L), which have the shape (0, D, P + L) if they
+    were not requested.
 
-    `done` is the number of finished segments, negative if all allowed steps were used; `steps` is the number of steps.
+    `done` is the number of finished segments; it is negative if all allowed steps were used. `steps` is the number of
+    steps.
     """
 
     done: int
@@ -74,10 +76,10 @@ class Integrator:
     """Integrates systems along the segments of `measurements`."""
 
     def __init__(self, measurements: TrajectoryMeasurements, tolerance: float, measured_rows: int = 0) -> None:
-        """`tolerance` is the error of a step over a state's standard deviation.
+        """`tolerance` is the error of a step, divided by the standard deviation of the state.
 
-        The number of allowed steps is proportional to the rows, or to `measured_rows` if the rows represent more
-        measured rows of the same time span.
+        The number of allowed steps is proportional to the number of rows. If the rows represent a larger number of rows
+        of the same time span, `measured_rows`, it is proportional to this number.
         """
         self.measurements: Final = measurements
         self.tolerance: Final = tolerance
@@ -130,8 +132,8 @@ class Integrator:
         self, method: Method, system: OdeSystem, segments: Ints, starts: FloatArray, simulated: FloatArray,
         sensitivities: FloatArray,
     ) -> tuple[int, int]:  # fmt: skip
-        """Integrate each segment with the constants of its group, which are multiples of fitted numbers; see
-        `_integrate`."""
+        """Integrate each segment with the constants of its group; see `_integrate`. The constants are multiples of
+        fitted numbers."""
         assert system.sharing is not None
         states, places = len(system.outputs), len(system.places)
         own_sensitivities = np.zeros((len(sensitivities), states, places + states))
@@ -155,7 +157,8 @@ class Integrator:
         return all_done, all_steps
 
     def steepest(self, sensitivities: FloatArray, system: OdeSystem) -> float:
-        """Return the largest absolute sensitivity of (N, D, P + L), in units of state scales and constant sizes."""
+        """Return the largest absolute value of `sensitivities` (N, D, P + L), in units of the scale of the state and
+        the size of the constant."""
         scales, sizes = self.measurements.scales, np.abs(system.values)
         offsets = sensitivities.shape[2] - len(sizes) - len(scales)
         units = np.concatenate([np.where(sizes > 0.0, sizes, 1.0), scales, np.ones(offsets)])
@@ -163,10 +166,11 @@ class Integrator:
         return float(np.max(steepest / scales[:, None] * units, initial=0.0))
 
     def simulate(self, system: OdeSystem, segments: Ints, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
-        """Return the states (D, N) of segments that all begin at `start` (D,), and why integration ended early.
+        """Return the states (D, N) of segments that all begin at `start` (D,), and the reason if the integration ended
+        early.
 
-        States are NaN after an early end; the reason is None if there was no early end. If the explicit method takes
-        too many steps, the implicit method is used.
+        After an early end, states are NaN. Without an early end, the reason is None. If the explicit method takes too
+        many steps, the implicit method is used.
         """
         starts = np.repeat(start[None], len(segments), axis=0)
         for method in self.methods:

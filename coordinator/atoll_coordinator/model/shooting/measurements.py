@@ -1,8 +1,8 @@
 """The measured trajectories as arrays for fits: all rows one after another, and the pieces that are simulated. Pure.
 
 `measurements_of` collects values, weights and inputs of a `Recording` for the states of one system; `thin`, `part`,
-`pieces` and `strided` return subsets. Doubt: states without an equation become inputs with their smoothed values; the
-weights do not contain the errors of these values.
+`pieces` and `strided` return subsets. Doubt: states without an equation become inputs with their smoothed values. The
+errors of the smoothed values do not affect the weights.
 
 Letters: N rows of all trajectories, S states, D states with an equation here, O measured states, K states with an
     offset, U inputs, B pieces.
@@ -28,8 +28,9 @@ from atoll_core.expression.kernels.tape import Ints
 BLOW_UP_WIDTHS: Final = 3.0
 """A simulated state counts as blown up if it leaves the measured range by more than this many widths of the range."""
 _LARGEST_SHARE: Final = 0.1
-"""Upper limit of the ratio of the variance of normal errors to the squared reach of robustness weights. Above this
-limit, errors outside of the reach would matter. For weights that reach to six median errors, the ratio is 0.061."""
+"""Upper limit of a ratio: the variance of normal errors divided by the squared reach of robustness weights. Errors
+outside of the reach have weight 0; above this limit, they would matter. For weights that reach to six median errors,
+the ratio is 0.061."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +53,17 @@ class TrajectoryMeasurements:
         variables: names of the components of a point: D states, then U inputs.
         names: names of the trajectories.
         has_smoothed_inputs: whether smoothed states without an equation are inputs.
-        inverse_variances: relative inverse variances (O, N) of the errors, 1 on average over the recording. They are a
-            factor of `weights`. None: all are 1.
-        consistency: weighted mean square (O,) of normal errors over their variance. It is less than one if robustness
-            weights reduce large errors. None: one for all states.
-        resting: marks (O, N) trajectories along which a state was always 0, such as an absent species: there the state
-            has weight 0 and the initial value 0. None: there is no such trajectory.
+        inverse_variances: relative inverse variances (O, N) of the errors, 1 on average over the recording. `weights`
+            include these numbers as a factor. None: all are 1.
+        consistency: weighted mean square (O,) of normal errors, divided by their variance. It is less than one if
+            robustness weights reduce large errors. None: one for all states.
+        resting: a mask (O, N) of the rows of trajectories along which a state was always 0, such as an absent species.
+            There the state has weight 0 and the initial value 0. None: there is no such trajectory.
         groups: index of the group of each trajectory if groups have their own constants; None: all have the same.
-        input_error: interpolation error of input curves over their standard deviations; simulated states have about the
-            same relative error.
-        rounding: standard deviations (O,) of the rounding errors of the measured values; None: not rounded.
+        input_error: interpolation error of input curves, divided by the standard deviations of the inputs. Simulated
+            states have about the same relative error.
+        rounding: standard deviations (O,) of the rounding errors of the measured values; None: the values are not
+            rounded.
     """
 
     bounds: Ints
@@ -105,14 +107,14 @@ class TrajectoryMeasurements:
         return float(np.median(steps)) if len(steps) else 1.0
 
     def groups_of(self, segments: Ints) -> Ints:
-        """Return the group (G,) of each of these row ranges; 0 without groups."""
+        """Return the group (G,) of each of these row ranges; 0 if there are no groups."""
         if self.groups is None:
             return np.zeros(len(segments), np.int64)
         return self.groups[self.owners_of_rows[segments[:, 0]]]
 
     @property
     def relative_noise(self) -> FloatArray:
-        """The noise over the states' standard deviations (O,)."""
+        """The noise divided by the standard deviation of each state (O,)."""
         return np.asarray(self.noise / self.scales[self.observed])
 
     @cached_property
@@ -129,7 +131,8 @@ class TrajectoryMeasurements:
         return np.asarray(np.abs(np.concatenate([self.smoothed, self.inputs])).mean(axis=1))
 
     def segments(self, length: int | None) -> Ints:
-        """Return row ranges (G, 2) of about `length` rows each that cover all pieces; None: whole pieces."""
+        """Return row ranges (G, 2) that cover all pieces, each with about `length` rows. None: the ranges are whole
+        pieces."""
         ranges: list[tuple[int, int]] = []
         for first, end in self.bounds.tolist():
             count = 1 if length is None else max(1, round((end - first) / length))
@@ -139,8 +142,8 @@ class TrajectoryMeasurements:
     def thin(self, most: int) -> "TrajectoryMeasurements":
         """Return pieces of the trajectories with about `most` rows in total; both early and late pieces are selected.
 
-        If groups have their own constants, the number of pieces follows from the rows of the pieces themselves. Then
-        each group has at least one piece, if possible.
+        If groups have their own constants, the actual numbers of rows determine the number of pieces. Then each group
+        has at least one piece, if possible.
         """
         if self.rows <= most:
             return self
@@ -160,7 +163,7 @@ class TrajectoryMeasurements:
         return self.pieces([(first, end, owner) for (first, end), owner in bounds if owner in owners])
 
     def pieces(self, kept: Sequence[tuple[int, int, int]]) -> "TrajectoryMeasurements":
-        """Return the measurements of the pieces `kept`: (first row, end, owner)."""
+        """Return the measurements of the pieces `kept`; each piece is (first row, end, owner)."""
         return self._take_rows([np.arange(first, end) for first, end, _ in kept], [owner for *_, owner in kept])
 
     def strided(self, stride: int) -> "TrajectoryMeasurements":
@@ -189,9 +192,9 @@ def measurements_of(
 ) -> TrajectoryMeasurements:
     """Return the measurements for a system with equations for the `modelled` states (indices).
 
-    The smoothed values of the other states are inputs, after the inputs of the recording; rows without these values are
-    left out. With order 2 the velocities of the modelled states follow the positions as unmeasured states. At most
-    `piece` rows are simulated without a break.
+    The smoothed values of the other states become inputs, after the inputs of the recording; rows without smoothed
+    values are left out. For order 2, the states are the positions of the modelled states, then their velocities, which
+    are not measured. At most `piece` rows are simulated without a break.
 
     Raises:
         ValueError: there are no such trajectories.
@@ -258,7 +261,7 @@ def _rounding(recording: Recording, chosen: Sequence[int], variances: Sequence[V
 def _keep_rows_with_inputs(
     whole: TrajectoryMeasurements, parts: Sequence[Trajectory], others: Sequence[int]
 ) -> TrajectoryMeasurements:
-    """Return the parts of all pieces along which all smoothed states that serve as inputs are known."""
+    """Return the parts of all pieces in which all inputs that are smoothed states have known values."""
     if not others or all(part.is_known is None for part in parts):
         return whole
     is_known = np.concatenate(
@@ -289,8 +292,8 @@ def _variables(recording: Recording, chosen: list[int], others: list[int]) -> tu
 
 
 def _resting(part: Trajectory, chosen: list[int], order: int) -> npt.NDArray[np.bool_]:
-    """Return a mask of states that were 0 along a whole trajectory; False for order 2, where velocities may differ from
-    0."""
+    """Return a mask of states that were 0 along a whole trajectory. For order 2 it is False, since velocities may
+    differ from 0."""
     measured = part.measured[chosen]
     is_zero = (np.isnan(measured) | (measured == 0.0)).all(axis=1) & (measured == 0.0).any(axis=1) & (order == 1)
     return np.repeat(is_zero[:, None], measured.shape[1], axis=1)
@@ -303,11 +306,12 @@ def _robustness_weights(part: Trajectory, chosen: list[int]) -> FloatArray:
 
 
 def _consistency(parts: Sequence[Trajectory], chosen: list[int]) -> FloatArray | None:
-    """Return for each state the weighted mean square of normal errors e over their variance, E[w e^2] / (E[w] var e).
+    """Return, for each state, the weighted mean square of normal errors e divided by their variance: E[w e^2] / (E[w]
+    var e).
 
-    Weights w = (1 - (e/c)^2)^2 have the mean 1 - 2x + 3x^2 with x = (var e)/c^2, and E[w e^2] is (1 - 6x + 15x^2) var
-    e; errors beyond c add less than a thousandth if weights reach to six median errors. x is computed from the mean of
-    the weights above zero.
+    The weights are w = (1 - (e/c)^2)^2 for errors below c, the reach of the weights. With x = (var e)/c^2, the mean of
+    w is 1 - 2x + 3x^2, and E[w e^2] is (1 - 6x + 15x^2) var e. If the reach is six median errors, errors above c add
+    less than a thousandth. x is computed from the mean of the weights above zero.
     """
     if all(part.robustness_weights is None for part in parts):
         return None
@@ -346,7 +350,7 @@ def _stacked(arrays: Iterator[FloatArray]) -> FloatArray:
 
 
 def _pieces(lengths: Sequence[int], most: int) -> tuple[Ints, Ints]:
-    """Return bounds and owners of the pieces of trajectories with this many rows."""
+    """Return the bounds and the owners of the pieces; `lengths` are the numbers of rows of the trajectories."""
     ranges: list[tuple[int, int]] = []
     owners: list[int] = []
     start = 0
@@ -365,13 +369,13 @@ def _cut_range(first: int, end: int, count: int) -> list[tuple[int, int]]:
 
 
 def _choose_spread(owners: Sequence[int], count: int) -> list[int]:
-    """Return the indices of `count` pieces: equally many of each trajectory, early and late ones.
+    """Return the indices of `count` pieces: the same number from each trajectory, both early and late pieces.
 
     `owners` has the trajectory of each piece.
 
-    If every n-th piece were selected, it could always be the first piece of a trajectory, and later parts, such as an
-    attractor or an input that is switched on, would be missing. A lattice samples each of `count` equal parts of a
-    trajectory once, and samples neighbouring trajectories in distant parts.
+    If every n-th piece were selected, it could always be the first piece of a trajectory. Then later parts would be
+    missing, such as an attractor or an input that is switched on. A lattice avoids this: pieces come from all parts of
+    a trajectory, and from distant parts of neighbouring trajectories.
     """
     step = lattice_step(count)
     left: dict[int, list[int]] = {}

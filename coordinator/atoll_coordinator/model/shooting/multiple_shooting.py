@@ -1,36 +1,38 @@
 """Constants and initial states of a system fitted to measured trajectories by multiple shooting.
 
-How it works. A trajectory is cut into segments of rows, and each segment is integrated from its own initial state (Bock
+How it works. A trajectory is cut into segments of rows. Each segment is integrated from its own initial state (Bock
 1983), so that an error of the initial state has little time to grow. Constants and initial states are fitted together
-by weighted least squares: the sum of squared residuals over the variances of the errors is minimal. Segments grow from
-ten rows to whole trajectories (`fit_in_stages`): short segments converge from any start values, whole trajectories use
-all information of the data.
+by weighted least squares: each squared residual is divided by the variance of its error, and the sum is minimised.
+Segments grow from ten rows to whole trajectories (`fit_in_stages`): a fit of short segments converges from almost any
+start values, and a fit of whole trajectories uses all information of the data.
 
 1. *A point of the fit* (`_Point`). The system is integrated with its sensitivities, the derivatives of all states by
-   the constants and by the initial state of the segment (`integration`). The sensitivities give the normal equations,
-   which have the shape of an arrow: a block for the constants, and for each segment a block of its own numbers, coupled
-   to the constants only. The segments' blocks are eliminated first (`kernels.normal_equations.solve_step`).
-2. *The errors* (`error_model`). The variance of each state is estimated from the residuals again after each step, so
-   that no state outweighs the others because of its unit. If errors of a sensor are correlated between neighbouring
-   rows, the residuals are whitened before they are squared (`Innovations`); the correlated share is constant during a
-   fit. This share is found by calibration (`selection.comparison`): the first good model is fitted with independent
-   errors, its residuals give the errors of measurement, and all later models are fitted and compared with these errors.
-3. *A step* (`least_squares.minimize`). If sensitivities cost much more than states, a step is first integrated without
-   sensitivities, since nearly half of all steps fail.
+   the constants and by the initial state of the segment (`integration`). The sensitivities give the normal equations.
+   Their matrix has the shape of an arrow: it has one block for the constants, and for each segment a block of the
+   segment's own numbers, which is coupled to the constants only. The segments' blocks are eliminated first
+   (`kernels.normal_equations.solve_step`).
+2. *The errors* (`error_model`). After each step, the variance of each state is estimated again from the residuals. So
+   the unit of a state does not change its weight. If errors of a sensor are correlated between neighbouring rows, the
+   residuals are whitened before they are squared (`Innovations`); the correlated share is constant during a fit. This
+   share is found by calibration (`selection.comparison`): the first good model is fitted with independent errors, and
+   the errors of measurement are estimated from its residuals. All later models are fitted and compared with this error
+   model.
+3. *A step* (`least_squares.minimize`). Nearly half of all steps fail. So if sensitivities take much more work than
+   states, a step is first integrated without sensitivities.
 4. *Joining* (`MultipleShooting.join`). Before a fit with longer segments, constants and initial states are moved until
    each short segment begins where the previous segment ends. These conditions are linearised and used to eliminate the
    initial states of the inner segments: condensing (`_condense`). Without joining, the fit of a chaotic trajectory
    fails at the next stage: a state that is simulated from the beginning of a long segment is far from the measured
    state.
-5. *Offsets and groups.* A state that was measured with an unknown offset has one offset for each whole trajectory, as
-   another number of the segment. Groups of trajectories with their own constants have more columns of sensitivities
-   (`system.Sharing`).
+5. *Offsets and groups.* If a state was measured with an unknown offset, each whole trajectory has one offset, which is
+   another number of the segment. If groups of trajectories have their own constants, the sensitivities have more
+   columns (`system.Sharing`).
 
-Doubts. Variances are estimated by their mode given the residuals, not integrated out. So if a model fits a state
-exactly, the weight of this state follows from `SmoothingSettings.smallest_noise`. Two rules were tuned on one machine:
-when a step is first integrated without sensitivities, and how many integration steps are free. These rules change the
-counted work, and hence the point at which a search stops, but no fit. Letters: D states, P fitted constants, L numbers
-of a segment, G segments, N rows, O measured states.
+Doubts. A variance is estimated by its most probable value for the residuals, and not integrated out of the likelihood.
+So if a model fits a state exactly, the weight of this state follows from `SmoothingSettings.smallest_noise`. Two rules
+were tuned on one machine: when a step is first integrated without sensitivities, and how many integration steps are
+free. These rules do not change a fit. They change the counted work, and so the point at which a search stops. Letters:
+D states, P fitted constants, L numbers of a segment, G segments, N rows, O measured states.
 """
 
 import math
@@ -56,12 +58,14 @@ from atoll_core.expression.kernels.tape import Ints
 
 _REJECTED: Final = 0.4
 """Share of fit steps that do not lower the cost (measured without noise: 0.5 with 8 states, 0.4 with 40 states). A step
-is first integrated without sensitivities if this takes less than this share of the work."""
+is first integrated without sensitivities if this integration takes less than this share of the work of a complete
+step."""
 
 
 class _Blocks(NamedTuple):
-    """Normal equations: `normal` (P, P) of the constants; `coupling` (G, P, L) of constants and each segment's own
-    numbers; `own` (G, L, L) of the segment's numbers; right sides `gradient` (P,) and `own_gradient` (G, L)."""
+    """Blocks of the normal equations: `normal` (P, P) for the constants, `own` (G, L, L) for each segment's own
+    numbers, and `coupling` (G, P, L) for both. The right-hand sides are `gradient` (P,) for the constants and
+    `own_gradient` (G, L) for the segments."""
 
     normal: FloatArray
     coupling: FloatArray
@@ -89,7 +93,8 @@ _Step = tuple[FloatArray, FloatArray]
 
 
 class MultipleShooting:
-    """Fits systems to `measurements`. `work` is the sum over all integrations of rows times integrated numbers.
+    """Fits systems to `measurements`. `work` is the sum, over all integrations, of the number of rows times the number
+    of integrated numbers.
 
     Several threads may fit at the same time.
     """
@@ -101,7 +106,7 @@ class MultipleShooting:
         deadline: Deadline | None = None,
         measured_rows: int = 0,
     ) -> None:
-        """After the `deadline` a fit takes no more steps. See `Integrator` for the other arguments."""
+        """A fit takes no more steps after the `deadline`. See `Integrator` for the other arguments."""
         self.integrator: Final = Integrator(measurements, tolerance, measured_rows)
         self.measurements: Final = measurements
         self.tolerance: Final = tolerance
@@ -130,11 +135,11 @@ class MultipleShooting:
         Args:
             system: the system, with start values of the constants.
             length: rows of a segment; None for whole trajectories.
-            steps: most steps, successful or not.
+            steps: most steps; successful and failed steps count.
             starts: initial states (G, D), or with offsets (G, D + K); None: the smoothed states.
-            errors: the first error model; None: independent errors as large as the smoother's noise.
-            is_stiff: whether similar systems are stiff. A fit of few steps may use the implicit method only if they
-                are, since most candidates that seem stiff are wrong.
+            errors: the first error model; None: errors are independent and as large as the smoother's noise.
+            is_stiff: whether similar systems are stiff. If they are not, a fit of few steps may not use the implicit
+                method, since most candidates that seem stiff are wrong.
         """
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=may_be_stiff)
@@ -143,7 +148,7 @@ class MultipleShooting:
         return fit
 
     def add_work(self, work: int) -> None:
-        """Add to the work; also used for fits on workers."""
+        """Add to the counted work. This method is also called for fits that workers have made."""
         self._of_thread.counted = self.work_of_thread + work
         with self._lock:
             self.work += work
@@ -156,7 +161,8 @@ class MultipleShooting:
     def complete(
         self, system: OdeSystem, length: int | None, starts: FloatArray, errors: ErrorModel, *, is_stiff: bool
     ) -> TrajectoryFit:
-        """Return the complete fit with these constants, initial states and errors, equal to the bit; counts no work."""
+        """Return the complete fit with these constants, initial states and errors. It is equal to the original fit, bit
+        by bit. No work is counted."""
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=is_stiff)
         fitter.method = self.integrator.methods[is_stiff]
         point, _ = fitter.point(system, starts, errors)
@@ -165,7 +171,8 @@ class MultipleShooting:
         return fit
 
     def join(self, fit: TrajectoryFit, before: int | None, after: int | None) -> tuple[OdeSystem, FloatArray] | None:
-        """Return the system and initial states (G, D) of longer segments that make the segments of a fit continuous.
+        """Return a system and the initial states (G, D) of longer segments. With these, the short segments of a fit
+        become continuous.
 
         In a chaotic trajectory, the end of a long segment cannot be predicted from its beginning. So Gauss-Newton steps
         close the gaps between the short segments of each longer segment: each short segment then begins at the end of
@@ -198,7 +205,7 @@ class MultipleShooting:
                 return system, np.ascontiguousarray(simulated[:, first_rows].T)
             residuals = self.residuals(simulated, starts, segments)
             blocks = self.blocks(segments, sensitivities, residuals, fit.errors, fitted)
-            with np.errstate(all="ignore"):  # sensitivities of a trajectory that blows up; no step is solved then
+            with np.errstate(all="ignore"):  # overflows if a trajectory blows up; then no step is solved
                 condensed, moves = _condense(blocks, ends, gaps, pieces)
             change, its_own = np.empty(fitted), np.empty((len(condensed.own), states))
             if not solve_step(*condensed, LEAST_DAMPING, change, its_own):
@@ -222,7 +229,7 @@ class MultipleShooting:
         ends = np.zeros((len(segments), starts.shape[1], system.count + starts.shape[1]))
         reached, parts = np.zeros_like(starts), []
         numbers = OVERHEAD_NUMBERS + starts.shape[1] * (system.count + starts.shape[1])
-        for parity in (0, 1):  # the last row of a segment is the first row of the next, which would overwrite it
+        for parity in (0, 1):  # neighbouring segments share a row, and would overwrite it
             chosen = np.arange(parity, len(segments), 2)
             course = self.integrator.integrate(method, system, longer[chosen], np.ascontiguousarray(starts[chosen]))
             self.add_work(method.work(course.steps, self.measurements.rows // 2) * numbers)
@@ -239,7 +246,8 @@ class MultipleShooting:
         return even.states, even.sensitivities, ends, reached
 
     def estimator_of_trajectory(self, owner: int, fit: TrajectoryFit) -> tuple["MultipleShooting", FloatArray]:
-        """Return an estimator for one trajectory (an index of `names`), and the initial states of a `fit` along it."""
+        """Return an estimator for one trajectory (`owner`, an index of `names`), and the initial states of `fit` along
+        this trajectory."""
         measurements = self.measurements
         is_own = measurements.owners_of_rows[fit.segments[:, 0]] == owner
         return MultipleShooting(measurements.part([owner]), self.tolerance, self.deadline), fit.starts[is_own]
@@ -280,7 +288,8 @@ class MultipleShooting:
         return blocks
 
     def squares(self, residuals: FloatArray) -> FloatArray:
-        """Return the mean squares (O,) of residuals, corrected for robustness weights, which reduce large errors."""
+        """Return the mean squares (O,) of residuals. They are corrected because robustness weights reduce large
+        errors."""
         return self._correct_for_robustness(
             (self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals
         )
@@ -304,28 +313,30 @@ class MultipleShooting:
         return self.layout(None).sensor_errors(fit.residuals, np.sqrt(fit.squares), fitted, turns)
 
     def whiten(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
-        """Return residuals (O, N) of whole trajectories without the correlated share of these errors."""
+        """Return residuals (O, N) of whole trajectories without their correlated part, according to the error model
+        `errors`."""
         return self.layout(None).whiten(residuals, errors)
 
     def squared_innovations(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
-        """Return the sums of squared innovations (O,) of residuals (O, N) of whole trajectories, by their likelihood.
+        """Return equivalent sums of squared innovations (O,) of residuals (O, N) of whole trajectories.
 
-        Innovations have different variances. The result is the sum of squares that equally many innovations of one
-        variance would have at the same likelihood.
+        The variances of innovations differ. The result is the sum of squares of the same number of innovations with
+        equal variances and the same likelihood.
         """
         squares, logarithms = self.layout(None).squares(residuals, errors)
         counts = np.maximum((self.measurements.weights > 0.0).sum(axis=1), 1)
         return np.asarray(squares * np.exp(logarithms / counts))
 
     def cost(self, fit: TrajectoryFit) -> float:
-        """Return the sum of squared residuals of a fit of whole trajectories, over the variances of its errors."""
+        """Return the cost of a fit of whole trajectories: each squared residual is divided by the variance of its
+        error, and the sum is returned."""
         return _cost(self.layout(None), fit.residuals, fit.errors)
 
     # --------------------------------------------------------------------------------------------------- simulations
 
     def simulate(self, system: OdeSystem, start: FloatArray) -> FloatArray | Unsimulated:
-        """Return the states (D, N) of whole trajectories from one initial state (D,), or why the simulation ended
-        early."""
+        """Return the states (D, N) of whole trajectories from one initial state (D,), or the reason why the simulation
+        ended early."""
         simulated, why = self.simulate_until_blow_up(system, start)
         return simulated if why is None else why
 
@@ -380,7 +391,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     def equations(self, point: _Point) -> Solver[_Step]:
         """Return the solver for steps of the constants (P,), within their bounds, and of initial states (G, D).
 
-        The predicted decrease is twice the decrease of an undamped step, an upper limit for damped steps.
+        The predicted decrease is twice the decrease by an undamped step; this is an upper limit for damped steps.
         """
         normal, coupling, own, gradient, own_gradient = point.blocks
         held = point.system.blocked_by_bounds(gradient)
@@ -398,24 +409,24 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return solve
 
     def step(self, point: _Point, step: _Step) -> tuple[_Point, float] | None:
-        """Return the point after a step, with variances estimated there, and the decrease of the cost by the old
-        variances."""
+        """Return the point after a step, with variances estimated at this point, and the decrease of the cost, computed
+        with the old variances."""
         system, starts = point.system.with_values(point.system.values + step[0]), point.starts + step[1]
         there, _ = self.point(system, starts, point.errors, point.cost)
         return None if there is None else (there, point.cost - _cost(self._layout, there.residuals, point.errors))
 
     def least_gain(self, point: _Point) -> float:
-        """Return the least decrease that counts: a share of the cost, or the cost of rounding errors if larger.
+        """Return the least decrease that counts: a share of the cost, or the cost of rounding errors if this cost is
+        larger.
 
-        If the data are a solution in closed form, the residuals are rounding errors, and a fit would follow these in
-        many steps.
+        If the data are a solution in closed form, the residuals are rounding errors, and a fit would need many steps to
+        follow them.
         """
         return max(SETTLED * point.cost, float((self._rounding / point.errors.sigmas**2).sum()))
 
     @cached_property
     def _rounding(self) -> FloatArray:
-        """The sum of squared rounding errors (O,); the number of rounding errors in a state grows by one with each row
-        of a segment."""
+        """The sum of squared rounding errors (O,). With each row of a segment, a state gets one more rounding error."""
         segments, measurements = self._segments, self._measurements
         since = np.arange(measurements.rows) - np.repeat(segments[:, 0], segments[:, 1] - segments[:, 0])
         squares = (np.finfo(np.float64).eps * self._estimator.measured) ** 2 * (1 + since)
@@ -468,9 +479,9 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     def _starting_states(self) -> Iterator[FloatArray]:
         """Yield initial states (G, D or more) that are tried until a system can be integrated.
 
-        Noise may change the sign of the first value of a state, and many laws, for example of growth, blow up with the
-        wrong sign. So a second set of initial states is tried: if the state has one sign from some row of its piece to
-        the end, the set has the value in this row.
+        Noise may change the sign of the first value of a state, and many laws, for example laws of growth, blow up from
+        a value with the wrong sign. So a second set of initial states is tried. If a state keeps its sign from some row
+        of its piece to the end, the set has the value in this row.
         """
         measurements, segments = self._measurements, self._segments
         smoothed = np.ascontiguousarray(measurements.smoothed[:, segments[:, 0]].T)
@@ -487,7 +498,8 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
             yield signed
 
     def _with_offsets(self, starts: FloatArray, states: int) -> FloatArray:
-        """Return initial states with offsets, which only whole trajectories determine; missing offsets are zero."""
+        """Return initial states with offsets; missing offsets are zero. Only fits of whole trajectories determine
+        offsets."""
         count = len(self._measurements.offset) if self._is_whole else 0
         missing = states + count - starts.shape[1]
         if missing <= 0:
@@ -495,7 +507,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return np.concatenate([starts, np.zeros((len(starts), missing))], axis=1)
 
     def _zero_resting_states(self, starts: FloatArray) -> FloatArray:
-        """Return initial states, with 0 for resting states."""
+        """Return the initial states, but with 0 for resting states."""
         measurements = self._measurements
         if measurements.resting is None:
             return starts
@@ -514,10 +526,10 @@ def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> flo
 def _condense(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints) -> tuple[_Blocks, FloatArray]:
     """Return the normal equations of pieces with continuous segments, and how the initial states of segments move.
 
-    The move of a segment's initial state is A s + B p + c, linear in the move s of the initial state of its piece and
-    in the step p of the constants. From one segment to the next, A, B and c become S A, S B + T and S c + h. S and T
-    are the sensitivities of the end of the first segment to its initial state and to the constants; h is the gap
-    between both segments (Bock 1983, section 3; Albersmeyer & Diehl 2010, SIAM Journal on Optimization 20:1655).
+    Let s be the move of the initial state of a piece, and p the step of the constants. Then the initial state of a
+    segment of this piece moves by A s + B p + c. From one segment to the next, A, B and c become S A, S B + T and S c +
+    h. S and T are the sensitivities of the end of the first segment to its initial state and to the constants; h is the
+    gap between the two segments (Bock 1983, section 3; Albersmeyer & Diehl 2010, SIAM Journal on Optimization 20:1655).
 
     Args:
         blocks: the normal equations of the segments.
@@ -554,7 +566,8 @@ def _condense(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints)
 
 
 def relative_steps(measurements: TrajectoryMeasurements) -> FloatArray:
-    """Return the time step (N,) from the previous row to each row, over the median step; 1 for evenly spaced rows."""
+    """Return the time step (N,) from the previous row to each row, divided by the median step. It is 1 for evenly
+    spaced rows."""
     steps = np.diff(measurements.times, prepend=measurements.times[0]) / measurements.step
     steps[measurements.bounds[:, 0]] = 1.0
     steps[np.abs(steps - 1.0) < 1e-6] = 1.0
@@ -564,7 +577,7 @@ def relative_steps(measurements: TrajectoryMeasurements) -> FloatArray:
 def fit_in_stages(
     estimator: MultipleShooting, system: OdeSystem, lengths: Sequence[int | None], steps: int
 ) -> TrajectoryFit | None:
-    """Return `system` fitted to segments of growing `lengths`; each fit starts from the end of the previous one."""
+    """Return `system` fitted to segments of growing `lengths`; each fit starts from the result of the previous fit."""
     fit: TrajectoryFit | None = None
     before: int | None = None
     for length in _intermediate_lengths(lengths, estimator.measurements):

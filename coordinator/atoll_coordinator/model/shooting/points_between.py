@@ -13,25 +13,26 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 MOST_POINTS: Final = 500
-"""Approximate number of measured points used. A lattice selects them, since every n-th row may have the same phase of a
-period."""
+"""Approximate number of measured points used. A lattice selects these points, since with every n-th row all points
+might have the same phase of a period."""
 
 
 def points_between(points: FloatArray) -> FloatArray:
-    """Return points (G, V) on lines between two measured points that are far apart among all `points` (V, N).
+    """Return points (G, V) on lines; each line is between two of the measured `points` (V, N) that are far apart.
 
     If all measured points satisfy a linear constraint, such as a constant weighted sum or a sign, points on these lines
-    satisfy it as well. Energies are also smaller than in the corners of a box of many states.
+    also satisfy this constraint. Energies are smaller on the lines than in the corners of a box of many states.
     """
     first, second, (share,) = _draw_pairs(points, 1)
     return np.asarray(first + share[:, None] * (second - first))
 
 
 def points_in_boxes(points: FloatArray, moved: int) -> FloatArray:
-    """Return points (G, V) in boxes spanned by two measured points; linear constraints, such as constant sums, need not
-    hold there.
+    """Return points (G, V) in boxes; two measured points are opposite corners of each box. Linear constraints, such as
+    constant sums, may not hold for these points.
 
-    The first `moved` components vary; the others, such as inputs, have the values of the first of the two points.
+    The first `moved` components vary; the other components, such as inputs, have the values of the first of the two
+    points.
     """
     first, second, shares = _draw_pairs(points, moved)
     first[:, :moved] += shares.T * (second - first)[:, :moved]
@@ -42,9 +43,9 @@ def remove_conserved_directions(moves: FloatArray, points: FloatArray, noise: Fl
     """Return `moves` (G, V) without their components along conserved directions of the `points` (V, N).
 
     Along a conserved direction (a singular vector, in units of the range), all points have the same weighted sum: it
-    varies by no more than the `noise` (V,). The variance of N independent rows has the relative standard error
-    sqrt(2/N); a signal differs from noise (p = 0.05) if it adds more than 1.64 standard errors. If there are no more
-    rows than components, no direction is removed.
+    varies by no more than the `noise` (V,). The estimated variance of N independent rows has the relative standard
+    error sqrt(2/N). A variance counts as larger than the noise (p = 0.05) if it is more than 1.64 standard errors
+    larger. If there are no more rows than components, no direction is removed.
     """
     if points.shape[1] <= len(points):
         return moves
@@ -59,8 +60,8 @@ def remove_conserved_directions(moves: FloatArray, points: FloatArray, noise: Fl
 
 
 def _draw_pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return G pairs of measured points, as two arrays (G, V), and shares (numbers, G) of the way from first to
-    second."""
+    """Return G pairs of measured points, as two arrays (G, V), and random shares (numbers, G) of the way from the first
+    to the second point."""
     count, width = SETTINGS.effort.beam, np.maximum(np.ptp(points, axis=1), 1e-300)
     known = points.T[thinned_places(points.shape[1], MOST_POINTS)]
     outer = known[_choose_far_apart(known / width, 2 * count)]
@@ -72,9 +73,9 @@ def _draw_pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArra
 
 
 def _choose_far_apart(points: FloatArray, count: int) -> list[int]:
-    """Return the indices of up to `count` of the `points` (N, D), each the farthest from all earlier ones.
+    """Return the indices of up to `count` of the `points` (N, D); each point is the farthest from all earlier points.
 
-    Farthest-point sampling (Gonzalez 1985): a long steady state gets no more points than the transient.
+    With this farthest-point sampling (Gonzalez 1985), a long steady state gets no more points than the transient.
     """
     places, nearest = [0], np.full(len(points), math.inf)
     for _ in range(1, count):

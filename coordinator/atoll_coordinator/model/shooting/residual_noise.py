@@ -16,8 +16,8 @@ from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_core.data.dataset import FloatArray
 
 ROUGHNESS_VARIANCE: Final = 35.0 / 9.0
-"""The variance that `roughness` estimates has this relative variance, divided by the number of rows: second differences
-of independent errors have the correlations -2/3 and 1/6 (Gasser, Sroka & Jennen-Steinmetz 1986)."""
+"""Relative variance of the variance that `roughness` estimates, times the number of rows. It follows from the
+correlations of the second differences of independent errors, -2/3 and 1/6 (Gasser, Sroka & Jennen-Steinmetz 1986)."""
 
 _ROUNDING: Final = 1e-9
 """Guard: upper limit of the relative rounding error of sums of squares by Fourier transforms, for 1e9 rows."""
@@ -47,10 +47,10 @@ def slow_shares(
     """Return the share of the residuals' squares (O,) that slow cosines explain, and its expected value for independent
     errors.
 
-    The errors of a law move a state no faster than its derivative varies. Hence they are a sum of about `pieces` (O,)
-    cosines along the rows. Three more cosines are used along each trajectory, because the fit of its initial state and
-    of the constants absorbs the slowest. On average, the cosines explain this share of the squares of independent
-    errors: the number of cosines over the number of rows.
+    The errors of a law move a state no faster than its derivative varies. So errors of a law are a sum of about
+    `pieces` (O,) cosines along the rows. Three more cosines are used along each trajectory, because the fit of the
+    initial state and of the constants absorbs the slowest cosines. The share of the squares of independent errors that
+    the cosines explain on average is the number of cosines divided by the number of rows.
     """
     shares, expected = np.zeros(len(residuals)), np.zeros(len(residuals))
     for state, (values, weights) in enumerate(zip(residuals, measurements.weights, strict=True)):
@@ -73,7 +73,7 @@ def slow_shares(
 def count_pieces(measurements: TrajectoryMeasurements) -> FloatArray:
     """Return the number of independent numbers (O,) in errors that vary as slowly as the derivatives of the states.
 
-    This is the number of rows over their correlation length. The correlation length is the lag at which the
+    This is the number of rows divided by their correlation length. The correlation length is the lag at which the
     autocorrelation of the differences of the smoothed states falls below 1/e; it is at least one row.
     """
     counts = np.zeros(len(measurements.observed))
@@ -88,7 +88,8 @@ def count_pieces(measurements: TrajectoryMeasurements) -> FloatArray:
 def _correlation_length(parts: Sequence[FloatArray]) -> int:
     """Return the lag at which the autocorrelation of all `parts` falls below 1/e; the largest lag if it never does.
 
-    Fourier transforms give the possible lags, up to rounding errors. At these lags the sums are then computed directly.
+    Sums computed by Fourier transforms have rounding errors, so they only show which lags are possible. At these lags
+    the sums are then computed directly.
     """
     least = sum(float(part @ part) for part in parts) / math.e
     sums = np.zeros(max(map(len, parts), default=0))

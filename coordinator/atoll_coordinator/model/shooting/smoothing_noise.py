@@ -1,8 +1,8 @@
 """The size of errors of measurement, estimated from the residuals of smoothing, before a law is known. Pure.
 
 The variance of a row is a^2 + b^2 x^2 with the smoothed value x: the two-component model of analytical chemistry (Rocke
-& Lorenzato 1995). It is fitted to the residuals of smoothing, which do not depend on any law. ``residual_noise``
-estimates the errors from the residuals of a law.
+& Lorenzato 1995). The model is fitted to the residuals of smoothing. These residuals do not depend on any law.
+``residual_noise`` estimates the errors from the residuals of a law.
 """
 
 import math
@@ -16,21 +16,22 @@ from atoll_coordinator.model.loess_matrix import residual_shares
 from atoll_core.data.dataset import FloatArray
 
 _SHARES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
-"""Proportional shares that are tried. At the last share, errors at zero are a tenth of the errors at the root mean
-square."""
+"""Proportional shares that are tried. With the last share, errors of the value zero are a tenth of the errors of the
+value `rms`."""
 _EVIDENCE: Final = 1.0
-"""Least gain in nats at which errors are treated as growing with the value. Measured on decays and waves of 8 to 200
-rows, 80 tables each: with errors of constant size, chance reaches this gain in 0 to 5 % of the tables; with errors
-proportional to the value, 72 % of tables of 21 rows reach it."""
+"""Errors are treated as growing with the value if this saves at least this many nats. The limit was tested on decays
+and waves of 8 to 200 rows, with 80 tables each. If errors have constant size, 0 to 5 % of the tables reach this gain by
+chance. If errors are proportional to the value, 72 % of the tables with 21 rows reach it."""
 
 
 @dataclass(frozen=True)
 class VarianceModel:
-    """Error variance of one state. `proportional` is the share of the variance that is proportional to the square of
-    the value, for the value `rms`.
+    """Error variance of one state. A part of the variance is proportional to the square of the value: `proportional` is
+    the share of this part, for the value `rms`.
 
-    `mean` is the mean of inverse variances over the rows of the recording, so that weights are 1 on average. `scale` is
-    the standard deviation of a row of weight 1, over the standard deviation for equal weights.
+    `mean` is the mean of inverse variances over the rows of the recording; weights are divided by it, so that they are
+    1 on average. `scale` is the standard deviation of a row of weight 1, divided by the standard deviation for equal
+    weights.
     """
 
     proportional: float = 0.0
@@ -46,8 +47,9 @@ class VarianceModel:
 def estimate_variances(recording: Recording) -> list[VarianceModel]:
     """Return the error variance model of each state, estimated from the residuals of its smoothing.
 
-    Errors grow with the value if this shortens the description by `_EVIDENCE` nats, for one state or for all states
-    together, since states are usually measured in the same way. A state with negative evidence has constant errors.
+    Errors grow with the value if this shortens the description by `_EVIDENCE` nats. This gain is computed for each
+    state and for all states together, since states are usually measured in the same way. A state with negative evidence
+    has constant errors.
     """
     found = [_estimate_state(recording, state) for state in range(len(recording.states))]
     together = sum(evidence for _, evidence in found)
@@ -58,12 +60,12 @@ def estimate_variances(recording: Recording) -> list[VarianceModel]:
 
 
 def _estimate_state(recording: Recording, state: int) -> tuple[VarianceModel, float]:
-    """Return the best proportional share of one state (index), and the evidence for a proportional share: nats relative
-    to errors of equal size.
+    """Return the best proportional share of one state (index), and the evidence for a proportional share: the nats that
+    it saves compared with errors of equal size.
 
     A trajectory along which the state is always 0 is left out. Loess follows the errors of rows at the ends, so each
-    row counts by the share of its error that is in its residual. All proportional shares have the same prior
-    probability. There is no evidence if the state was interpolated, if outliers have reduced weights, or if rows have
+    row is weighted by the share of its error that remains in its residual. All proportional shares have the same prior
+    probability. The evidence is 0 if the state was interpolated, if outliers have reduced weights, or if rows have
     weights.
     """
     searched = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
@@ -92,7 +94,7 @@ def _estimate_state(recording: Recording, state: int) -> tuple[VarianceModel, fl
 
 
 def _residual_shares(smoothing: StateSmoothing, rows: int) -> FloatArray:
-    """Return the variance of the residual of each row (R,) over the variance of its error."""
+    """Return, for each row (R,), the variance of its residual divided by the variance of its error."""
     if smoothing.span is None or smoothing.degree is None:
         return np.ones(rows)
     return residual_shares(rows, smoothing.span, smoothing.degree)

@@ -1,8 +1,8 @@
 """Several equations as one system that can be integrated and fitted. Pure data.
 
-The programs are concatenated to one tape of nodes; each fitted constant has a node, and each fitted number belongs to
-one or several constants (`Sharing`). Letters: D equations, N nodes of all equations, P fitted constants, Q fitted
-numbers, G groups of trajectories.
+The programs are concatenated to one tape of nodes. Each fitted constant is a node of the tape. Each fitted number
+belongs to one or several constants (`Sharing`). Letters: D equations, N nodes of all equations, P fitted constants, Q
+fitted numbers, G groups of trajectories.
 """
 
 from collections.abc import Collection, Sequence
@@ -29,7 +29,7 @@ class Sharing:
     """The fitted number of each constant in each of G groups of trajectories (G is 1 without groups).
 
     `constants` (G, N) are the constants of each group's tape. The fitted constant p of group g is the number
-    `columns[g, p]` times `multiples[p]`: groups, or several constants, that share a number have the same column.
+    `columns[g, p]` times `multiples[p]`: if groups or constants share a number, they have the same column.
     """
 
     constants: FloatArray
@@ -49,7 +49,7 @@ class Sharing:
         return len(self.constants)
 
     def numbers(self, places: Ints) -> FloatArray:
-        """Return the fitted numbers (Q,), given the nodes of the constants (P,)."""
+        """Return the fitted numbers (Q,); `places` are the nodes of the constants (P,)."""
         values = np.zeros(self.count)
         values[self.columns] = self.constants[:, places] / self.multiples
         return values
@@ -69,9 +69,10 @@ class Sharing:
 class OdeSystem:
     """D equations on one tape, see `kernels.rates.Tape`; `equations` are their programs.
 
-    `parameters` (N,) has the index of each fitted constant, -1 for other nodes; `places` (P,) are their nodes, `owners`
-    (P,) their equations. `lower` and `upper` (Q,) are bounds on the fitted numbers, None without bounds. With a
-    `sharing`, Q may differ from P, and `constants` are the means over the groups. Without a `sharing`, Q is P.
+    `parameters` (N,) has, for each node, the index of its fitted constant; it is -1 for nodes without one. `places`
+    (P,) are the nodes of the fitted constants, and `owners` (P,) are the indices of their equations. `lower` and
+    `upper` (Q,) are bounds on the fitted numbers; None: there are no bounds. With a `sharing`, Q may differ from P, and
+    `constants` are the means over the groups. Without a `sharing`, Q is P.
     """
 
     equations: tuple[Program, ...]
@@ -128,11 +129,13 @@ class OdeSystem:
     def sharing_numbers(self, constants: FloatArray, shared: Collection[SharedNumber], leading: int = 0) -> "OdeSystem":
         """Return the system with one fitted number for each group and constant, except for the `shared` numbers.
 
-        The start value of a shared number is the mean of its constants over their multiples.
+        The start value of a shared number is a mean: each of its constants is divided by its multiple, and the mean of
+        these quotients is used.
 
         Args:
             constants: constants of the nodes by group (G, N).
-            shared: constants by equation and node; equations are counted without the `leading` equations.
+            shared: the constants of each shared number, by equation and node; the first `leading` equations are not
+                counted.
         """
         starts = [0, *(self.outputs[:-1] + 1).tolist()][leading:]
         fitted = {node: place for place, node in enumerate(self.places.tolist())}
@@ -156,7 +159,8 @@ class OdeSystem:
         return system.with_values(system.values)
 
     def blocked_by_bounds(self, gradient: FloatArray) -> npt.NDArray[np.bool_] | None:
-        """Return which fitted numbers (Q,) lie on a bound and would cross it by a step along `gradient` (Q,).
+        """Return a mask (Q,) of the fitted numbers that lie on a bound, and would cross this bound in a step along
+        `gradient` (Q,).
 
         None if there are no bounds.
         """
@@ -167,7 +171,7 @@ class OdeSystem:
 
     @property
     def on_bounds(self) -> npt.NDArray[np.bool_]:
-        """Which of the fitted numbers (Q,) lie on a bound."""
+        """A mask (Q,) of the fitted numbers that lie on a bound."""
         if self.lower is None or self.upper is None:
             return np.zeros(self.count, np.bool_)
         values = self.values
@@ -185,16 +189,18 @@ class OdeSystem:
         )  # fmt: skip
 
     def by_place(self, numbers: FloatArray, power: int = 1) -> FloatArray:
-        """Return values of the Q fitted numbers by group and constant (G, P); G is one without groups.
+        """Return `numbers`, which belong to the Q fitted numbers, by group and constant (G, P); G is one without
+        groups.
 
-        Numbers are multiplied by the `power` of the multiples: 1 for values, 2 for variances.
+        Each number is multiplied by the multiple of the constant to the `power`: 1 for values, 2 for variances.
         """
         if self.sharing is None:
             return numbers[None]
         return np.asarray(numbers[self.sharing.columns] * self.sharing.multiples**power)
 
     def of_group(self, group: int) -> "OdeSystem":
-        """Return the system with the constants of one group, without bounds; itself if there are no groups."""
+        """Return the system with the constants of one group, without bounds. If there are no groups, the system itself
+        is returned."""
         if self.sharing is None:
             return self
         return replace(self, constants=self.sharing.constants[group], lower=None, upper=None, sharing=None)
@@ -213,7 +219,7 @@ def system_of(
     """Return the system of `programs`, one for each equation.
 
     Args:
-        programs: over `names`, the variables of the dataset.
+        programs: programs over `names`, the variables of the dataset.
         names: names of a program's variables, by index.
         variables: names of the components of a point: states with an equation first, then inputs.
         fixed: for each program the nodes whose constants are not fitted.

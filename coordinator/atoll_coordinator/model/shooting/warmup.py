@@ -1,4 +1,4 @@
-"""Warm-up of the kernels of trajectory fits: they are compiled once per machine, else loaded from the cache."""
+"""Warm-up of the kernels of trajectory fits: they are compiled once per machine, and later loaded from the cache."""
 
 import os
 from typing import Final
@@ -12,7 +12,7 @@ from atoll_core.expression.operators import ADD, CONSTANT, MULTIPLY, VARIABLE
 from atoll_core.expression.program import Program
 
 TOLERANCES: Final = (1e-8, 1e-3)
-"""One tolerance for each table of the explicit integration."""
+"""One tolerance for each table of coefficients of the explicit method."""
 
 _ROWS: Final = 6
 
@@ -20,7 +20,8 @@ _ROWS: Final = 6
 def warm_up() -> None:
     """Compile or load every kernel of a trajectory fit, by a very small fit with each table.
 
-    Interpreted kernels (``NUMBA_DISABLE_JIT``) need nothing. Takes about ten seconds the first time on a machine.
+    Nothing is done for interpreted kernels (``NUMBA_DISABLE_JIT``). The first call on a machine takes about ten
+    seconds.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return

@@ -1,10 +1,10 @@
-"""The dictionary of terms: products of variables, products with functions that have a constant inside, and libraries of
+"""The dictionary of terms: products of variables, products with functions that have an inner constant, and libraries of
 terms.
 
 A `Product` is a tuple of variables. A `Shape` is a product times a function, with its values on some rows; the function
 may have an inner constant. An `Atom` is a shape with a value of this constant: a term of a sum without its coefficient.
-Terms for which no values are needed are expressions. Doubt: the grids of inner constants are relative to the size of a
-variable, and can miss a function that varies in a small part of its range.
+Terms for which no values are needed are expressions. Doubt: the grids of inner constants are relative to the root mean
+square of a variable. They can miss a function that varies only in a small part of the range of the variable.
 
 Letters: K terms, R rows, V variables.
 """
@@ -51,7 +51,7 @@ Product = tuple[int, ...]
 
 
 def product_of(factors: Sequence[Expression]) -> Expression:
-    """Return a product, 1 without factors."""
+    """Return the product of `factors`; 1 if there are no factors."""
     product = factors[0] if factors else 1.0
     for factor in factors[1:]:
         product = (MULTIPLY, product, factor)
@@ -95,7 +95,7 @@ def expression_of(term: Product) -> Expression:
 
 
 def products_of(program: Program, degree: int) -> list[Product] | None:
-    """Return the products in the sum `program`; None if it is no sum of products of at most this degree."""
+    """Return the products in the sum `program`; None if the program is no sum of products up to this degree."""
     try:
         monomials = [monomial for monomial, _ in terms_of(program)]
     except UndefinedError:
@@ -114,9 +114,9 @@ def products_of(program: Program, degree: int) -> list[Product] | None:
 def polynomial_libraries(
     columns: Sequence[int], rows: float, degrees: Sequence[int]
 ) -> Iterator[tuple[list[Product], bool]]:
-    """Yield, for each possible degree, all products up to it, and whether the highest degree is possible.
+    """Yield, for each possible degree, all products up to this degree, and whether the highest degree is possible.
 
-    Each term of a library needs `rows_per_term` independent rows; `rows` is their number.
+    `rows` is the number of independent rows; each term of a library needs `rows_per_term` of them.
     """
     candidates = [products(columns, degree) for degree in degrees]
     most = min(SETTINGS.sparse.largest_library, rows / SETTINGS.sparse.rows_per_term)
@@ -128,7 +128,8 @@ def polynomial_libraries(
 def polynomial_and_fourier_libraries(
     variables: Sequence[int], operators: Collection[int]
 ) -> Iterator[list[Expression]]:
-    """Yield libraries over these variables, as far as the operators (codes) allow them, the constant term first.
+    """Yield libraries of terms in these variables. A library is yielded if the operators (codes) allow its terms; its
+    first term is the constant term.
 
     The libraries are: products up to the second and up to the third degree; products with sines and cosines; products
     of sines and cosines; sines and cosines of sums and differences, as in coupled phases.
@@ -226,8 +227,8 @@ _OF_POSITIVE: Final = {LOG: _make_plain_function(LOG, np.log), SQRT: _make_plain
 class Shape:
     """A product of variables, and possibly a function of `u` (R,) as another factor.
 
-    `factors` are the indices of the variables, `product` (R,) the values of their product. `argument` is the expression
-    of u.
+    `factors` are the indices of the variables, and `product` (R,) are the values of their product. `argument` is the
+    expression for u.
     """
 
     factors: Product
@@ -249,7 +250,7 @@ class Shape:
         return self.function.constants(size) if size > 0.0 else ()
 
     def value(self, constant: float) -> FloatArray:
-        """Return the values (R,); all NaN if a pole lies between the rows."""
+        """Return the values (R,). All values are NaN if a pole lies between the rows."""
         if self.function is None or self.u is None:
             return self.product
         values = self.function.value(self.u, constant)
@@ -278,7 +279,8 @@ class Shape:
                 return (MULTIPLY, product, function) if self.factors else function
 
     def price(self, rows: float) -> float:
-        """Return the nats of the term in a sum over this many rows: its structure, and 1/2 ln N for each constant."""
+        """Return the nats of the term in a sum: the price of its structure, and 1/2 ln N for each constant, where N is
+        `rows`."""
         structure, constants = _structure_and_constants(self.expression(1.5))
         return structure + constants * constant_nats_of(rows)
 
@@ -307,12 +309,13 @@ class Atom:
         return Atom(self.shape.over(inputs), self.constant)
 
     def move_constant(self, step: float) -> "Atom":
-        """Return the term with its inner constant after a step, which is limited to half of the constant."""
+        """Return the term after a step of its inner constant. The step is limited to half of the constant."""
         limit = 0.5 * abs(self.constant)
         return Atom(self.shape, self.constant + min(max(step, -limit), limit))
 
     def derivative_by_constant(self) -> "Atom":
-        """Return the derivative by the inner constant as a term, which has no expression. There must be a constant."""
+        """Return the derivative by the inner constant as a term. The term must have an inner constant; the derivative
+        has no expression."""
         assert self.shape.function is not None
         assert self.shape.function.slope is not None
         slope = replace(self.shape.function, value=self.shape.function.slope, slope=None, has_pole=False)
@@ -356,27 +359,28 @@ def product_atoms(inputs: FloatArray, terms: Sequence[Product]) -> tuple[Atom, .
     return tuple(map(Atom, powers(inputs, terms)))
 
 
-def dictionary(
+def products_with_functions(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], most: int = SETTINGS.sparse.most_atoms
 ) -> list[Shape]:
-    """Return products of a function and up to two variables; with fewer variables if there are more than `most` atoms.
+    """Return products of a function and up to two variables. If there are more than `most` atoms, products have fewer
+    variables.
 
     If there are too many atoms with two variables, only quotients have two variables: most laws with many variables
     have quotients.
     """
-    both = _products_with_functions(inputs, columns, operators, 2, most)
+    both = _products_up_to_degree(inputs, columns, operators, 2, most)
     if both is not None:
         return both
-    quotients = _products_with_functions(inputs, columns, {DIVIDE} & set(operators), 2, most)
+    quotients = _products_up_to_degree(inputs, columns, {DIVIDE} & set(operators), 2, most)
     rest = set(operators) if quotients is None else set(operators) - {DIVIDE}
-    fewer = (_products_with_functions(inputs, columns, rest, degree, most) for degree in (1, 0))
+    fewer = (_products_up_to_degree(inputs, columns, rest, degree, most) for degree in (1, 0))
     return [*(quotients or ()), *next((found for found in fewer if found is not None), [])]
 
 
-def _products_with_functions(
+def _products_up_to_degree(
     inputs: FloatArray, columns: Sequence[int], operators: Collection[int], degree: int, most: int
 ) -> list[Shape] | None:
-    """Return products of variables up to a degree with functions; None if there are more atoms than `most`."""
+    """Return products of a function and of variables, up to this degree. None if there are more than `most` atoms."""
     plain = powers(inputs, products(columns, degree))
     arguments = list(_arguments(inputs, columns, set(operators)))
     single = [Shape((), plain[0].product, function, argument, u) for argument, u, of in arguments for function in of]
@@ -391,9 +395,9 @@ def _products_with_functions(
 
 
 def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
-    """Yield powers u of a variable with the function 1/(c + u); start values of c are the same powers of shares of the
-    variable's size. For the variable itself, c may also put the pole beyond its largest value: for example, if a
-    process saturates in the rest of a conserved amount.
+    """Yield powers u of a variable with the function 1/(c + u). The start values of c are the same powers of shares of
+    the variable's root mean square. If u is the variable itself, the pole may also lie beyond its largest value. An
+    example is a process that saturates in the remaining part of a conserved amount.
     """
     leaf: Expression = (VARIABLE, column)
     square: Expression = (MULTIPLY, leaf, leaf)
@@ -404,7 +408,7 @@ def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, Fl
 
 
 def _shifts_beyond_range(most: float, size: float) -> Sequence[float]:
-    """Return shifts with a pole beyond the largest value `most` of a variable with the root mean square `size`."""
+    """Return shifts whose pole is beyond `most`, the largest value of a variable; `size` is its root mean square."""
     return [-(most + shift * size) for shift in _SHIFTS if most > 0.0]
 
 
@@ -422,7 +426,7 @@ def _powers_of_shifts(exponent: int, size: float) -> Sequence[float]:
 def _arguments(
     inputs: FloatArray, columns: Sequence[int], operators: set[int]
 ) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
-    """Yield arguments, their values (R,), and the functions that are tried with each."""
+    """Yield arguments, the values (R,) of each argument, and the functions that are tried with it."""
 
     def allowed(functions: dict[int, Function]) -> list[Function]:
         return [function for code, function in functions.items() if code in operators]

@@ -1,13 +1,13 @@
 """The laws of states by sparse regression: the rows to which an equation is fitted, and the libraries that are tried.
 
 How it works. There are three cases. Few variables (all products up to the fourth degree fit in a library): laws are
-sums of products. They are fitted to derivatives if there is no noise, else in the weak form, and compared with other
-programs. Many variables: laws are short sums of products and functions. Each equation is fitted independently, then
-again with the functions of other laws, since a flux that leaves one state enters another. Dozens of variables: forward
-selection first chooses the variables of each equation.
+sums of products. If there is no noise, they are fitted to derivatives. If there is noise, they are fitted in the weak
+form and compared with other programs. Many variables: laws are short sums of products and functions. First each
+equation is fitted independently. Then it is fitted again with functions of the other laws, since a flux that leaves one
+state enters another. Dozens of variables: forward selection first chooses the variables of each equation.
 
-Doubts. A law is assessed by its own errors, not by trajectories; `selection` does this later. A sum of products can
-approximate another function within the noise: see `Law.lead`.
+Doubts. A law is only assessed by the residuals of its regression; `selection` tests it along trajectories later. A sum
+of products can approximate another function within the noise: see `Law.lead`.
 """
 
 import math
@@ -97,7 +97,7 @@ def find_laws_among_many(preparation: Preparation, config: JobConfig) -> LawsByG
 
 
 def _parts(preparation: Preparation) -> Sequence[Preparation]:
-    """Return the preparation of each group of trajectories; without groups, the whole preparation."""
+    """Return the preparation of each group of trajectories. If there are no groups, return the whole preparation."""
     return tuple(by_group(preparation)) or (preparation,)
 
 
@@ -137,10 +137,10 @@ def _spaces(dataset: Dataset, config: JobConfig) -> dict[str, tuple[tuple[int, .
 def settled_variables(preparation: Preparation, config: JobConfig, among_many: LawsByGroup) -> frozenset[str]:
     """Return the variables whose laws are so certain that no long search is needed.
 
-    The residuals of these laws are like noise, and there were more rows than systems are compared on. With many
-    variables, each equation is settled independently. With few variables, either all equations are settled or none,
-    since a search with few variables is short. The result is empty if the user has set an end of the search or guesses.
-    `among_many` is the result of `find_laws_among_many`.
+    The residuals of these laws are like noise, and the laws were fitted to more rows than systems are compared on. With
+    many variables, each equation is settled independently. With few variables, either all equations are settled or no
+    equation is, since a search with few variables is short. The result is empty if the user has set an end of the
+    search, or guesses. `among_many` is the result of `find_laws_among_many`.
     """
     budget = config.budget
     is_asked = budget.target_error is not None or budget.stagnation is not None or bool(config.prior.guesses)
@@ -165,7 +165,7 @@ def _settled_variables(
 
 
 def _is_settled(laws: Sequence[Law], rows: int, largest: int | None) -> bool:
-    """Tell whether the first of these laws of an equation is so certain that no long search is needed."""
+    """Tell whether the first of these laws is so certain that no long search for the equation is needed."""
     if not laws or not may_be_shown(laws[0].program, largest):
         return False
     is_like_noise = laws[0].is_tested and laws[0].probability >= SETTINGS.inference.improbable
@@ -204,9 +204,10 @@ def find_laws(
     others: Sequence[Program] = (),
     spread: Spread | None = None,
 ) -> tuple[Law, ...]:
-    """Return the laws of one state, found from its rows alone, the shortest description first.
+    """Return the laws of one state, the shortest description first.
 
-    Empty without a law, or with too many variables for libraries of all products.
+    Only the rows of this state are used. The result is empty if no law was found, or if there are too many variables
+    for libraries of all products.
 
     Args:
         problem: the derivative on the rows of the search; the target's variable is a state of `recording`.
@@ -224,9 +225,10 @@ def find_laws(
 
 
 def _find_laws_without_noise(problem: Problem, columns: Sequence[int]) -> Iterator[Law]:
-    """Yield the smallest sum that has converged, from the library of lowest degree that has such a sum.
+    """Yield the smallest sum whose error is below the limit of convergence, from the library of the lowest degree that
+    has such a sum.
 
-    Without such a sum, yield the smallest sum whose errors are about as large as the limit of convergence.
+    If no library has one, yield the smallest sum whose error is about as large as this limit.
     """
     rows, limit = RegressionRows(problem.inputs, problem.target.values), problem.target.convergence_error()
     ways = []
@@ -251,7 +253,7 @@ def _find_laws_without_noise(problem: Problem, columns: Sequence[int]) -> Iterat
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """The parts of a weak form, see `weak_rows`, and the terms of the largest library."""
+    """The parts of a weak form (see `weak_rows`), and the terms of the largest library."""
 
     measured: MeasuredRows
     target: int
@@ -275,13 +277,14 @@ def _search_law(regression: SparseRegression, terms: tuple[Product, ...]) -> tup
 
 
 _Description = tuple[tuple[Product, ...] | None, float]
-"""The products of a program, None if it is no sum of products; and the nats of the program."""
+"""The products of a program (None if the program is no sum of products), and the nats of the program."""
 
 
 def _describe(regression: SparseRegression, program: Program) -> _Description:
-    """Return the products or the nats of a program by the criterion of sums; infinite nats if it cannot be fitted.
+    """Return the products of a program, or its nats by the same criterion as for sums. The nats are infinite if the
+    program cannot be fitted.
 
-    The constants of the program were fitted to derivatives that smoothing has flattened. So a factor of the whole
+    The constants of the program were fitted to smoothed derivatives, which are too flat. So a factor of the whole
     program is fitted to the windows.
     """
     written, rows = collected(program), regression.rows
@@ -342,7 +345,8 @@ def _find_laws_with_noise(
 
 
 def _find_laws_among_many(part: Preparation, config: JobConfig) -> dict[str, tuple[Law, ...]]:
-    """Return the laws of the states of one group: on derivatives without noise, on short windows with noise."""
+    """Return the laws of the states of one group: they are fitted to derivatives if there is no noise, and to short
+    windows if there is noise."""
     dataset, recording = part.dataset, part.recording
     if recording is None or not _are_many(len(dataset.names)) or not _meets_assumptions(recording):
         return {}
@@ -365,8 +369,7 @@ def _find_laws_among_many(part: Preparation, config: JobConfig) -> dict[str, tup
 def screen_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
     """Return the configuration with screened variables for each equation, if there are dozens of variables.
 
-    Variables that the user has set are not changed. Equations for which no variable can be excluded are not changed
-    either.
+    Variables that the user has set are not changed. An equation is not changed either if no variable can be excluded.
     """
     dataset, recording, space = preparation.dataset, preparation.recording, config.space
     if recording is None or not _are_many(len(dataset.names), 2):
@@ -386,12 +389,13 @@ def screen_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
 
 
 def screen_columns(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
-    """Return the variables among `columns` (indices) that the equation needs, ascending; empty if none explains it.
+    """Return the variables among `columns` (indices) that the equation needs, in ascending order. The result is empty
+    if no variable explains the equation.
 
     Products of two variables, and cubes, are added one at a time (forward selection). Each step adds the product that
-    explains most of the residuals. The selection ends when this product explains no more than chance gives for the best
-    of all products. Backward elimination then ranks the terms, since a later term may make an earlier term unnecessary.
-    The result contains the variables of the best terms.
+    explains most of the residuals. The selection ends when this product explains no more than the best of all products
+    would explain by chance. Backward elimination then ranks the terms, since a later term may make an earlier term
+    unnecessary. The result contains the variables of the best terms.
     """
     if not _are_many(len(columns), 2):
         return tuple(columns)

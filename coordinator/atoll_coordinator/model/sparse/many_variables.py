@@ -1,12 +1,12 @@
-"""Laws of many variables: short sums of products and of functions with a constant inside, fitted to derivatives or
+"""Laws of many variables: short sums of products and of functions with an inner constant, fitted to derivatives or to
 short windows.
 
 With six or more variables, libraries of all products up to the fourth degree are too large, and laws have functions
-that sums of products cannot replace. Each equation is searched independently: first polynomials of low degree, then
-products with functions (quotients as in Hill's equation and others), each tried as one more term of the sum. Finally,
-functions of other laws are tried as terms, since a flux that leaves one state enters another. Reasons and figures: ADR
-0043 and 0048. Doubt: at most a few functions are added, one at a time. So a law can be missed if two of its functions
-fit only together.
+that sums of products cannot replace. Each equation is searched independently: first among polynomials of low degree.
+Then products with functions, such as the quotients in Hill's equation, are tried, each as one more term of the sum.
+Finally, functions of other laws are tried as terms, since a flux that leaves one state enters another. Reasons and
+figures: ADR 0043 and 0048. Doubt: at most a few functions are added, one at a time. So a law can be missed if two of
+its functions fit only together.
 
 Letters: A atoms, K terms, N rows of a regression, W windows of L rows, R rows of all trajectories, V variables.
 """
@@ -24,7 +24,13 @@ from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.pools import Law
-from atoll_coordinator.model.sparse.atoms import Atom, Product, dictionary, polynomial_libraries, product_atoms
+from atoll_coordinator.model.sparse.atoms import (
+    Atom,
+    Product,
+    polynomial_libraries,
+    product_atoms,
+    products_with_functions,
+)
 from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum, make_grid, rank_further_terms
 from atoll_coordinator.model.sparse.regression import SparseRegression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
@@ -45,7 +51,7 @@ from atoll_core.expression.program import operators_in
 
 _DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
 _KEPT: Final = 2
-"""Number of functions that are kept for each start sum of a search; these functions become terms of a library."""
+"""For each start sum of a search, this number of functions is kept; these functions become terms of a library."""
 
 # ------------------------------------------------------------------------------------------------ short windows
 
@@ -53,10 +59,10 @@ _CUBIC, _LINE = 3, 1
 _SMOOTHNESS: Final = 2
 """The power p of the test functions (1 - s^2)^p: the smallest power for which the slope vanishes at both ends."""
 _WIDER: Final = 1.5
-"""Ratio of each half width that is tried to the previous half width."""
+"""Ratio of successive half widths that are tried."""
 _RESOLVED: Final = 0.75
-"""Windows get wider as long as, in this share of the windows, linear interpolation between rows is as accurate as cubic
-interpolation, within the noise."""
+"""Windows get wider as long as linear interpolation between rows is accurate enough in this share of the windows:
+within the noise, it must give the same result as cubic interpolation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +71,14 @@ class ShortWindows(WeakRows):
 
     Functions are interpolated by cubics between rows, and the product with the test function is integrated exactly.
     `coarse` are the weights (W, L) of test functions and their derivatives for linear interpolation between rows. The
-    difference between both integrals counts as an error.
+    difference between the integrals by cubic and by linear interpolation counts as an error.
     """
 
     coarse: tuple[FloatArray, FloatArray]
 
     @cached_property
     def _own(self) -> FloatArray:
-        """The variances (W,) of the left sides due to errors of measurement."""
+        """The variances (W,) of the left sides that are due to errors of measurement."""
         return np.asarray((self.slope**2).sum(axis=1) * self.measured.noise[self.target] ** 2)
 
     @cached_property
@@ -87,9 +93,9 @@ class ShortWindows(WeakRows):
         return np.sqrt(np.maximum(self._own + self.widen(self._target_quadrature) ** 2, 1e-300))
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
-        """Return the assessment as for long windows, with errors of the integration included.
+        """Return the assessment as for long windows, but with errors of the integration.
 
-        In some windows a function changes too fast for the integration, so large residuals have less weight (Cauchy),
+        In some windows a function changes too fast for the integration. So large residuals have less weight (Cauchy),
         and the excess follows from the median.
         """
         values = sum(c * atom.values for c, atom in zip(coefficients, atoms, strict=True))
@@ -99,12 +105,13 @@ class ShortWindows(WeakRows):
         squares = residuals**2 / variances
         widths = 1.0 + squares / CAUCHY**2
         misfit = 0.5 * self.independent * CAUCHY**2 * math.fsum(np.log(widths).tolist()) / len(widths)
-        free = max(self.independent - len(atoms), 1.0)  # as for a variance: Rousseeuw & Leroy 1987, section 5.1
+        free = max(self.independent - len(atoms), 1.0)  # degrees of freedom: Rousseeuw & Leroy 1987, section 5.1
         excess = NORMAL_DEVIATION * math.sqrt(self.independent / free * float(np.sort(squares)[len(squares) // 2]))
         return Assessment(1.0 / np.sqrt(variances * widths), misfit, excess)
 
     def widen(self, errors: FloatArray) -> FloatArray:
-        """Return for each window the largest of the absolute `errors` (W,) of itself and of overlapping windows."""
+        """Return, for each window, the largest absolute value of `errors` (W,) in this window and in all windows that
+        overlap with it."""
         largest, sizes = np.abs(errors), np.abs(errors)
         overlaps = np.diff(self.first) < self.bump.shape[1]
         largest[1:] = np.where(overlaps, np.maximum(largest[1:], sizes[:-1]), largest[1:])
@@ -115,9 +122,9 @@ class ShortWindows(WeakRows):
 def window_rows(recording: Recording, names: Sequence[str], variable: str) -> ShortWindows | None:
     """Return short windows for the equation of `variable`, a state; `names` (V,) are symbols of states and inputs.
 
-    Windows are as long as possible, provided that in enough windows linear interpolation between rows is as accurate as
-    cubic interpolation, within the noise. The noise is estimated by predicting rows from their neighbours. None if
-    trajectories are too short for windows.
+    Windows are as long as possible, but in enough windows linear interpolation between rows must give the same result
+    as cubic interpolation, within the noise. To estimate the noise, rows are predicted from their neighbours. The
+    result is None if trajectories are too short for windows.
     """
     measured = measured_rows_of(recording, names)
     noise = measured.noise.copy()
@@ -148,7 +155,7 @@ def _is_resolved(rows: ShortWindows) -> bool:
 
 
 def _short_windows(measured: MeasuredRows, target: int, half: int) -> ShortWindows | None:
-    """Return windows that each begin in the middle of the previous window; None if there are too few."""
+    """Return windows; each begins in the middle of the previous window. None if there are too few windows."""
     length = 2 * half + 1
     every = np.array(
         [row for start, end in measured.ranges for row in range(start, end - length + 1, half)], dtype=np.int64
@@ -164,7 +171,8 @@ def _short_windows(measured: MeasuredRows, target: int, half: int) -> ShortWindo
 def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
     """Return weights (W, L) of rows at `times` (W, L) for integrals with the test function, and with its slope.
 
-    Between two rows the function is the polynomial of this order through the nearest rows of the window.
+    Between two rows, the integrated function is approximated by the polynomial of this order through the nearest rows
+    of the window.
     """
     nodes, shares = np.polynomial.legendre.leggauss(_SMOOTHNESS + _CUBIC)
     middle, width = 0.5 * (times[:, :1] + times[:, -1:]), 0.5 * (times[:, -1:] - times[:, :1])
@@ -207,7 +215,7 @@ class UnknownEquation:
         return operators <= set(self.operators) and not any(map(atom.depends_on, others))
 
     def is_law(self, found: Sum | None) -> bool:
-        """Tell whether the residuals of a sum are as small as its errors."""
+        """Tell whether the residuals of a sum are as small as their errors."""
         return found is not None and found.excess <= self.rows.largest_excess
 
 
@@ -234,8 +242,8 @@ def find_short_laws(equations: Mapping[str, UnknownEquation]) -> dict[str, tuple
 def _short_sum(equation: UnknownEquation) -> Sum | None:
     """Return the shortest sum of a polynomial and up to two products with functions; None if none is found.
 
-    Polynomials have the first and second degree. If rows are precise, the search ends with the first law, since wrong
-    sums have much larger residuals, and polynomials of higher degree are tried last.
+    Polynomials have the first and second degree. If rows are precise, wrong sums have much larger residuals. So the
+    search then ends with the first law, and polynomials of higher degree are tried last.
     """
     rows, best = equation.rows, None
     degrees = _DEGREES if rows.is_precise else _DEGREES[:2]
@@ -255,7 +263,7 @@ def _short_sum(equation: UnknownEquation) -> Sum | None:
 def _add_functions(
     equation: UnknownEquation, best: Sum | None, sizes: Sequence[tuple[list[Product], bool]]
 ) -> Sum | None:
-    """Return the shortest sum with up to two more products with functions, inner constants fitted.
+    """Return the shortest sum with up to two more products with functions; their inner constants are fitted.
 
     Functions are compared on the trusted rows: each is added as one more term to the best sum, to a constant, and to a
     polynomial of the first degree. The best functions are then combined with a library of all products of the highest
@@ -263,7 +271,7 @@ def _add_functions(
     """
     rows = equation.rows
     trusted = rows.trusted
-    shapes = dictionary(trusted.inputs, equation.columns, equation.operators) if sizes else []
+    shapes = products_with_functions(trusted.inputs, equation.columns, equation.operators) if sizes else []
     for _ in range(SETTINGS.sparse.functions if shapes else 0):
         if best is None or (rows.is_precise and equation.is_law(best)):
             break
@@ -295,10 +303,11 @@ def _add_functions(
 def _search_sum(
     rows: RegressionRows, library: Sequence[Atom], start: Sequence[Atom], shared: frozenset[Atom] = frozenset()
 ) -> Sum | None:
-    """Return the shortest sum of the products of a library and the functions of `start`, inner constants fitted.
+    """Return the shortest sum of the products of a library and the functions of `start`; inner constants are fitted.
 
-    Start sums are these functions with the products of `start`, and with the products of the library up to each degree.
-    The search is repeated as long as fitted inner constants shorten the description.
+    The search has several start sums: they consist of these functions and the products of `start`, or of these
+    functions and the products of the library up to each degree. The search is repeated as long as fitted inner
+    constants shorten the description.
     """
     weights, best = 1.0 / rows.side_errors, None
     functions = [atom for atom in start if atom.shape.function is not None]
@@ -321,7 +330,8 @@ def _search_sum(
 
 
 def _add_functions_of_other_laws(equation: UnknownEquation, best: Sum | None, functions: Sequence[Atom]) -> Sum | None:
-    """Return the shortest sum with functions of other states' laws as further terms, inner constants unchanged."""
+    """Return the shortest sum with functions of other states' laws as further terms. The inner constants of these
+    functions are not changed."""
     rows = equation.rows
     for function in functions:
         if not equation.allows(function):

@@ -1,14 +1,14 @@
-"""Matching pursuit: which functions are added to a sum, and how their inner constants are fitted.
+"""Matching pursuit: it decides which functions are added to a sum, and fits their inner constants.
 
 How it works. The terms that explain most of the residuals are added to a sum (orthogonal matching pursuit, Pati et al.
 1993), with inner constants from a grid; then all constants are fitted together. `many_variables` finds laws in this
 way. `pursue` finds candidates for trajectories: a polynomial and up to two products with functions; a few best sums are
-kept after each addition. Then terms are eliminated one after another. The polynomial is there from the beginning, so
-that a function is not chosen only because a polynomial term is still missing. A search that changes an equation at one
-node at a time reaches laws with two such functions only through worse equations.
+kept after each addition. Then terms are eliminated one after another. The sum has the polynomial from the beginning, so
+that a function is not chosen only because a polynomial term is missing. Pursuit also finds laws with two such
+functions. A search that changes one node at a time can reach these laws only through worse equations.
 
 Doubts. Targets are smoothed derivatives, whose errors are not known for each row. So all rows have equal weights. The
-best sums of each length are returned and then compared along trajectories.
+best sums of each length are returned; other modules compare them along trajectories.
 
 Letters: A atoms, K terms, N rows.
 """
@@ -23,7 +23,7 @@ import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.least_squares import coefficients_of
-from atoll_coordinator.model.sparse.atoms import Atom, Shape, dictionary, powers, products
+from atoll_coordinator.model.sparse.atoms import Atom, Shape, powers, products, products_with_functions
 from atoll_coordinator.model.sparse.regression import SparseRegression, Sum
 from atoll_coordinator.model.sparse.rows import NORMAL_DEVIATION, RegressionRows
 from atoll_coordinator.model.thinning import thinned_places
@@ -33,13 +33,13 @@ from atoll_core.expression.operators import ADD, MULTIPLY
 from atoll_core.expression.program import Program, operators_in
 
 _SHARES_OF_STEPS = (1.0, 0.3, 0.1)
-"""Shares of a step that are tried one after another until one makes the description shorter."""
+"""Shares of a step. They are tried one after another until a share makes the description shorter."""
 _SMALLEST_PART = 1e-13
-"""If the squared length of the part of a column orthogonal to the terms is below this share of the column's squared
-length, the part is a rounding error."""
+"""A column has a part that is orthogonal to the terms. If the squared length of this part is below this share of the
+column's squared length, the part is a rounding error."""
 _NEARLY_ALIKE = 1e-8
-"""Pairs of columns with a smaller squared sine of their angle are not tried, since rounding errors would decide their
-rank."""
+"""A pair of columns is not tried if the squared sine of the angle between them is smaller, since rounding errors would
+decide the rank of this pair."""
 _RANKED_PAIRS: Final = 2000
 """Number of pairs of atoms that are sorted: one pair of shapes gives dozens of pairs with different inner constants."""
 _MOST_ATOMS: Final = SETTINGS.sparse.most_atoms // 10
@@ -50,16 +50,16 @@ MB. With all operators, a dictionary for two states has 1,570 atoms, for three s
 
 
 def fit_sum(rows: RegressionRows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> Sum | None:
-    """Return the sum of all these terms with fitted coefficients, inner constants unchanged; None if the rows do not
-    determine it."""
+    """Return the sum of all these terms with fitted coefficients and unchanged inner constants. None if the rows do not
+    determine the coefficients."""
     regression = SparseRegression(rows, atoms, shared)
     return regression.refit(range(len(atoms)), 1.0 / rows.side_errors) if regression.is_solvable else None
 
 
 def fit_inner_constants(fit: Sum) -> Sum:
-    """Return the sum with its inner constants fitted, by Gauss-Newton steps of all constants together.
+    """Return the sum with fitted inner constants. They are fitted by Gauss-Newton steps of all constants together.
 
-    The derivatives of terms by their inner constants are terms themselves here, with errors of their own.
+    The derivatives of terms by their inner constants are treated as further terms, with their own errors.
     """
     rows, shared = fit.regression.rows, fit.regression.shared
     inner = [place for place, atom in enumerate(fit.atoms) if atom.shape.has_constant and atom not in shared]
@@ -94,9 +94,9 @@ def fit_inner_constants(fit: Sum) -> Sum:
 
 
 class ResidualGains:
-    """Computes which share of the squared residuals of a sum further terms explain. Rows are weighted by their errors
-    and by missing terms. The variance of the missing terms is assumed equal on all rows, and is estimated from the
-    median absolute residual as for normal residuals.
+    """Computes the share of the squared residuals of a sum that a further term explains. Rows are weighted by their
+    errors and by missing terms. The variance of the missing terms is assumed to be equal on all rows. It is estimated
+    from the median absolute residual, as for normal residuals.
 
     Args:
         rows: the rows with the left sides.
@@ -122,16 +122,18 @@ class ResidualGains:
         self._squared_residuals = max(float(left @ left), 1e-300)
 
     def gains(self, columns: FloatArray) -> FloatArray:
-        """Return the share (A,) of the squared residuals that each of the columns (A, N) explains; 0 for rounding
-        errors."""
+        """Return the share (A,) of the squared residuals that each of the columns (A, N) explains. The share is 0 if
+        the part of the column orthogonal to the terms is a rounding error."""
         gains = (columns @ self._left / self._norms(columns)) ** 2 / self._squared_residuals
         return np.asarray(np.where(np.isfinite(gains), gains, 0.0))
 
     def gains_of_pairs(self, columns: FloatArray) -> FloatArray:
-        """Return the share (A, A) of the squared residuals that pairs of columns (A, N) explain; 0 if not i < j.
+        """Return the share (A, A) of the squared residuals that columns i and j (A, N) explain together. Elements with
+        i >= j are 0.
 
-        The parts of two columns orthogonal to the terms are scaled to unit length. With the residuals they have the
-        scalar products a and b, with each other c. Together they explain (a^2 + b^2 - 2 a b c)/(1 - c^2).
+        The parts of the two columns orthogonal to the terms are scaled to unit length. Their scalar products with the
+        residuals are a and b, and their scalar product with each other is c. Together they explain (a^2 + b^2 - 2 a b
+        c)/(1 - c^2).
         """
         norms, along = self._norms(columns), columns @ self._basis
         products = columns @ self._left / norms
@@ -141,7 +143,8 @@ class ResidualGains:
         return np.asarray(np.triu(np.where(free > _NEARLY_ALIKE, gains, 0.0), 1) / self._squared_residuals)
 
     def _norms(self, columns: FloatArray) -> FloatArray:
-        """Return the lengths (A,) of the parts of columns orthogonal to the terms; infinite for rounding errors."""
+        """Return the lengths (A,) of the parts of columns that are orthogonal to the terms. The length is infinite if
+        the part is a rounding error."""
         squares = columns**2 @ self._squares
         orthogonal = squares - ((columns @ self._basis) ** 2).sum(axis=1)
         return np.asarray(np.sqrt(np.where(orthogonal > _SMALLEST_PART * squares, orthogonal, math.inf)))
@@ -189,7 +192,7 @@ def pursue(
     problem: Problem, columns: Sequence[int], operators: Collection[int], needed: Collection[int] = (),
     most: float = math.inf,
 ) -> list[Program]:  # fmt: skip
-    """Return the sums with the smallest residuals, with fitted constants: a few sums for each number of constants.
+    """Return the sums with the smallest residuals, a few sums for each number of constants. Their constants are fitted.
 
     Args:
         problem: a target and its inputs; a subset of the rows is used.
@@ -222,7 +225,8 @@ PURSUED: Final[BatchFunction[Problem, Pursuit, tuple[Program, ...]]] = BatchFunc
     "pursued sums", Problem, Pursuit, tuple[Program, ...],
     lambda problem, of: tuple(pursue(problem, of.columns, of.operators, of.needed, of.most)),
 )  # fmt: skip
-"""The sums with the smallest residuals of a target, by the space of a pursuit."""
+"""The batch function: it returns the sums with the smallest residuals of a target, from the search space of a
+pursuit."""
 
 
 class _Pursuit:
@@ -237,12 +241,13 @@ class _Pursuit:
         self._rows, self._needed = rows, needed
         self._sums: dict[_Terms, Sum] = {}
         shapes = powers(rows.inputs, products(columns, _DEGREE))
-        shapes += dictionary(rows.inputs, columns, operators, _MOST_ATOMS)
+        shapes += products_with_functions(rows.inputs, columns, operators, _MOST_ATOMS)
         self._prices = {shape: shape.price(rows.independent) for shape in shapes}
         needed_prices = [price for shape, price in self._prices.items() if self._is_needed(shape)]
         needed_price = min(needed_prices, default=math.inf) if needed else 0.0
         self._most = most + needed_price
-        """Largest price of a sum: after elimination of a term, such a sum may be short enough."""
+        """Largest price of a sum. It is above the limit, because a sum may be short enough after a term is
+        eliminated."""
         self._tried = [
             shape
             for shape, price in self._prices.items()
@@ -280,7 +285,7 @@ class _Pursuit:
                 yield from self._fit_sums([atoms])
 
     def _extend(self, beam: Sequence[Sum], *, has_pairs: bool = False) -> list[Sum]:
-        """Return the best sums with one more term than the sums of the beam; with `has_pairs`, also sums of any two
+        """Return the best sums with one more term than the sums of the beam; if `has_pairs`, also sums of any two
         terms."""
         width, grown = SETTINGS.effort.kept, list[tuple[float, tuple[Atom, ...]]]()
         further = rank_further_terms(self._rows, [fit.atoms for fit in beam], [self._grid], width)
@@ -310,8 +315,8 @@ class _Pursuit:
         return math.fsum(self._prices[atom.shape] for atom in atoms) <= self._most
 
     def _fit_sums(self, sums: Iterable[Sequence[Atom]]) -> list[Sum]:
-        """Return the sums of these terms with all constants fitted; the sums along their eliminations are stored as
-        well."""
+        """Return the sums of these terms with all constants fitted. The smaller sums, from which terms were eliminated,
+        are also stored."""
         fits = [fit_inner_constants(fit) for fit in (fit_sum(self._rows, atoms) for atoms in sums) if fit is not None]
         for fit in fits:
             for shorter in fit.regression.elimination_path(range(len(fit.atoms)), np.ones(len(self._rows.sides))):
@@ -329,5 +334,5 @@ class _Pursuit:
 
 
 def _terms(atoms: Sequence[Atom]) -> _Terms:
-    """Return a key that is equal for sums with the same shapes, regardless of constants."""
+    """Return a key that is equal for sums with the same shapes; their constants do not matter."""
     return tuple(sorted(id(atom.shape) for atom in atoms))

@@ -1,29 +1,30 @@
-"""The engine of sparse regression: which short sum of terms describes the equation of one state.
+"""Sparse regression: finds the short sum of terms that describes the equation of one state.
 
 Input. A builder of rows (`rows`) gives left sides, columns of terms, and the covariance of the errors of both.
 A list of atoms (`atoms`) gives the terms that a sum may have.
 
-Criterion. The length of a description in nats: the misfit of the residuals relative to their errors
-(`RegressionRows.assess`), and the price of each term (its structure, and 1/2 ln N for each constant). While terms are
+Criterion. The length of a description in nats: the misfit, which compares the residuals with their errors
+(`RegressionRows.assess`), plus the price of each term (its structure, and 1/2 ln N for each constant). While terms are
 removed, the weights of rows are fixed, and the misfit is n/2 ln(sum of weighted squares). One elimination gives this
 misfit for the sums of all lengths.
 
 Where the covariance of errors comes from. Derivatives (rates) have an error for each row, and their columns are exact.
 Integrals over windows have errors of measurement in the left sides and in the columns, propagated to first order by the
 derivatives of the terms. So the variance of a residual depends on the sum, and ordinary least squares would make
-coefficients too small (attenuation). So the mean of the products of errors is subtracted from the normal equations
-(Fuller 1987), and rows are weighted by the residual variances of the previous sum: fit and weights alternate.
+coefficients too small (attenuation). Two corrections are made. The mean of the products of errors is subtracted from
+the normal equations (Fuller 1987). Rows are weighted by the residual variances of the previous sum: fits and new
+weights alternate.
 
-How it searches. Backward elimination from a full library (Wald's test): since all terms are there from the beginning,
-no term is chosen only because another one is still missing. Elimination may remove a needed term early if this term is
+How it searches. Backward elimination from a full library (Wald's test): since the sum has all terms at the beginning,
+no term is chosen only because another term is still missing. Elimination may remove a needed term early if this term is
 nearly a linear combination of other terms. So single terms are added again, and the sum is eliminated again, as long as
-the gain is larger than the largest gain that chance gives in this number of tries. Finally terms are removed one by
-one, with the weights of the remaining sum. Functions with a constant inside are terms like all others; `many_variables`
-chooses the functions that are tried.
+the gain is larger than the largest gain that this number of tries gives by chance. Finally terms are removed one by
+one; each time, the weights come from the remaining sum. Functions with an inner constant are terms like all others;
+`many_variables` chooses the functions that are tried.
 
-Doubts. Weights that come from a wrong sum favour this sum. The first-order variances are too small where noise is as
-large as the curvature of a term. Errors of derivatives count as a fixed small number of independent numbers, which is a
-guess.
+Doubts. Weights that come from a wrong sum favour this sum. The first-order variances are too small if a term is
+strongly curved over the size of the noise. The errors of derivatives count as a small, fixed number of independent
+numbers; this number is a guess.
 
 Letters: K terms, M terms of a sum, N rows, V variables.
 """
@@ -44,7 +45,8 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program
 
 REWEIGHTINGS = 3
-"""Numerics: fits until the weights of windows settle; each fit uses the weights of the previous sum."""
+"""Numerics: number of fits after which the weights of windows have settled. Each fit uses the weights of the previous
+sum."""
 _SETTLED = 1e-3
 """Weights have settled when the size of the residuals changes by less than this share."""
 
@@ -76,10 +78,11 @@ class Elimination:
 def eliminate_columns(
     columns: FloatArray, sides: FloatArray, errors: Errors | None = None, steps: int | None = None
 ) -> Elimination:
-    """Return the elimination of `columns` (K, N) that are fitted to `sides` (N,), or only its first `steps` steps.
+    """Return the elimination of `columns` (K, N) that are fitted to `sides` (N,), or only the first `steps` steps of
+    the elimination.
 
-    `errors` are the means of error products of columns (K, K), and of columns and sides (K,). Squares never decrease
-    when terms are removed.
+    `errors` are the covariances of the errors of the columns (K, K), and of columns and sides (K,). The sum of squares
+    never decreases when a term is removed.
     """
     count = len(columns)
     steps = count if steps is None else min(steps, count)
@@ -94,10 +97,12 @@ def eliminate_columns(
 
 
 def select_forward(columns: FloatArray, side: FloatArray) -> Iterator[tuple[int, float]]:
-    """Yield one column after another: its index in `columns` (K, N), and the sum of squared residuals with it.
+    """Select one column after another. Yield its index in `columns` (K, N), and the sum of squared residuals of the fit
+    with this column.
 
-    Each step selects the column that explains most of the residuals of `side` (N,): orthogonal matching pursuit. It
-    ends when no column explains anything. Numbers are added in a fixed order, so that results are equal to the bit.
+    Each step selects the column that explains most of the residuals of `side` (N,): orthogonal matching pursuit. The
+    selection ends when no column explains anything. Numbers are added in a fixed order, so that results are equal to
+    the bit.
     """
     sizes = np.sqrt(_dots(columns * columns, np.ones_like(side)))
     rest, left = columns / np.where(sizes > 0.0, sizes, 1.0)[:, None], side
@@ -158,13 +163,14 @@ class Sum:
 
 
 def shortest(sums: Iterable[Sum | None]) -> Sum | None:
-    """Return the sum with the shortest description, the first of equal ones; None without sums."""
+    """Return the sum with the shortest description. If several are equally short, the first is returned. None if there
+    are no sums."""
     return min((fit for fit in sums if fit is not None), key=lambda fit: fit.nats, default=None)
 
 
 def descend(best: Sum, nearby: Callable[[Sum], Iterable[Sum | None]], least_gain: float = 0.0) -> Sum:
-    """Return the end of a descent from `best`: each step goes to the shortest of the nearby sums, as long as the gain
-    is larger than `least_gain`."""
+    """Return the last sum of a descent from `best`. Each step goes to the shortest of the `nearby` sums, as long as the
+    gain is larger than `least_gain`."""
     while True:
         nearest = shortest(nearby(best))
         if nearest is None or not nearest.nats < best.nats - least_gain:
@@ -175,7 +181,8 @@ def descend(best: Sum, nearby: Callable[[Sum], Iterable[Sum | None]], least_gain
 class SparseRegression:
     """Sums of the `atoms` of one library, fitted to `rows`.
 
-    Terms that are `shared` with another equation are described there, so their price is the price of one more use.
+    Terms that are `shared` with another equation are described in the other equation. So their price here is only the
+    price of one more use.
     """
 
     def __init__(self, rows: RegressionRows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> None:
@@ -199,11 +206,12 @@ class SparseRegression:
         return self.is_finite and len(self.atoms) < len(self.rows.sides)
 
     def select_terms(self, start: Sequence[int], weights: FloatArray | None = None) -> Sum | None:
-        """Return the sum at which a search from the terms `start` (indices) ends; None if the terms cannot be fitted.
+        """Return the result of a search that begins with the terms `start` (indices); None if the terms cannot be
+        fitted.
 
         The first weights are equal, or come from a fit of the terms `start` with `weights`. Later weights come from the
-        previous sum, and favour this sum even if it is wrong. So finally terms are removed as long as the description
-        gets shorter with the weights of the remaining sum.
+        previous sum, and favour this sum even if it is wrong. So at the end, terms are removed as long as this makes
+        the description shorter; here the weights come from the remaining sum.
         """
         if not self.is_solvable:
             return None
@@ -223,7 +231,7 @@ class SparseRegression:
         return self.prune(self.refit(found.kept, weights))
 
     def prune(self, whole: Sum | None) -> Sum | None:
-        """Return the sum without the terms whose removal makes the description shorter."""
+        """Remove terms as long as this makes the description shorter, and return the remaining sum."""
         if whole is None or whole.assessment is None:
             return None
         weights = whole.assessment.weights
@@ -235,7 +243,8 @@ class SparseRegression:
         return descend(whole, fewer)
 
     def refit(self, places: Sequence[int], weights: FloatArray) -> Sum | None:
-        """Return the sum of these terms, alternately fitted and reweighted; None if a residual has no variance."""
+        """Return the sum of these terms after several fits, each with new weights. None if a residual has no
+        variance."""
         before, fit = math.inf, None
         for _ in range(self.rows.reweightings):
             path = self._path(places, weights, self._errors(weights, places), steps=1)
@@ -251,8 +260,8 @@ class SparseRegression:
     def elimination_path(
         self, places: Sequence[int], weights: FloatArray, errors: Errors | None = None
     ) -> Iterator[Sum]:
-        """Yield the sums of an elimination of these terms in reverse order, from one term to all, with these row
-        weights (Wald's test)."""
+        """Yield the sums of an elimination of these terms (Wald's test), from the sum with one term to the sum with all
+        terms. `weights` are the weights of rows."""
         path = self._path(places, weights, errors, steps=len(places))
         squares, price = path.squares.tolist(), 0.0
         for step in reversed(range(len(places))):
@@ -263,7 +272,8 @@ class SparseRegression:
     def _best_sum(self, start: Sequence[int], weights: FloatArray, *, is_extended: bool) -> Sum:
         """Return the sum with the shortest description that an elimination from the terms of `start` finds.
 
-        If it `is_extended`, single terms are added again as long as the gain is larger than by chance (Bonferroni).
+        If `is_extended`, single terms are added again, as long as the gain is larger than a gain by chance
+        (Bonferroni).
         """
         every = range(len(self.atoms))
         errors = self._errors(weights, every if is_extended else start)

@@ -1,18 +1,20 @@
-"""Builders of rows: left sides, columns of terms, and the covariance of their errors, of the equation of one state.
+"""Builders of rows for the equation of one state: left sides, columns of terms, and the covariance of the errors of
+both.
 
 - `RegressionRows` have columns without errors: targets, bins of the steps of a process.
-- `RateRows` are estimated derivatives with a standard error for each row. These errors are systematic: they count as
-  `systematic_numbers` independent numbers, for any number of rows. A few errors are a hundred times as large as
-  estimated.
-- `WeakRows` are integrals over windows of the trajectories, so that nothing is differentiated. With a test function b
-  that vanishes at both ends of a window, dx/dt = sum c_k f_k gives, after integration by parts,
+- `RateRows` are estimated derivatives with a standard error for each row. These errors are systematic: all errors
+  together count as `systematic_numbers` independent numbers, for any number of rows. A few errors are a hundred times
+  as large as estimated.
+- `WeakRows` are integrals over windows of the trajectories, so that no data are differentiated. A test function b
+  vanishes at both ends of a window. The law dx/dt = sum c_k f_k is multiplied by b and integrated by parts:
 
       - int b' x dt = sum c_k int b f_k dt
 
-  (Messenger & Bortz 2021). Powers of measured states are replaced by Hermite polynomials with the noise variance. Then
-  the expectation of a product is the product of the true states. The variance of a residual follows from the variance
-  of the measurements (errors in variables: Bortz, Messenger & Dukic 2023), so that a test can tell whether residuals
-  are noise. Windows here are long and use the trapezoidal rule; `many_variables` has short windows.
+  (Messenger & Bortz 2021). Powers of measured states are replaced by Hermite polynomials, which depend on the variance
+  of the noise. Then the expectation of a product of measured states is the product of the true states. The variance of
+  a residual follows from the variance of the measurements (errors in variables: Bortz, Messenger & Dukic 2023), so that
+  a test can tell whether residuals are noise. Windows here are long and use the trapezoidal rule; `many_variables` has
+  short windows.
 
 Letters: K terms, N rows of a regression, W windows of L rows, R rows of all trajectories, T some of these, V variables.
 """
@@ -38,26 +40,26 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 CAUCHY = 2.385
-"""Residuals of this many standard errors get half the weight: the estimate is 95 % efficient for normal errors (Holland
-& Welsch 1977)."""
+"""A residual of this many standard errors has half the weight. With this value, the estimate is 95 % efficient for
+normal errors (Holland & Welsch 1977)."""
 NORMAL_DEVIATION = 1.4826
-"""The standard deviation of normal errors over their median absolute value."""
+"""The standard deviation of normal errors divided by their median absolute value."""
 _LEAST_SCALE = 1e-6
 """Guard: smaller residuals, in standard errors, are rounding errors."""
 _STRETCHES = 20
 """Number of blocks of rows that represent a larger table: a law of a hundred products needs a few hundred windows."""
 _SMOOTHNESS = 4
-"""Numerics: the power p of the test functions (1 - s^2)^p. It determines the order, in the time step, of the error of
-the trapezoidal rule."""
+"""Numerics: the power p of the test functions (1 - s^2)^p. It determines how fast the error of the trapezoidal rule
+decreases with the time step."""
 _LEAST_HALF = 5
-"""Numerics: half width of the shortest window, in rows; nine rows of the window have weights. At the noise
-`_LEAST_HALF_NOISE`, a share of the standard deviation, the error of a left side by the trapezoidal rule is a tenth of
-its error by noise (from the Fourier transform of (1 - s^2)^4 at one wave per row)."""
+"""Numerics: half width of the shortest window, in rows; nine rows of the window have weights. A left side has an error
+by the trapezoidal rule and an error by noise. If the noise is `_LEAST_HALF_NOISE`, a share of the standard deviation,
+the first is a tenth of the second (from the Fourier transform of (1 - s^2)^4 at one wave per row)."""
 _LEAST_HALF_NOISE = 0.01
 
 Errors = tuple[FloatArray, FloatArray]
-"""Covariances of errors, summed over rows: of columns with each other (K, K), and of columns with minus the left sides
-(K,)."""
+"""Covariances of errors, summed over rows: the covariances (K, K) of columns with each other, and the covariances (K,)
+of columns with the left sides, with the opposite sign."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +67,7 @@ class Assessment:
     """The residuals of a sum compared with their errors: the `weights` (N,) of rows, and the `misfit` in nats.
 
     `excess` is the ratio of the residuals to their errors; `probability` is the probability of residuals at least this
-    large if all are noise (1: not known).
+    large, if all residuals are noise (1: it is not known).
     """
 
     weights: FloatArray
@@ -78,10 +80,10 @@ class Assessment:
 class RegressionRows:
     """Rows to which a sum of terms is fitted. Columns have no errors, and the variance of residuals is fitted.
 
-    `inputs` (V, R) are the variables at which atoms are evaluated, `sides` (N,) the left sides. Sums of squared
-    residuals below `least` count as `least`. Fit and weights alternate, at most `reweightings` times. The residuals of
-    a law are at most `largest_excess` times as large as their errors. If rows are `is_precise`, the residuals of all
-    other sums are many times as large as their errors.
+    `inputs` (V, R) are the values of the variables at which atoms are evaluated, and `sides` (N,) are the left sides. A
+    sum of squared residuals below `least` counts as `least`. Fits and new weights alternate, at most `reweightings`
+    times. The residuals of a law are at most `largest_excess` times as large as their errors. `is_precise` tells that
+    the residuals of a wrong sum are many times as large as their errors.
     """
 
     inputs: FloatArray
@@ -93,7 +95,7 @@ class RegressionRows:
 
     @property
     def independent(self) -> float:
-        """Number of rows that share no measurements."""
+        """Number of independent rows: rows that have no measurements in common."""
         return float(len(self.sides))
 
     @property
@@ -108,7 +110,7 @@ class RegressionRows:
 
     @property
     def trusted(self) -> "RegressionRows":
-        """The rows by which functions are compared."""
+        """The rows on which functions are compared."""
         return self
 
     def columns(self, atoms: Sequence[Atom]) -> FloatArray:
@@ -120,7 +122,7 @@ class RegressionRows:
         return values
 
     def gradients(self, atoms: Sequence[Atom]) -> FloatArray | None:
-        """Return the derivatives (K, V, ...) of terms by the variables; None if the variables have no errors."""
+        """Return the derivatives (K, V, ...) of terms by the variables. None if the variables have no errors."""
         del atoms
         return None
 
@@ -140,7 +142,8 @@ class RegressionRows:
 
 @dataclass(frozen=True, eq=False)
 class RateRows(RegressionRows):
-    """Derivatives (N,) as `sides` with their standard errors `uncertainty` (N,), above 0; `inputs` are (V, N)."""
+    """Rows whose `sides` (N,) are derivatives. `uncertainty` (N,) are the standard errors of the derivatives, all above
+    0; `inputs` (V, N) are the values of the variables."""
 
     uncertainty: FloatArray
     reweightings = SETTINGS.effort.steps
@@ -159,7 +162,7 @@ class RateRows(RegressionRows):
 
     @property
     def trusted(self) -> "RateRows":
-        """The share of the rows with the smallest errors.
+        """The rows with the smallest errors, a fixed share of all rows.
 
         Errors of interpolation are not normal: if a state changes too fast for the sampling interval, a few errors are
         a hundred times as large as estimated.
@@ -169,9 +172,10 @@ class RateRows(RegressionRows):
         return RateRows(np.ascontiguousarray(self.inputs[:, rows]), self.sides[rows], self.side_errors[rows])
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
-        """Return the assessment by the scale of the residuals over their standard errors, whose size is unknown.
+        """Return the assessment by the scale of the residuals: the residuals divided by their standard errors, which
+        are only known up to a factor.
 
-        The scale follows from the median, the misfit is ``systematic_numbers`` ln(scale), as for normal errors of
+        The scale follows from the median. The misfit is ``systematic_numbers`` ln(scale), as for normal errors of
         unknown variance. Large residuals have less weight (Cauchy).
         """
         del atoms, coefficients
@@ -184,8 +188,8 @@ class RateRows(RegressionRows):
 def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> RateRows | None:
     """Return the derivatives of `variable`, a state; `names` (V,) are symbols of states, rates and inputs.
 
-    None if derivatives were not stored, or are constant. Errors are at least the errors of a solver. More rows than
-    `RowSettings.most` are thinned, like the rows of the search.
+    None if derivatives were not stored, or are constant. Errors are at least as large as the errors of a solver. If
+    there are more rows than `RowSettings.most`, they are thinned like the rows of the search.
     """
     parts = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
     symbols = (*recording.state_symbols, *recording.velocity_symbols, *recording.input_symbols)
@@ -197,7 +201,7 @@ def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> Rate
         velocities = part.slopes if recording.velocity_symbols else part.slopes[:0]
         columns.append(np.concatenate([part.smoothed, velocities, part.inputs])[places])
         values.append(part.rates[state])
-        ends = part.rate_errors[state]  # below, the largest of a row and its neighbours: one may be too small
+        ends = part.rate_errors[state]  # a single estimate may be too small: use the largest of neighbours
         wider = ends.copy()
         wider[1:] = np.maximum(wider[1:], ends[:-1])
         wider[:-1] = np.maximum(wider[:-1], ends[1:])
@@ -219,7 +223,8 @@ def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> Rate
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRows:
-    """Rows of the trajectories that are not held out: `times` (R,), `ranges` of consecutive rows.
+    """Rows of the trajectories that are not held out: `times` (R,) are their times, and `ranges` are ranges of
+    consecutive rows.
 
     Large tables are subsampled in evenly spread blocks.
 
@@ -257,8 +262,8 @@ def measured_rows_of(recording: Recording, names: Sequence[str]) -> MeasuredRows
 
 
 def _mean_inputs(part: Trajectory) -> FloatArray:
-    """Return the inputs (U, R) at the rows; for step inputs, the mean of the values in the time steps before and after
-    a row.
+    """Return the inputs (U, R) at the rows. A step input has the mean of its values in the time steps before and after
+    the row.
 
     The mean is weighted by the lengths of the steps. With this mean, the trapezoidal rule integrates test functions
     times a step input correctly.
@@ -274,8 +279,8 @@ def _mean_inputs(part: Trajectory) -> FloatArray:
 
 
 def _select_blocks(lengths: Sequence[int]) -> list[tuple[int, int]]:
-    """Return first row and end of the blocks that represent trajectories with these `lengths`; whole trajectories if
-    there are few rows."""
+    """Return the first row and the end of each block. The blocks represent trajectories with these `lengths`; if there
+    are few rows, the blocks are whole trajectories."""
     parts = -(-sum(lengths) // SETTINGS.rows.in_sums)
     stretch = SETTINGS.rows.in_sums // _STRETCHES if parts > 1 else max(lengths)
     ends = np.cumsum(lengths).tolist()
@@ -287,9 +292,10 @@ def _select_blocks(lengths: Sequence[int]) -> list[tuple[int, int]]:
 
 
 def _noise(parts: Sequence[Trajectory], place: int, smoothing: StateSmoothing) -> float:
-    """Return the standard deviation of a state's errors: the smoother's noise, or the prediction error if smaller.
+    """Return the standard deviation of a state's errors: the smoother's noise, or the prediction error if this error is
+    smaller.
 
-    Where a state changes fast, the residuals of the smoother are not errors of measurement.
+    If a state changes fast, the residuals of the smoother are larger than the errors of measurement.
     """
     if smoothing.method == "interpolation" or smoothing.quantisation is not None:
         return 0.0 if smoothing.method == "interpolation" else smoothing.noise
@@ -322,7 +328,7 @@ class WeakRows(RegressionRows):
 
     @property
     def independent(self) -> float:
-        """Number of windows that share no rows."""
+        """Number of independent windows: windows that have no rows in common."""
         return len(self.first) * self.share
 
     def columns(self, atoms: Sequence[Atom]) -> FloatArray:
@@ -349,8 +355,8 @@ class WeakRows(RegressionRows):
     def _slopes(self, atoms: Sequence[Atom], coefficients: Sequence[float], rows: Ints | slice) -> FloatArray:
         """Return the derivatives (V, T) of a sum by the variables on some rows.
 
-        Functions are differentiated by central differences with a step of one standard deviation of the errors, which
-        averages higher orders.
+        Functions are differentiated by central differences. The step is one standard deviation of the errors: this step
+        also averages over the higher orders.
         """
         smoothed, noise = np.ascontiguousarray(self.measured.smoothed[:, rows]), self.measured.noise
         degree = max((len(atom.shape.factors) for atom in atoms), default=0)
@@ -379,8 +385,8 @@ class WeakRows(RegressionRows):
         return products, cross
 
     def _row_weights(self, weights: FloatArray) -> Errors:
-        """Return the weights (T,) of the errors of thinned rows: in products of two integrals, and in products of an
-        integral and a left side.
+        """Return the weights (T,) of the errors of thinned rows: one array is for products of two integrals, the other
+        is for products of an integral and a left side.
 
         `weights` (W,) are the weights of windows.
         """
@@ -410,12 +416,13 @@ class WeakRows(RegressionRows):
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment | None:
         """Return the assessment by the log-likelihood of the residuals.
 
-        Each residual counts by the share of independent windows, and its variance depends on the sum. The misfit is
-        minus the log-likelihood of the true states: the states nearest to the measurements for which the equation
-        holds. To first order, this is half of the squared residual over its variance. The logarithm of the variance is
-        left out, since the density of the measurements about the true states does not depend on the equation. With the
-        logarithm, sums that vary little with the states would be preferred (errors in variables, functional case:
-        Fuller 1987, section 2.3). The number of fitted coefficients is subtracted from the degrees of freedom.
+        Each residual is weighted by the share of independent windows, and its variance depends on the sum. The misfit
+        is minus the log-likelihood of the true states. These are the states nearest to the measurements for which the
+        equation holds. To first order, a window adds half of the squared residual divided by its variance. The
+        logarithm of the variance is left out, since the density of the measurements about the true states does not
+        depend on the equation. With the logarithm, sums that vary little with the states would be preferred (errors in
+        variables, functional case: Fuller 1987, section 2.3). The number of fitted coefficients is subtracted from the
+        degrees of freedom.
         """
         from scipy import special
 
@@ -439,7 +446,7 @@ def windows_of(
     kind: type[WindowRows], measured: MeasuredRows, target: int, first: Ints, weights: tuple[FloatArray, FloatArray],
     share: float, *more: object,
 ) -> WindowRows:  # fmt: skip
-    """Return windows of the class `kind` with these weights of rows, see `WeakRows`, and their left sides."""
+    """Return windows of the class `kind` with these weights of rows, and their left sides; see `WeakRows`."""
     sides = -window_integrals(first, weights[1], measured.values[target : target + 1])[0]
     return kind(measured.values, np.asarray(sides), measured, target, first, *weights, share, *more)
 
@@ -454,7 +461,8 @@ def window_integrals(first: Ints, weights: FloatArray, values: FloatArray) -> Fl
 def _powers(values: FloatArray, noise: FloatArray, highest: int) -> list[FloatArray]:
     """Return unbiased estimates of the powers (V, R) of the true values, by exponent.
 
-    E He_n(x + e) = x^n for Hermite polynomials of the variance of e: He_(n+1) = x He_n - n var He_(n-1).
+    With a true value x and an error e, E He_n(x + e) = x^n for Hermite polynomials with the variance of e: He_(n+1)(y)
+    = y He_n(y) - n var He_(n-1)(y).
     """
     powers = [np.ones_like(values), values]
     for exponent in range(1, highest):
@@ -463,7 +471,7 @@ def _powers(values: FloatArray, noise: FloatArray, highest: int) -> list[FloatAr
 
 
 def _product(term: Product, powers: Sequence[FloatArray], without: int | None = None) -> FloatArray:
-    """Return the values (R,) of a product; or its derivative by the variable `without`."""
+    """Return the values (R,) of a product, or of its derivative by the variable `without`."""
     product = np.ones(powers[0].shape[1])
     for variable, exponent in Counter(term).items():
         if variable == without:
@@ -474,8 +482,8 @@ def _product(term: Product, powers: Sequence[FloatArray], without: int | None = 
 
 
 def weak_rows(measured: MeasuredRows, target: int, half: int) -> WeakRows | None:
-    """Return windows of ``2 half + 1`` rows, with the trapezoidal rule; None if trajectories are too short for any
-    window."""
+    """Return windows of ``2 half + 1`` rows; integrals use the trapezoidal rule. None if all trajectories are too short
+    for a window."""
     length, step = 2 * half + 1, max(1, round(2.0 * half / SETTINGS.sparse.windows_in_width))
     first = [row for start, end in measured.ranges for row in range(start, end - length + 1, step)]
     if not first:
@@ -491,7 +499,7 @@ def weak_rows(measured: MeasuredRows, target: int, half: int) -> WeakRows | None
     order = _SMOOTHNESS
     inside = np.maximum(1.0 - place * place, 0.0)
     below = np.ones_like(inside)
-    for _ in range(order - 1):  # only multiplications: equal bits on every machine
+    for _ in range(order - 1):  # only multiplications, which give equal bits on every machine
         below = below * inside
     bump, slope = below * inside, -2.0 * order * place * below / width
     share = 2.0 / SETTINGS.sparse.windows_in_width
@@ -502,10 +510,10 @@ def half_width(measured: MeasuredRows, smoothing: StateSmoothing, variables: int
     """Return the half width of a window in rows: half of the smoother's span, or less if the largest library needs more
     windows.
 
-    In longer windows, nearly dependent terms have larger errors relative to their differences. In shorter windows,
-    errors of the trapezoidal rule are larger; errors due to noise should be ten times as large as errors of this rule.
-    With the width h, the errors of the rule in the left side decrease as h^-(p + 1) (p: `_SMOOTHNESS`), and errors due
-    to noise as h^-1.5.
+    Longer windows make it harder to distinguish terms that are nearly linearly dependent. Shorter windows have larger
+    errors of the trapezoidal rule; errors due to noise should be ten times as large as errors of this rule. With the
+    half width h and p = `_SMOOTHNESS`, the errors of the rule in the left side decrease as h^-(p + 1), and errors due
+    to noise decrease as h^-1.5.
     """
     terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
     most = int(len(measured.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(measured.ranges) + 1))

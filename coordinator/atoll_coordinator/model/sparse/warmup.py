@@ -1,4 +1,4 @@
-"""Warm-up of the kernels of sparse regression: they are compiled once per machine, else loaded from the cache."""
+"""Warm-up of the kernels of sparse regression: they are compiled once per machine, and later loaded from the cache."""
 
 import os
 
@@ -9,7 +9,7 @@ from atoll_coordinator.model.sparse.kernels.elimination import eliminate, sum_er
 
 
 def warm_up() -> None:
-    """Compile or load every kernel; interpreted kernels (``NUMBA_DISABLE_JIT``) need nothing."""
+    """Compile or load every kernel. Nothing is done for interpreted kernels (``NUMBA_DISABLE_JIT``)."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
     values = np.array([[1.0, 2.0, 4.0], [1.0, 1.0, 1.0]])

@@ -1,17 +1,18 @@
-"""Candidates for one equation of a process, by weighted regression on bins of steps. Pure without a deadline.
+"""Candidates for one equation of a process, found by weighted regression on bins of steps. Pure if there is no
+deadline.
 
 `CandidateFinder.find` decides which candidates are fitted by the likelihood later. The mean of a step is linear in the
-drift, and the mean product of two residuals is linear in the diffusion, except for terms of higher order in the step.
-These terms are computed from the present model and subtracted:
+drift f. The mean product of two residuals r is linear in the diffusion B. Both also have terms of higher order in the
+length h of the step. These terms are computed from the present model and subtracted:
 
     drift       (increment - (mean - h f)) / h              variance B_ii / h
     diffusion   (r_i r_j - (covariance_ij - h B_ij)) / h    variance in proportion to B_ii B_jj
 
-So regression for one equation maximises its likelihood. `CandidateFinder.find` shortens sums of products and programs
-of the search (`regression.shortening`), and returns the shortest descriptions.
+With these variances, the regression maximises the likelihood of one equation. `CandidateFinder.find` shortens sums of
+products and programs of the search (`regression.shortening`), and returns the shortest descriptions.
 
-Doubtful: bins average over the states, so that candidates with fine structure are fitted poorly here. The weights
-assume noise rates that are estimated from high differences of the data.
+Doubtful: bins average over the states, so candidates with fine structure are fitted poorly. The weights use noise
+rates, which are estimated from differences of high order.
 
 Letters: S states, V variables, N steps, M bins.
 """
@@ -53,8 +54,8 @@ _STEPS: Final = 3
 class CandidateFinder:
     """Finds candidates for the equations of one process.
 
-    `names` are the symbols of variables and `variables` the names of equations; `config` says which operators and
-    variables are allowed. After the `deadline` no new program is tried.
+    `names` are the symbols of variables, and `variables` are the names of equations. `config` lists the allowed
+    operators and variables. After the `deadline` no new program is tried.
     """
 
     steps: Steps
@@ -75,11 +76,11 @@ class CandidateFinder:
         *,
         tries_neighbours: bool,
     ) -> list[Program]:
-        """Return the best programs for one equation, with factors of one as constants, the best first.
+        """Return the best programs for one equation, the best first. Factors of one are written as constants.
 
         Args:
             number: number of the equation in `model`.
-            model: the other equations, by which the higher terms of moments are computed.
+            model: the present model; its equations are used to compute the higher terms of moments.
             starts: programs of the search, or of the previous round.
             tries_neighbours: whether neighbours of the best programs are tried as well.
         """
@@ -94,7 +95,8 @@ class CandidateFinder:
         shortening = make_target_shortening(least_squares, criterion, operators, columns, self.deadline)
 
         def length(measured: MeasuredProgram) -> float:
-            """Return the description length by the prices for the likelihood of steps."""
+            """Return the description length of a candidate. Its operators and constants have the same prices as in the
+            comparison by the likelihood of steps."""
             return system_length(measured.misfit, [measured.program], len(constant_places(measured.program)), nats)
 
         found = [
@@ -109,7 +111,8 @@ class CandidateFinder:
         return [*islice(possible, 2 * SETTINGS.effort.beam // 3)]
 
     def _is_possible(self, program: Program, *, is_variance: bool) -> bool:
-        """Tell whether a program is finite at the start of all steps, and not negative there if it is a variance."""
+        """Tell whether a program is finite at the start of all steps. A variance must also be zero or positive
+        there."""
         values = values_of(program, self.steps.points)
         return bool(np.isfinite(values).all()) and not (is_variance and bool((values < 0.0).any()))
 
@@ -119,8 +122,8 @@ def _make_problem(
 ) -> tuple[Problem, FloatArray]:
     """Return the regression problem of one equation over bins, and the weights of the bins.
 
-    `rates` (S, N) are the noise rates. With measurement noise, the variables of each step are the state one row
-    earlier, so that the errors of the variables are independent of the step.
+    `rates` (S, N) are the noise rates. If there is measurement noise, each step is paired with the state one row before
+    the step, so that the errors of the variables are independent of the errors of the step.
     """
     states, lengths, points = len(model.drift), steps.lengths, steps.points
     moments = model.moments(points, lengths)
@@ -140,10 +143,10 @@ def _make_problem(
 
 
 def estimate_noise_rates(steps: Steps) -> FloatArray:
-    """Return the estimated growth rate (S, N) of the variance of each state by noise: mean squares in bins.
+    """Return the estimated noise rate (S, N) of each state at each step: how fast noise increases the variance of the
+    state. The rates are mean squares of differences of high order in bins; such differences remove the drift.
 
-    High differences remove the drift. Weights are based on these rates and not on the present model, since the first
-    model has constant noise.
+    The weights follow from these rates and not from the present model, since the noise of the first model is constant.
     """
     means = np.zeros_like(steps.increments)
     windows = all_windows(steps, _STEPS)
@@ -168,7 +171,8 @@ def _bin_steps(
 
 
 def _fit_sparse_sums(problem: Problem, weights: FloatArray, columns: Sequence[int]) -> list[Program]:
-    """Return the best sums of products by Schwarz's criterion: terms are removed one by one from each library."""
+    """Return the best sums of products by Schwarz's criterion. They are found by removing terms from each library, one
+    at a time."""
     rows, roots = RegressionRows(problem.inputs, problem.target.values), np.sqrt(weights)
     sums: list[Sum] = []
     for terms, _ in polynomial_libraries(columns, len(roots), range(1, SETTINGS.sparse.degree + 1)):

@@ -1,8 +1,9 @@
 """The checks of the equations of a process, from the whitened steps: quantities, limits, clauses. Pure.
 
-For the right law the whitened steps are independent and normal, with variance one, in every state. `ProcessChecks`
-tests this: correlations of neighbouring steps (Ljung & Box 1978), means and squares in bins of the states (chi-square),
-the fourth moment, products with the steps of other states, and the size of steps of states without noise of their own.
+For the right law the whitened steps of every state are independent and normal, with variance one. `ProcessChecks` tests
+these properties by correlations of neighbouring steps (Ljung & Box 1978), means and squares in bins of the states
+(chi-square), the fourth moment, and products with the steps of other states. For a state without noise of its own, the
+size of the steps is also tested.
 
 Doubtful: bins are wide, so fine structure of a drift is not tested. The checks of a variance assume normal noise: for a
 process with jumps they fail, even if the drift is right.
@@ -33,10 +34,10 @@ _UNTESTED: Final = Finding("not applicable", "this check does not apply to this 
 class ProcessSteps:
     """The whitened `residuals` (S, N) of the steps of a `model`, for tests of the model.
 
-    `has_noise`: whether at least one state has noise that counts; otherwise the process is deterministic. The output of
-    a numerical method, or a table that repeats after a few rows, follows a law exactly, and no noise is left for tests.
-    `noiseless_states` are the states without noise of their own. The steps of the states `exact_states` follow their
-    equation up to rounding.
+    `has_noise`: whether at least one state has noise that counts; otherwise the process is deterministic. Some tables
+    follow a law exactly, such as the output of a numerical method, or a table that repeats after a few rows. Then no
+    noise is left for tests. `noiseless_states` are the states without noise of their own. The steps of the states
+    `exact_states` follow their equation up to rounding.
     """
 
     def __init__(self, chosen: ChosenProcess, model: ProcessModel) -> None:
@@ -59,19 +60,19 @@ class ProcessSteps:
         return split_into_bins(self.chosen.likelihood.steps.points, SETTINGS.effort.kept)
 
     def pattern_probability(self, values: FloatArray) -> float:
-        """Return the probability of means in bins at least as large as for `values` (N,), if the expected values are
+        """Return the p-value of the means of `values` (N,) in bins, for the hypothesis that all expected values are
         zero."""
         from scipy import special
 
         variance = float(np.var(values))
         if not variance > 0.0:
-            return 1.0  # all values are equal, like residuals of exact steps: no pattern, for any mean
+            return 1.0  # all values are equal, like residuals of exact steps: this is no pattern, for any mean
         squares = [len(rows) * float(np.mean(values[rows])) ** 2 / variance for rows in self.bins if len(rows)]
         return float(special.chdtrc(len(squares), math.fsum(squares)))
 
     def serial_probability(self, state: int) -> float:
-        """Return the probability, for independent steps, of a correlation of neighbours at least as large as for this
-        state."""
+        """Return the p-value of the correlation of neighbouring steps of this state, for the hypothesis that steps are
+        independent."""
         follows = self.chosen.likelihood.steps.follows
         pieces = np.split(self.residuals[state], np.flatnonzero(~follows)[1:])
         pattern_probability = residual_statistics(pieces, 1.0).pattern_probability
@@ -85,7 +86,7 @@ class ProcessChecks(EquationChecks):
     default_finding: ClassVar[Finding] = _UNTESTED
 
     def __init__(self, shown: Refined, target: Target, steps: ProcessSteps, number: int) -> None:
-        """Take the equation that is shown, its `number` among the equations of the process, and the steps."""
+        """Set the equation that is shown, its `number` among the equations of the process, and the steps."""
         super().__init__(shown, target, stopped="the choice of the equations" if steps.chosen.is_stopped else "")
         self._steps = steps
         states = len(steps.states)
@@ -94,7 +95,7 @@ class ProcessChecks(EquationChecks):
         self._is_zero = number >= states and is_zero(shown.program)
         i, j = self._pair
         if self._is_zero and i == j:
-            self._drift = i  # without noise of its own, the steps of the state test both drift and variance
+            self._drift = i  # without noise of its own, the steps of the state test the drift as well as the variance
         if self._drift in steps.exact_states or not steps.has_noise:
             self._drift = None
         is_component = number >= states and not self._is_zero
@@ -102,7 +103,7 @@ class ProcessChecks(EquationChecks):
 
     @property
     def merit(self) -> str:
-        """Why the equation is good."""
+        """The reason why the equation is good."""
         i, j = self._pair
         if self._is_zero:
             whose = "this state has no noise of its own: the noise of other states explains its steps"
@@ -162,7 +163,8 @@ class ProcessChecks(EquationChecks):
         )
 
     def check_pattern_of_squared_steps(self) -> Finding:
-        """Check that products of the steps of both states have the expected mean in all bins of the states."""
+        """Check that the product of the steps of both states (for a variance, the square) has the expected mean in all
+        bins of the states."""
         if self._drift is not None or self._is_untested:
             return _UNTESTED
         i, j = self._pair
@@ -184,13 +186,14 @@ class ProcessChecks(EquationChecks):
         return _judge_probability(probability, fault, "the steps are normally distributed")
 
     def check_constants(self) -> Finding | None:
-        """Check that the data determine all constants, if there are several; a single constant may be zero."""
+        """Check that the data determine all constants. If there is only one constant, it may be zero, so the check does
+        not apply."""
         if self._is_untested or len(self.shown.constants) < 2:
             return Finding("not applicable", "it has one constant at most")
         return super().check_constants()
 
     def check_alternative_equations(self) -> Finding | None:
-        """Check that no alternative describes the steps about as well; alternatives that contain this equation are
+        """Check that no alternative describes the steps about as well. An alternative that contains this equation is
         ignored."""
         if self._is_untested or self._is_zero:
             return _UNTESTED
@@ -205,7 +208,7 @@ class ProcessChecks(EquationChecks):
 
 
 def _judge_probability(probability: float, fault: str, merit: str, tests: int = 1) -> Finding:
-    """Return the finding of a check by the smallest probability of several `tests` (Bonferroni)."""
+    """Return the finding of a check from `probability`, the smallest p-value of several `tests` (Bonferroni)."""
     limit = SETTINGS.inference.improbable / tests
     return (
         Finding("failed", fault, probability, limit)
@@ -215,8 +218,7 @@ def _judge_probability(probability: float, fault: str, merit: str, tests: int = 
 
 
 def mean_probability(values: FloatArray) -> float:
-    """Return the probability of a mean at least as far from zero as for `values` (N,), if their expected value is
-    zero."""
+    """Return the p-value of the mean of `values` (N,), for the hypothesis that their expected value is zero."""
     from scipy import special
 
     error = float(values.std()) / math.sqrt(len(values))

@@ -1,8 +1,8 @@
 """From the chosen law of a process to the reported model: constants with errors, alternatives, verdicts, ensembles.
 
-`show_process` fixes the equations as they are shown: constants are replaced by simple numbers if the steps support
-these numbers, and factors of one are written as constants if the steps refute the value one. `summarize_process` then
-lists alternatives, grades each equation (`checks`), and simulates ensembles of paths.
+`show_process` fixes the equations as they are shown. A constant is replaced by a simple number if the steps support
+this number. A factor of one is written as a constant if the steps refute the value one. `summarize_process` then lists
+alternatives, grades each equation (`checks`), and simulates ensembles of paths.
 
 Doubtful: errors of the constants come from Fisher's information and are conditional on the chosen structure.
 """
@@ -98,7 +98,7 @@ def show_process(chosen: ChosenProcess) -> ShownProcess:
     def misfit_increase(programs: Sequence[Program]) -> float:
         return likelihood.whiten(chosen.fitted.model.with_programs(programs)).misfit - chosen.fitted.misfit
 
-    programs: Sequence[Program] = _attach_estimates(chosen, chosen.fitted).simplify(misfit_increase)
+    programs: Sequence[Program] = _attach_estimates(chosen, chosen.fitted).accept_simple_numbers(misfit_increase)
     for _ in range(2):
         explicit = [
             make_explicit_if_free(program, restrictions, is_given=number in given)
@@ -112,7 +112,7 @@ def show_process(chosen: ChosenProcess) -> ShownProcess:
             break
         programs = written
     as_shown = likelihood.fit(chosen.fitted.model.with_programs(programs), chosen.free)
-    rounded = _attach_estimates(chosen, as_shown).round_constants()
+    rounded = _attach_estimates(chosen, as_shown).round_equations()
     known = describe_constants(given, explicit, rounded.programs, errors)
     known = [one.with_simple_numbers(simple) for one, simple in zip(known, rounded.simple, strict=True)]
     return ShownProcess(rounded, known, explicit, fitted, errors)
@@ -147,7 +147,8 @@ def _describe_alternatives(
 
 
 def _find_origin(program: Program, candidates: CandidateSet) -> Origin:
-    """Return the source of an equation: the candidates with the same form, for any constants and factors of one."""
+    """Return the origin of an equation: the kind of candidates with the same form. Constants and factors of one do not
+    matter for the form."""
     sources: dict[Origin, Sequence[Program]] = {
         "front": [member.program for member in candidates.front],
         "runner-up": candidates.runners_up,

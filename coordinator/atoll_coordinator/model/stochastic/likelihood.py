@@ -1,7 +1,8 @@
-"""The likelihood of a sampled process, and the fit of its constants: independent Gaussian steps, or a Kalman smoother.
+"""The likelihood of a sampled process, and the fit of its constants. Without measurement errors, steps are independent
+and Gaussian; with them, the likelihood is the one of a Kalman filter.
 
-`ProcessLikelihood.whiten` computes whitened residuals of steps: for the right law they are independent and have
-variance one. The likelihood, the fit (`fit`, damped Fisher scoring) and the checks use these residuals.
+`ProcessLikelihood.whiten` computes whitened residuals of steps: for the right law, these residuals are independent and
+have variance one. The likelihood, the fit (`fit`, damped Fisher scoring) and the checks use the whitened residuals.
 
 Without measurement errors, steps are independent given their initial states (`moments`). With measurement errors e of
 variance Q, a step is measured from y = x + e. To first order in the errors, its residual is r_k = w_k + e_k+1 - A_k
@@ -13,12 +14,12 @@ block tridiagonal covariance,
 This is the likelihood of the extended Kalman filter, linearised about smoothed states (Särkkä 2013, section 9.1). The
 Cholesky factor L of the covariance is banded. With the whitened residuals z = L^-1 r and the logarithms l of the
 diagonal of L, minus the log-likelihood is sum(z^2)/2 + sum(l). An element of the information matrix belongs to two
-constants: it is the sum of the products of the derivatives of z by both constants, plus the same sum for l. For
-constants of the covariance C, E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2.
+constants. It is a sum over all elements of z and l: the derivative by one constant times the derivative by the other.
+This is right for the constants of the covariance C, too, because E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2.
 
-Doubtful: steps are Gaussian only if they are short against the time in which drift and diffusion change. The
-linearisation about smoothed states needs measurement errors that are small on this scale. Derivatives are central
-differences.
+Doubtful: steps are Gaussian only if they are short: drift and diffusion must not change much within a step. For the
+linearisation about smoothed states, they must not change much over the size of a measurement error. Derivatives are
+central differences.
 
 Letters: S states, N steps, K constants.
 """
@@ -47,7 +48,8 @@ this change."""
 
 @dataclass(frozen=True, eq=False)
 class ProcessModel:
-    """A process: programs of the `drift` (S) and of the components of the diffusion, in the order of their `pairs`.
+    """A process: the programs of the `drift` (S), and the programs of the components of the diffusion, in the order of
+    `pairs`.
 
     `noise` has the variance of the measurement errors of each state (S); `discretisation` is how a step is computed.
     """
@@ -77,7 +79,8 @@ class ProcessModel:
         return predict_step_moments(self.drift, diffusion, points, lengths, self.discretisation)
 
     def parameters(self, free: Sequence[int]) -> FloatArray:
-        """Return the constants of the equations `free`, by index, then the log standard deviations of noise."""
+        """Return the constants of the equations with the indices `free`, then the logarithms of the standard deviations
+        of the measurement noise."""
         constants = [program.constants[constant_places(program)] for program in (self.programs[k] for k in free)]
         return np.concatenate([*constants, [0.5 * math.log(variance) for variance in self.noise if variance > 0.0]])
 
@@ -94,14 +97,15 @@ class ProcessModel:
 
 @dataclass(frozen=True, eq=False)
 class WhitenedSteps:
-    """Independent residuals (S, N) of steps in units of their standard errors, and the logs (S, N) of these errors."""
+    """Independent residuals (S, N) of steps in units of their standard deviations, and the logarithms (S, N) of these
+    standard deviations."""
 
     residuals: FloatArray
     logarithms: FloatArray
 
     @property
     def misfit(self) -> float:
-        """Minus the log-likelihood in nats, without the constant N S/2 ln 2 pi; infinite if a covariance is not
+        """Minus the log-likelihood in nats, without the constant N S/2 ln 2 pi; it is infinite if a covariance is not
         positive definite."""
         with np.errstate(all="ignore"):
             total = float(0.5 * np.sum(self.residuals * self.residuals) + np.sum(self.logarithms))
@@ -119,7 +123,8 @@ class _LikelihoodPoint:
 
 @dataclass(frozen=True, eq=False)
 class FittedProcess:
-    """A model with its constants fitted, its `misfit` in nats, and a function for the information of its parameters."""
+    """A model with fitted constants, its `misfit` in nats, and a function that computes the information matrix of its
+    parameters."""
 
     model: ProcessModel
     misfit: float
@@ -127,7 +132,8 @@ class FittedProcess:
 
     @cached_property
     def information(self) -> FloatArray:
-        """The information matrix (K, K), computed on demand: it needs two likelihoods for each parameter."""
+        """The information matrix (K, K), computed when it is first used: this takes two likelihoods for each
+        parameter."""
         return self.compute_information()
 
 
@@ -145,7 +151,7 @@ class ProcessLikelihood:
         self._points = steps.points if smoothed is None else np.concatenate([smoothed, steps.points[len(smoothed) :]])
 
     def log_likelihood_per_step(self, misfit: float) -> float:
-        """Return the mean log-likelihood of a step in nats, as a density in the units of the states.
+        """Return the mean log-likelihood of a step in nats; the likelihood is a density in the units of the states.
 
         Args:
             misfit: the misfit of all steps, as in `WhitenedSteps` and `fit`.
@@ -164,7 +170,7 @@ class ProcessLikelihood:
         return _whiten_independent(self.steps.increments - moments.mean, covariance)
 
     def _with_least_variances(self, covariance: FloatArray) -> FloatArray:
-        """Return covariances (S, S, N) with variances of at least the smallest noise that counts.
+        """Return covariances (S, S, N) in which each variance is at least the smallest variance that counts as noise.
 
         In the Euler-Maruyama method a state without noise of its own has variance zero, and its residuals are rounding
         errors.
@@ -220,15 +226,17 @@ class ProcessLikelihood:
         settled: float = 0.01 * SETTINGS.selection.least_gain,
         limit: float = math.inf,
     ) -> FittedProcess:
-        """Return `model` with the constants of the equations `free` and its noise fitted by damped Fisher scoring.
+        """Return `model` after a fit by damped Fisher scoring.
 
-        The fit ends when the predicted or the actual gain of a step is less than `settled` nats, or when the predicted
-        misfit after the next step is not below `limit`.
+        The constants of the equations with the indices `free` and the measurement noise are fitted. The fit ends if the
+        predicted or the actual gain of a step is less than `settled` nats, or if the predicted misfit after the next
+        step is not below `limit`.
         """
         return minimize(_LikelihoodFit(self, model, free, settled, limit))
 
     def estimate_errors(self, fitted: FittedProcess, free: Sequence[int]) -> ConstantErrors:
-        """Return the errors of the parameters of a fit; the equations `free` (indices) have fitted constants."""
+        """Return the standard errors of the parameters of a fit. `free` are the indices of the equations with fitted
+        constants."""
         values = fitted.model.parameters(free)
         freedom, ranges = len(self.steps.lengths) - len(values), self.ranges(fitted.model, free)
         return ConstantErrors.from_fit(values, fitted.information, freedom, bounds=ranges)
@@ -241,7 +249,8 @@ class ProcessLikelihood:
         return np.concatenate([*ranges, noise], axis=1)
 
     def derivatives(self, at: _LikelihoodPoint, free: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the gradient (K,) of the misfit by the parameters and their information (K, K)."""
+        """Return the gradient (K,) of the misfit by the parameters, and the information matrix (K, K) of the
+        parameters."""
         residuals, logarithms, values = [], [], at.values
         for k, value in enumerate(values.tolist()):
             step = np.zeros(len(values))
@@ -293,7 +302,7 @@ class _LikelihoodFit(Fitter[_LikelihoodPoint, FloatArray, FittedProcess]):
 
 
 def _whiten_independent(residuals: FloatArray, covariance: FloatArray) -> WhitenedSteps:
-    """Return residuals (S, N) of independent steps whitened by Cholesky's factors of their covariances (S, S, N)."""
+    """Whiten residuals (S, N) of independent steps by the Cholesky factors of their covariances (S, S, N)."""
     factor, whitened = factors_of(covariance), np.zeros_like(residuals)
     with np.errstate(all="ignore"):
         for i in range(len(residuals)):
@@ -302,7 +311,7 @@ def _whiten_independent(residuals: FloatArray, covariance: FloatArray) -> Whiten
 
 
 def _whiten_banded(residuals: FloatArray, band: FloatArray) -> WhitenedSteps:
-    """Return residuals (S, N) whitened by the banded factor of their covariance."""
+    """Whiten residuals (S, N) by the banded Cholesky factor of their covariance."""
     from scipy import linalg
 
     nothing = WhitenedSteps(np.full_like(residuals, np.nan), np.full_like(residuals, np.nan))

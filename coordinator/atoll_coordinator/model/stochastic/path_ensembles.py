@@ -3,8 +3,8 @@
 `simulate_ensemble` starts all paths in the first measured state; `simulate_stationary_density` starts them in measured
 states and simulates until the density no longer changes.
 
-Doubtful: one ensemble, from one initial state, does not test the law; it is only an illustration. Densities also agree
-for a wrong law with the same stationary density.
+Doubtful: one ensemble, from one initial state, does not test the law; it is only an illustration. A wrong law can have
+the same stationary density as the right law.
 """
 
 from typing import Final
@@ -21,7 +21,7 @@ from atoll_core.data.dataset import FloatArray
 _STEPS: Final = 500
 """Most steps of a simulated ensemble."""
 _MOST_POINTS: Final = 101
-"""Most times at which an ensemble is listed."""
+"""Most times of an ensemble in a result."""
 
 
 def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> PathEnsemble | None:
@@ -59,8 +59,8 @@ def simulate_stationary_density(
 ) -> dict[str, Density] | None:
     """Return the stationary density of paths from measured states, and the measured density, by state.
 
-    None if the paths do not become stationary, or if there are inputs. `overlap` is the integral of the smaller of the
-    two densities.
+    The result is None if the paths do not become stationary, or if there are inputs. `overlap` is the integral of the
+    smaller of the two densities.
     """
     if process.inputs:
         return None

@@ -2,14 +2,15 @@
 
 The description length is the same as for systems along trajectories (`description_length.system_length`): minus the
 log-likelihood of all steps, the prices of the programs, and half the logarithm of the number of steps for each
-constant. `ProcessChoice.choose` starts with Brownian motion and exchanges one equation at a time: candidates come from
-regression given the present model (`candidate_regression`) and are fitted by the likelihood, while the other equations
-stay fixed. Then all equations are fitted together. This is repeated until no equation is exchanged. A covariance of two
-noises may become zero. A variance may become zero as well: the state then has no noise of its own, and its equation is
-an ordinary differential equation.
+constant. `ProcessChoice.choose` starts with Brownian motion and exchanges one equation at a time. Candidates come from
+a regression that uses the present model (`candidate_regression`). They are fitted by the likelihood, while the other
+equations stay fixed. Then all equations are fitted together. This is repeated until no equation is exchanged. A
+covariance of two noises may become zero. A variance may become zero as well: the state then has no noise of its own,
+and its equation is an ordinary differential equation.
 
-At the end, the equations are also fitted to the rows as steps of the Euler-Maruyama method, by which many tables were
-computed. This discretisation is chosen if its description is shorter by a clear margin.
+Many tables were computed by the Euler-Maruyama method. So at the end, the equations are also fitted under the
+assumption that the rows are steps of this method. This discretisation is chosen if its description is shorter by a
+clear margin.
 
 Doubtful: exchanging one equation at a time can end in a local optimum, especially for drift and diffusion of the same
 state. The first candidates depend on the initial model, which fits badly.
@@ -45,12 +46,12 @@ less than 1/100 of their standard errors."""
 
 @dataclass(frozen=True, eq=False)
 class ChosenProcess:
-    """The law of a process: `fitted`, with all constants free except in known equations.
+    """The law of a process: `fitted` has fitted constants in all equations, except in known equations.
 
     `variables` are the names of the equations, in their order. `searched` are the indices of equations that are not
     known. `free` are the indices of equations with fitted constants; a component of the diffusion that is zero has no
-    constants. Each equation has `alternatives` and obeys its `restrictions`. The description is longer by
-    `discretisation_nats` with the other discretisation. `is_stopped`: the time limit ended the choice.
+    constants. Each equation has `alternatives` and obeys its `restrictions`. With the other discretisation, the
+    description is longer by `discretisation_nats`. `is_stopped`: the time limit ended the choice.
     """
 
     process: ProcessRecording
@@ -96,10 +97,11 @@ class ProcessChoice:
         )  # fmt: skip
 
     def _choose_discretisation(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:
-        """Return the law by the discretisation with the shorter description, and the difference of the lengths in nats.
+        """Choose the discretisation with the shorter description. Return the law with this discretisation, and the
+        difference of the lengths in nats.
 
-        One discretisation may need a term of the diffusion that the other does not need. So equations are exchanged for
-        both, unless the likelihood of the same equations already decides.
+        One discretisation may need a term of the diffusion that the other does not need. So equations are exchanged
+        with both discretisations, unless the likelihood of the same equations already decides.
         """
         stepped = self._fit_as_euler_maruyama(fitted.model)
         if stepped.misfit - fitted.misfit > SETTINGS.inference.distinct_nats:
@@ -121,7 +123,8 @@ class ProcessChoice:
         return system_length(fitted.misfit, programs, constants, constant_nats_of(len(self._steps.lengths)))
 
     def _exchange_until_settled(self, model: ProcessModel, *, tries_neighbours: bool) -> FittedProcess:
-        """Return the model after exchanging equations until none improves it; only round 1 tries neighbours."""
+        """Exchange equations in rounds until no exchange improves the model, and return this model. Neighbours of
+        candidates are tried in round 1 only."""
         length = math.inf
         for number_of_round in range(SETTINGS.effort.brief_steps):
             before = length
@@ -138,8 +141,8 @@ class ProcessChoice:
     def _fit_as_euler_maruyama(self, model: ProcessModel) -> FittedProcess:
         """Return the same equations, fitted to rows as steps of the Euler-Maruyama method.
 
-        In this method the drift alone moves a state without noise of its own. So a variance becomes zero if the misfit
-        is then smaller.
+        In this method, only the drift moves a state that has no noise of its own. So a variance is set to zero if this
+        makes the misfit smaller.
         """
         model = replace(model, discretisation="Euler-Maruyama")
         for place, (i, j) in enumerate(model.pairs, start=len(model.drift)):
@@ -151,7 +154,7 @@ class ProcessChoice:
         return self._likelihood.fit(model, self._free_equations(model))
 
     def _free_equations(self, model: ProcessModel) -> tuple[int, ...]:
-        """Return the numbers of the equations whose constants are fitted: searched equations that are not zero."""
+        """Return the indices of the equations whose constants are fitted: the searched equations that are not zero."""
         return tuple(number for number in self._searched if not is_zero(model.programs[number]))
 
     def _brownian_motion(self) -> ProcessModel:
@@ -172,8 +175,8 @@ class ProcessChoice:
         )
 
     def _refit(self, model: ProcessModel) -> FittedProcess:
-        """Return the model with all its constants fitted; with measurement noise, the likelihood is linearised about
-        smoothed states."""
+        """Return the model with all its constants fitted. If there is measurement noise, the likelihood is linearised
+        about smoothed states."""
         fitted = self._likelihood.fit(model, self._free_equations(model))
         for _ in range(_LINEARISATIONS if any(model.noise) else 0):
             self._likelihood = ProcessLikelihood(
@@ -209,8 +212,8 @@ class ProcessChoice:
         return (without, length_without) if length_without < length else (model, length)
 
     def _measure(self, model: ProcessModel, number: int, program: Program, most: float) -> MeasuredProgram:
-        """Return `program` fitted as one equation of a model, with the other equations fixed; the length counts this
-        equation only."""
+        """Return `program` fitted as one equation of a model, while the other equations are fixed. The length counts
+        only this equation."""
         restrictions = self._restrictions[number]
         admitted = restrictions.admitted(program)
         if admitted is None:
@@ -228,10 +231,11 @@ class ProcessChoice:
         return self._likelihood.fit(tried, (number,), SETTINGS.selection.least_gain, limit)
 
     def _set_component_to_zero(self, model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
-        """Return the model with one component of the diffusion zero, and its length; infinite if it must not be zero.
+        """Return the model with one component of the diffusion set to zero, and the length of its description. The
+        length is infinite if the component must not be zero.
 
-        If the component is a variance, all components of its state become zero, and the drift is fitted again. The
-        state is then uncertain only through other states with noise.
+        If the component is a variance, all components of its state become zero, and the drift is fitted again. Then
+        only the noise of other states makes this state uncertain.
         """
         states = len(model.drift)
         i, j = model.pairs[number - states]
@@ -282,7 +286,7 @@ def _constant(value: float) -> Program:
 
 
 def _best_of_each_form(alternatives: Iterable[MeasuredProgram]) -> list[MeasuredProgram]:
-    """Return the best program of each form: the same equation with other constants is not an alternative."""
+    """Return the best program of each form: an equation that differs only in its constants is not an alternative."""
     best: dict[Hashable, MeasuredProgram] = {}
     for alternative in sorted(alternatives, key=lambda alternative: alternative.length):
         best.setdefault(form_of(alternative.program), alternative)

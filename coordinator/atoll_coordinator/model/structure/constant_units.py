@@ -38,7 +38,7 @@ def equation_units(dataset: Dataset, config: JobConfig, variable: str, program: 
 
 
 def _units_of_columns(config: JobConfig) -> dict[str, Unit]:
-    """Return the units of columns; header text that is not a unit counts as unknown."""
+    """Return the units of columns. If the text in a header is not a unit, the unit is unknown."""
     units = {}
     for column, text in config.data.units.items():
         try:
@@ -49,7 +49,7 @@ def _units_of_columns(config: JobConfig) -> dict[str, Unit]:
 
 
 def _time_of(lhs: str, order: int) -> str | None:
-    """Return the name of the time in a left-hand side such as ``dx/dt`` or ``d2x/dt2``; None without one."""
+    """Return the name of the time in a left-hand side such as ``dx/dt`` or ``d2x/dt2``. None if it has no time."""
     _, slash, time = lhs.rpartition("/d")
     if not slash:
         return None

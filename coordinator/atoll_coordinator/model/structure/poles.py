@@ -1,8 +1,9 @@
-"""Poles: where an equation has no finite value within the region of some points.
+"""Poles: the places where an equation has no finite value, within the region of some points.
 
-The region is sampled by lines between pairs of points. A denominator that changes its sign along a line is zero
-somewhere on it; bisection finds the zero. If the equation stays bounded there, as sin(x)/x at 0, it has no pole. Doubt:
-a denominator that touches zero without a change of sign is found only if one of its factors changes its sign.
+The region is sampled by lines between pairs of points. If a denominator changes its sign along a line, it is zero
+somewhere on the line; bisection finds this zero. If the equation is bounded near the zero, as sin(x)/x at 0, it has no
+pole. Doubt: a denominator that touches zero without a change of sign is found only if one of its factors changes its
+sign.
 """
 
 from collections.abc import Iterator
@@ -17,16 +18,17 @@ from atoll_core.expression.program import Program
 
 _HALVINGS: Final = 50
 _NEAR: Final = (1e-4, 1e-5)
-"""Distances from a zero, as shares of a line: from the first to the second distance, the value near a simple pole grows
-tenfold, and a bounded value hardly changes."""
+"""Two distances from a zero, as shares of a line. From the first to the second distance, a value grows tenfold near a
+simple pole; a bounded value hardly changes."""
 _GROWTH: Final = 10.0**0.5
 
 
 def find_poles(program: Program, points: FloatArray, ends: FloatArray | None = None) -> list[Program]:
-    """Return the parts of `program` whose zeros are its poles in the region of `points` (V, R), each once.
+    """Return the parts of `program` that are zero at its poles in the region of `points` (V, R). Each part is returned
+    once.
 
-    With `ends` (V, R), only the lines from `points` to `ends` are sampled, for example to the next points of a
-    trajectory.
+    If `ends` (V, R) are given, only the lines from `points` to `ends` are sampled; for example, `ends` may be the next
+    points of a trajectory.
     """
     if ends is None:
         ends = points[:, np.random.default_rng(0).permutation(points.shape[1])]
@@ -35,7 +37,7 @@ def find_poles(program: Program, points: FloatArray, ends: FloatArray | None = N
 
 
 def _singular_nodes(program: Program, place: int) -> Iterator[int]:
-    """Yield the nodes at whose zeros the node at `place` is not finite."""
+    """Yield nodes such as denominators: if one of them is zero, the node at `place` is not finite."""
     code = int(program.operators[place])
     left, right = int(program.left[place]), int(program.right[place])
     if code in (INVERSE, LOG):

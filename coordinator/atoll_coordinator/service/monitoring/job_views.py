@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol, cast
 from pydantic import ValidationError
 
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result, select_equation
+from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result, select_shown_equation
 from atoll_coordinator.result.base import finite
 from atoll_coordinator.result.result import UNTIMED
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
@@ -319,7 +319,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView
         finished=outcome.why is not None,
         why=cast(Why | Literal["known"] | None, outcome.why),
     )
-    shown = select_equation(outcome, None, prepared.dataset, prepared.config)
+    shown = select_shown_equation(outcome, None, prepared.dataset, prepared.config)
     if shown is None:
         return view
     normalized = finite(target.normalized(shown.error))

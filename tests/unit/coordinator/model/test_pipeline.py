@@ -13,7 +13,7 @@ from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool, decode_members
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.regression import equation
-from atoll_coordinator.model.regression.equation import fit_equation
+from atoll_coordinator.model.regression.equation import refine_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, SpaceConfig
 from atoll_core.expression.program import Program
@@ -31,7 +31,7 @@ def quotient(x, y):
 
 
 def refine(sought, config, front):
-    return fit_equation(sought, config, decode_members(front, len(sought.names)))
+    return refine_equation(sought, config, decode_members(front, len(sought.names)))
 
 
 def refined_text(sought, *front: str, config=CONFIG) -> str:
@@ -272,9 +272,9 @@ def test_rivals_of_a_target_are_distinct_in_form_and_no_longer_than_allowed():
     members = decode_members(front, len(sought.names))
     for size in (None, 3):
         config = JobConfig(space=SpaceConfig(max_size=size)) if size else CONFIG
-        refined = fit_equation(sought, config, members, has_intervals=True)
+        refined = refine_equation(sought, config, members, has_intervals=True)
         forms = [form_of(alternative.program) for alternative in refined.alternatives]
         assert refined.alternatives[0].is_shown
         assert len(forms) == len(set(forms)) > (1 if size is None else 0)
         assert size is None or all(len(alternative.program) <= size for alternative in refined.alternatives)
-    assert fit_equation(sought, CONFIG, members).alternatives == ()
+    assert refine_equation(sought, CONFIG, members).alternatives == ()

@@ -22,8 +22,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.expression.program import Program
 from atoll_core.expression.simplification import complexity
 from atoll_core.wire.codec import decode_arrays, encode_arrays
-from atoll_island_worker.evolution.island import Island
-from atoll_island_worker.evolution.island import reshuffle as reshuffle_here
+from atoll_island_worker.evolution.island import Island, reshuffle_without_blocks
 from atoll_island_worker.evolution.setup import IslandSetup
 from tests.archipelago import advance, reshuffle, search
 from tests.oracles import fitting
@@ -86,7 +85,7 @@ def test_islands_of_one_process_are_reshuffled_as_by_blocks():
             while not island.advance():
                 pass
     reshuffle(by_blocks)
-    reshuffle_here(at_once)
+    reshuffle_without_blocks(at_once)
     assert [island.to_bytes() for island in at_once] == [island.to_bytes() for island in by_blocks]
 
 

@@ -1,4 +1,4 @@
-"""Extensions: programs with one more part, which is small at first and may grow in a fit."""
+"""Extensions: programs with one more part. This part is small at first and may grow in a fit."""
 
 import math
 from collections.abc import Collection, Iterator, Sequence
@@ -25,15 +25,16 @@ from atoll_core.expression.program import Expression, Node, Program, ProgramBuil
 
 
 def extensions(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
-    """Yield programs that differ from `program` by a small part at one node, collected; each structure once.
+    """Yield, as sums of products, the programs that differ from `program` by a small part at one node. Each structure
+    is yielded once.
 
-    A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
-    and a constant c that makes the new part small compared with n, in any units. Larger changes are n sin v and n/sin
-    v. Cosines are treated like sines. Only allowed `operators` (codes) are added. Constants are not fitted yet.
+    A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v). Here v and w are
+    variables, and the constant c makes the new part small compared with n, in any units. Larger changes are n sin v and
+    n/sin v. Cosines are treated like sines. Only allowed `operators` (codes) are added. Constants are not fitted yet.
 
     Args:
         program: a program with as many variables as `scales`.
-        scales: the size of each variable; 0 for variables that may not be used.
+        scales: the mean absolute value of each variable; 0 for variables that may not be used.
         operators: codes of the operators that may be added.
     """
     nodes = _with_own_leaves(program.nodes())
@@ -42,14 +43,15 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
 
 
 def further_terms(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
-    """Yield the sums of `program` and one more term, collected; each structure once, linear terms first.
+    """Yield, as sums of products, the sums of `program` and one more term, linear terms first. Each structure is
+    yielded once.
 
     With variables v and w and a constant c, a term is c v, then c, then c v w. The constant makes the term small
     compared with the program, in any units.
 
     Args:
         program: a program with as many variables as `scales`.
-        scales: the size of each variable; 0 for variables that may not be used.
+        scales: the mean absolute value of each variable; 0 for variables that may not be used.
         operators: codes of the operators that may be added.
     """
     nodes = _with_own_leaves(program.nodes())
@@ -70,10 +72,11 @@ def _terms(node: int, scales: Sequence[float], size: float) -> Iterator[Expressi
 
 
 def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
-    """Yield a few larger changes of a program, collected, whose fits need many steps; each structure once.
+    """Yield, as sums of products, a few programs with larger changes; their fits need many steps. Each structure is
+    yielded once.
 
-    A variable is replaced by its sine or cosine; a sine or cosine by the first terms of its Taylor series, with new
-    constants. Only allowed `operators` (codes) are added.
+    A variable is replaced by its sine or cosine. A sine or cosine is replaced by the first terms of its Taylor series,
+    with new constants. Only allowed `operators` (codes) are added.
     """
     nodes = _with_own_leaves(program.nodes())
     yield from replace_each(program, nodes, operators, lambda index: _leaps_at(nodes, index))
@@ -152,8 +155,8 @@ def _with_own_leaves(nodes: list[Node]) -> list[Node]:
 
 
 def _leaps_at(nodes: list[Node], index: int) -> Iterator[Expression]:
-    """Yield the sine and the cosine for a variable; yield the first terms of the Taylor series for a sine or a
-    cosine."""
+    """For a variable, yield its sine and its cosine. For a sine or a cosine, yield the first terms of its Taylor
+    series."""
     code, u, *_ = nodes[index]
     if code == VARIABLE:
         yield from ((function, index) for function in (SIN, COS))

@@ -1,5 +1,5 @@
-"""Neighbours: programs with one node exchanged. A search that stops near the shortest description may have missed these
-programs."""
+"""Neighbours: programs with one node exchanged. A search may have missed these programs if it stopped near the shortest
+description."""
 
 from collections.abc import Collection, Iterator
 from typing import Final
@@ -13,12 +13,13 @@ _EXCHANGED: Final = {ADD: SUBTRACT, SUBTRACT: ADD, MULTIPLY: DIVIDE, DIVIDE: MUL
 
 
 def neighbours(program: Program, variables: Collection[int], operators: Collection[int]) -> Iterator[Program]:
-    """Yield programs that differ from `program` in one place, collected; each structure once.
+    """Yield, as sums of products, the programs that differ from `program` in one place.
 
-    Their constants are not fitted yet.
+    Each structure is yielded once, and constants are not fitted yet.
 
-    At one node, a leaf is exchanged for another leaf, an operator for a related one (+ and -, * and /, sin and cos), or
-    a constant or variable is added or multiplied. Only these `variables` (indices) and `operators` (codes) are used.
+    There are three kinds of changes at one node: a leaf is exchanged for another leaf; an operator is exchanged for a
+    related operator (+ and -, * and /, sin and cos); or a constant or variable is added or multiplied. Only these
+    `variables` (indices) and `operators` (codes) are used.
     """
     nodes = program.nodes()
     yield from replace_each(

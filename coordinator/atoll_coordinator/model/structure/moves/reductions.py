@@ -12,11 +12,12 @@ _NEUTRAL: Final = (0.0, 1.0, -1.0)
 
 
 def reductions(program: Program) -> Iterator[Program]:
-    """Yield smaller programs, collected, constants not fitted yet; each structure once, from the output down.
+    """Yield smaller programs as sums of products, beginning with changes at the output node. Each structure is yielded
+    once, and constants are not fitted yet.
 
-    An operator is replaced by an argument or a constant, a constant by 0, 1 or -1; a common factor of two terms is
-    factored out; the cosine of a multiple becomes a square; the sum of a constant and a quotient becomes one quotient;
-    a factor c + u with a constant c is multiplied out as 1 + u.
+    An operator is replaced by an argument or a constant; a constant is replaced by 0, 1 or -1; a common factor of two
+    terms is factored out; the cosine of a multiple becomes a square; the sum of a constant and a quotient becomes one
+    quotient; a factor c + u with a constant c is multiplied out as 1 + u.
     """
     nodes = program.nodes()
     known = {structure(program)}
@@ -55,8 +56,8 @@ def _reductions_at(nodes: list[Node], index: int) -> Iterator[Expression]:
 
 
 def _expansions(nodes: list[Node], index: int, constant: int | None = None) -> Iterator[Expression]:
-    """Yield a + a u for a product a (c + u), and likewise for differences: the `constant` c is set to 1. None: any
-    constant."""
+    """Yield a + a u for a product a (c + u), and likewise for differences: c is set to 1. Only the node `constant` is
+    used as c; None: any constant is used."""
     _, left, right, _ = nodes[index]
     for factor, other in dict.fromkeys(((left, right), (right, left))):
         code, first, second, _ = nodes[other]
@@ -69,10 +70,10 @@ def _expansions(nodes: list[Node], index: int, constant: int | None = None) -> I
 
 
 def multiply_out(program: Program, constant: int) -> Iterator[Program]:
-    """Yield programs in which a product with a sum that contains this constant is multiplied out, with the constant set
-    to 1.
+    """Yield programs in which one product is multiplied out. A factor of this product is a sum with the node
+    `constant`, which is set to 1.
 
-    These programs have one constant less: b (y - x**2 y) instead of b y (c - x**2).
+    The programs have one constant less: b (y - x**2 y) instead of b y (c - x**2).
     """
     nodes = program.nodes()
     for index, (code, *_) in enumerate(nodes):

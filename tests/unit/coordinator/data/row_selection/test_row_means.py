@@ -8,7 +8,7 @@ import pytest
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_states
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.roles.roles import assign_roles
-from atoll_coordinator.data.selected_rows import (
+from atoll_coordinator.data.row_means import (
     average_oversampled_rows,
     correlation_length,
     divided_blocks,

@@ -5,7 +5,7 @@ import pytest
 
 from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.data.selected_rows import select_weighty_rows
+from atoll_coordinator.data.searched_rows import select_weighty_rows
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool
 from atoll_core.config import DataConfig, JobConfig, SpaceConfig

@@ -11,7 +11,7 @@ from atoll_coordinator.data.trajectories.measurements import (
     find_pieces,
     split_at_gaps,
 )
-from atoll_coordinator.data.trajectories.usable_rows import check_no_turns
+from atoll_coordinator.data.trajectories.table_checks import check_no_turns
 from atoll_core.config import Angle, DataConfig, JobConfig
 from atoll_core.errors import DataError
 from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of

@@ -19,7 +19,7 @@ ODDS = math.exp(SETTINGS.inference.distinct_nats)
 
 def shown(value, error):
     estimates = Estimates(np.array([value]), np.array([[error * error]]))
-    return float(estimates.round_constants()[0]), estimates.simple[0]
+    return float(estimates.round_values()[0]), estimates.simple[0]
 
 
 def test_an_estimate_is_not_shown_as_a_prettier_number_within_its_error():
@@ -75,14 +75,14 @@ def test_a_change_of_unit_changes_no_decision_between_decimals(factor):
 def test_constants_that_are_determined_together_are_singled_out_together():
     """Neither is known to a tenth alone, but their difference to a millionth."""
     covariance = 0.05**2 * np.ones((2, 2)) + np.diag([0.0, 1e-12])
-    moved = Estimates(np.array([2.03, 3.03]), covariance).round_constants() - np.array([2.03, 3.03])
+    moved = Estimates(np.array([2.03, 3.03]), covariance).round_values() - np.array([2.03, 3.03])
     assert moved[1] == pytest.approx(moved[0], abs=1e-6)
 
 
 def test_the_last_of_correlated_estimates_keeps_the_digits_that_it_needs():
     covariance = 0.05**2 * np.ones((2, 2)) + np.diag([0.0, 1e-10])
     means = np.array([2.0314159, 3.0271828])
-    rounded = Estimates(means, covariance).round_constants(estimates=(0, 1))
+    rounded = Estimates(means, covariance).round_values(estimates=(0, 1))
     away = rounded - means
     assert str(rounded[0]) == "2.031"
     assert 0.5 * away @ np.linalg.solve(covariance, away) < 0.01
@@ -90,7 +90,7 @@ def test_the_last_of_correlated_estimates_keeps_the_digits_that_it_needs():
 
 def test_one_constant_stays_an_estimate_while_another_becomes_simple():
     estimates = Estimates(np.array([2.000001, 3.000001]), np.diag([1e-12, 1e-12]))
-    assert estimates.round_constants(estimates=(1,)).tolist() == [2.0, 3.000001]
+    assert estimates.round_values(estimates=(1,)).tolist() == [2.0, 3.000001]
     assert estimates.simple[1].value == 3.0
 
 
@@ -120,9 +120,9 @@ def test_simple_numbers_speak_for_each_other_and_estimates_against_one_that_is_a
 
 def test_a_constant_is_simple_as_a_factor_of_another():
     """0.9 (1/9 + f) is 0.1 + 0.9 f; 1/9 by itself is no simple number."""
-    rounded = Estimates(np.array([0.9001, 0.11112]), np.diag([2e-4, 5e-5]) ** 2).round_constants()
+    rounded = Estimates(np.array([0.9001, 0.11112]), np.diag([2e-4, 5e-5]) ** 2).round_values()
     assert rounded.tolist() == pytest.approx([0.9, 1.0 / 9.0], rel=1e-12)
-    assert Estimates(np.array([0.11112]), np.array([[5e-5**2]])).round_constants()[0] == 0.11112
+    assert Estimates(np.array([0.11112]), np.array([[5e-5**2]])).round_values()[0] == 0.11112
 
 
 def test_simple_numbers_are_judged_together_where_each_alone_stays_an_estimate():
@@ -156,13 +156,13 @@ def test_simple_numbers_are_rarely_false_where_all_constants_have_random_digits(
         errors = truth * 10.0 ** random.uniform(-3.0, -1.0, 3)
         covariance = np.corrcoef(random.normal(size=(3, 8))) * np.outer(errors, errors)
         estimates = Estimates(random.multivariate_normal(truth, covariance), covariance)
-        shown = zip(estimates.round_constants(), estimates.simple, strict=True)
+        shown = zip(estimates.round_values(), estimates.simple, strict=True)
         false += sum(near is not None and near.value == value for value, near in shown)
     assert false <= 6
 
 
 def test_constants_that_only_their_sum_is_known_of_are_no_division_by_zero():
-    assert np.isfinite(Estimates(np.array([1.0, 2.0, 3.0]), 0.01 * np.ones((3, 3))).round_constants()).all()
+    assert np.isfinite(Estimates(np.array([1.0, 2.0, 3.0]), 0.01 * np.ones((3, 3))).round_values()).all()
 
 
 @pytest.mark.parametrize("mean", [math.inf, -math.inf])

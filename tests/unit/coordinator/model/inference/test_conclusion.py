@@ -324,7 +324,7 @@ def test_what_was_fitted_to_fewer_rows_is_simulated_along_all(monkeypatch, noise
 
 
 def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypatch):
-    monkeypatch.setattr(FittedEquations, "simplify", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
+    monkeypatch.setattr(FittedEquations, "accept_simple_numbers", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
     refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
     (constant,) = refinement.equations["x"].constants
     assert constant.value == pytest.approx(constant.fitted, abs=0.1 * constant.std_error)

@@ -28,7 +28,7 @@ def round_system(comparison, model):
     def growth(programs):
         return comparison.score_fit(fit_initial_states(comparison, programs, model.fit)).misfit - model.misfit
 
-    return attach_estimates(comparison, model).simplify(growth)
+    return attach_estimates(comparison, model).accept_simple_numbers(growth)
 
 
 def shown(rate, noise, **options):
@@ -54,7 +54,7 @@ def test_a_simple_number_that_is_merely_within_the_error_is_not_taken():
     error = math.sqrt(covariance(model.fit)[0, 0])
     assert 5e-4 < error < 4e-3
     assert round_system(decay, model) == model.programs
-    rounded = attach_estimates(decay, model).round_constants(2)
+    rounded = attach_estimates(decay, model).round_equations(2)
     (value,) = np.abs(rounded.programs[0].constants[constant_places(rounded.programs[0])])
     ((simple,),) = rounded.simple
     assert value != 0.05
@@ -90,7 +90,7 @@ def test_all_constants_of_a_system_are_decided_together(seed):
 def test_what_is_shown_misses_the_measurements_by_little_more():
     for rate, noise in ((0.0496, 0.03), (0.05, 0.001)):
         _, decay, model = decayed(rate, noise)
-        rounded = attach_estimates(decay, model).round_constants(2)
+        rounded = attach_estimates(decay, model).round_equations(2)
         held = decay.system(rounded.programs, [range(len(rounded.programs[0]))])
         fixed = decay.estimator.fit(held, None, 30)
         assert abs(decay.score_fit(fixed).misfit - model.misfit) < 2.0
@@ -104,7 +104,7 @@ def test_a_fixed_equation_is_shown_as_it_is():
     programs = round_system(comparison, model)
     assert programs[1] == known
     assert 3.0 in np.abs(programs[0].constants).tolist()
-    assert [len(simple) for simple in attach_estimates(comparison, model).round_constants(2).simple] == [
+    assert [len(simple) for simple in attach_estimates(comparison, model).round_equations(2).simple] == [
         len(constant_places(model.programs[0])),
         0,
     ]

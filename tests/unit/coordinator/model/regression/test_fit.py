@@ -7,7 +7,12 @@ import pytest
 
 from atoll_coordinator.model.description_length import RegressionCriterion, program_length
 from atoll_coordinator.model.pools import decode_members
-from atoll_coordinator.model.regression.equation import WeightedRows, estimate_constants, estimate_errors, fit_equation
+from atoll_coordinator.model.regression.equation import (
+    WeightedRows,
+    estimate_constants,
+    estimate_errors,
+    refine_equation,
+)
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
@@ -152,10 +157,12 @@ def test_an_equation_of_given_targets_keeps_its_bounds():
     sought = problem(lambda x, y: 3.0 * x - 2.0 * y, noise=0.05)
     config = JobConfig(space=SpaceConfig(operators=("+", "-", "*")), prior=PriorConfig(bounds={"label": ("x < 2.5",)}))
     members = decode_members((entry("2.5*x - 1.5*y", sought),), 2)
-    fitted = fit_equation(sought, config, members, has_intervals=True)
+    fitted = refine_equation(sought, config, members, has_intervals=True)
     bounds = bounded("x < 2.5").bounds
     assert bounds.are_kept(fitted.program)
-    assert not bounds.are_kept(fit_equation(sought, JobConfig(space=config.space), members, has_intervals=True).program)
+    assert not bounds.are_kept(
+        refine_equation(sought, JobConfig(space=config.space), members, has_intervals=True).program
+    )
 
 
 def test_rows_that_are_compared_are_not_in_step_with_a_period():

@@ -5,7 +5,7 @@ import pytest
 
 from atoll_coordinator.model.constants.rounding import continuum_density, simple_numbers
 from atoll_coordinator.model.pools import FrontMember
-from atoll_coordinator.model.regression.equation import fit_equation
+from atoll_coordinator.model.regression.equation import refine_equation
 from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.text.parsing import from_infix
@@ -25,7 +25,7 @@ def chosen(of_x, of_y):
     slope, bend, offset = 0.7 * of_y / of_x, 0.03 * of_y / of_x**2, 0.2 * of_y
     texts = (f"{slope!r}*x", f"{slope!r}*x + {offset!r}", f"{slope!r}*x + {offset!r} + {bend!r}*x*x")
     front = [FrontMember(from_infix(text, ("x",)), of_y, of_y * of_y) for text in texts]
-    return form_of(fit_equation(problem, SUMS, front).program)
+    return form_of(refine_equation(problem, SUMS, front).program)
 
 
 @pytest.mark.slow
@@ -51,7 +51,7 @@ def test_a_result_has_the_odds_of_simple_numbers_together():
     y = 2.0 * x + 0.5 * x * x - 3.0 + 0.01 * random.standard_normal(300)
     problem = Problem(("x",), x[None], Target("y", "y", y, 0.0, float(y.std())))
     program = from_infix("1.9*x + 0.6*x*x - 2.9", ("x",))
-    fitted = fit_equation(problem, SUMS, [FrontMember(program, 1.0, 1.0)])
+    fitted = refine_equation(problem, SUMS, [FrontMember(program, 1.0, 1.0)])
     together = fitted.simple_together
     assert together.values == tuple(fitted.constants[place].value for place in together.constants)
     assert len(together.values) == len(fitted.constants) == 3

@@ -9,7 +9,7 @@ import pytest
 
 from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.pools import may_be_shown
-from atoll_coordinator.model.selection.front_member import count_constants, front_length, select_member
+from atoll_coordinator.model.selection.front_member import count_constants, front_length, select_shortest_description
 from atoll_coordinator.model.sparse.atoms import expression_of, products, sum_of
 from atoll_core.data.dataset import Target
 from atoll_core.expression.program import MAX_NODES
@@ -42,39 +42,41 @@ def test_an_exact_equation_has_a_finite_length():
 
 def test_a_better_error_is_worth_nodes_only_when_it_is_much_better():
     front = (entry(3, 0.5), entry(9, 0.1), entry(30, 0.099))
-    assert select_member(front, 100, target()) == 1
+    assert select_shortest_description(front, 100, target()) == 1
 
 
 def test_below_the_floor_the_smallest_wins():
     front = (entry(3, 0.5), entry(9, 1e-2), entry(11, 1e-4))
-    assert select_member(front, 100, target(floor=0.02)) == 1
+    assert select_shortest_description(front, 100, target(floor=0.02)) == 1
 
 
 def test_a_member_that_meets_the_target_is_preferred_to_one_that_misses_it():
     front = (entry(3, 0.12), entry(9, 0.1))
-    assert select_member(front, 20, target()) == 0
-    assert select_member(front, 20, target(), target_error=0.1) == 1
+    assert select_shortest_description(front, 20, target()) == 0
+    assert select_shortest_description(front, 20, target(), target_error=0.1) == 1
 
 
 def test_constants_cost():
     cheap, costly = entry(5, 0.1, "x + x*x"), entry(5, 0.1, "x*2.5 + 1.5")
     assert (count_constants(cheap.program), count_constants(costly.program)) == (0, 2)
-    assert select_member((costly, cheap), 100, target()) == 1
+    assert select_shortest_description((costly, cheap), 100, target()) == 1
 
 
 def test_equals_are_decided_by_their_place():
-    assert select_member((entry(5, 0.1), entry(5, 0.1)), 100, target()) == 0
+    assert select_shortest_description((entry(5, 0.1), entry(5, 0.1)), 100, target()) == 0
 
 
 def test_an_empty_front_has_no_selection():
     with pytest.raises(ValueError, match="empty"):
-        select_member((), 100, target())
+        select_shortest_description((), 100, target())
 
 
 def test_scaling_the_target_does_not_change_the_choice():
     front = (entry(3, 0.5), entry(9, 0.1), entry(12, 0.02))
     scaled = tuple(replace(entry, error=entry.error * 1e6, mse=entry.mse * 1e12) for entry in front)
-    assert select_member(front, 60, target(0.01)) == select_member(scaled, 60, target(0.01, 1e6))
+    assert select_shortest_description(front, 60, target(0.01)) == select_shortest_description(
+        scaled, 60, target(0.01, 1e6)
+    )
 
 
 def test_the_logarithm_is_right_to_a_few_units_in_the_last_place():

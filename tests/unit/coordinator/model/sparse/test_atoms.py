@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from atoll_coordinator.model.description_length import constant_nats_of, structure_length
 from atoll_coordinator.model.sparse.atoms import (
-    dictionary,
     polynomial_and_fourier_libraries,
     powers,
     product_of,
     products,
     products_of,
+    products_with_functions,
     sum_of,
 )
 from atoll_coordinator.settings import SETTINGS
@@ -60,7 +60,7 @@ INPUTS = np.random.default_rng(0).uniform(0.5, 2.0, (2, 20))
 def test_a_term_costs_what_it_is_written_as(product, quotient, text):
     (shape,) = powers(INPUTS, [product])
     if quotient is not None:  # 1/x, 1/(c + x)
-        allowed = [of for of in dictionary(INPUTS, (0, 1), {BY_NAME["/"].code}) if of.argument == (0, 0)]
+        allowed = [of for of in products_with_functions(INPUTS, (0, 1), {BY_NAME["/"].code}) if of.argument == (0, 0)]
         shape = next(of for of in allowed if of.factors == product and of.has_constant == bool(quotient))
     program = from_infix(text, ("x", "y"))
     expected = structure_length(program) + len(constant_places(program)) * constant_nats_of(100)
@@ -75,8 +75,10 @@ def test_products_are_powers_in_the_order_of_degrees():
 def test_quotients_keep_their_products_where_all_functions_are_too_many() -> None:
     inputs = np.random.default_rng(0).uniform(0.1, 1.0, (8, 20))
     quotients = {BY_NAME["/"].code}
-    alone = dictionary(inputs, range(8), quotients)
-    made = dictionary(inputs, range(8), quotients | {BY_NAME[name].code for name in ("sin", "cos", "exp", "tanh")})
+    alone = products_with_functions(inputs, range(8), quotients)
+    made = products_with_functions(
+        inputs, range(8), quotients | {BY_NAME[name].code for name in ("sin", "cos", "exp", "tanh")}
+    )
     assert max(len(shape.factors) for shape in alone) == 2
     assert sum(len(shape.factors) == 2 for shape in made) == sum(len(shape.factors) == 2 for shape in alone)
     assert len(made) > len(alone)

@@ -1,4 +1,7 @@
-"""Selects the rows that can be used, and checks the measured values. Each failure is one sentence with advice. Pure."""
+"""Drops incomplete rows, and checks the measured values. Each failure is one sentence with advice. Pure.
+
+`data/searched_rows.py` leaves rows with uncertain derivatives out of the search.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,21 +22,22 @@ from atoll_core.errors import DataError
 BoolArray = npt.NDArray[np.bool_]
 MIN_ROWS = SETTINGS.common.fewest_rows
 SMALLEST: Final = 1e-150
-"""Guard: the square of numbers below this underflows, and the square of numbers above its inverse overflows."""
+"""Guard: the square of a number below this value underflows; the square of a number above the inverse of this value
+overflows."""
 _JUMP: Final = 3.0
-"""Limit for jumps of a wrapped angle: a jump is this many times as large as every other step, and differs from a full
-turn by at most this many times the steps next to it."""
+"""Limit for jumps of a wrapped angle, used twice: a jump is this many times as large as every other step, and its
+difference from a full turn is at most this many times the steps next to it."""
 _TURNS: Final = ((6.283185307179586, "2 pi", ""), (360.0, "360", ":deg"))
 """A full turn, its name in messages, and the unit that `--angle` appends."""
 
 
-def select_usable_rows(table: Table, roles: Roles, config: DataConfig) -> tuple[list[int], list[str]]:
-    """Return the usable rows, and sentences for the user.
+def drop_incomplete_rows(table: Table, roles: Roles, config: DataConfig) -> tuple[list[int], list[str]]:
+    """Return the complete rows, and sentences for the user.
 
-    A usable row has a positive weight, and finite values of all columns that must be known. If states are measured in
+    A complete row has a positive weight, and finite values of all columns that must be known. If states are measured in
     time, one finite state is enough: a missing value of a state removes only this value. Raises DataError if there are
-    too few rows, if a weight is negative or no number, or if options do not allow dropping missing numbers but a used
-    column is not finite in a row with weight.
+    too few rows, or if a weight is negative or not a number. Also raises DataError if a used column is not finite in a
+    row with a weight, unless the options allow dropping such rows.
     """
     _check_count(table, table.rows)
     weighted, unused = _weighted_rows(table, roles.weights)
@@ -56,7 +60,8 @@ def check_searched_rows(table: Table, roles: Roles, rows: Sequence[int]) -> None
 
 
 def check_sizes(columns: Mapping[str, FloatArray]) -> None:
-    """Raise DataError if squares of a column (by name) over- or underflow; a column of zeros is allowed."""
+    """Raise DataError if squares of the values of a column overflow or underflow. `columns` are by name; a column of
+    zeros is allowed."""
     for name, column in columns.items():
         values = column[np.isfinite(column)]
         if values.any():
@@ -70,7 +75,7 @@ def check_size(name: str, size: float) -> None:
 
 
 def check_rates(time: str, times: Sequence[FloatArray], states: Mapping[str, Sequence[FloatArray]], order: int) -> None:
-    """Raise DataError if squares of time steps, or of a state's rates of change, over- or underflow.
+    """Raise DataError if squares of time steps, or squares of a state's rates of change, overflow or underflow.
 
     `times` ascend strictly; `states` has values by name along the same trajectories; `order` is the order of the
     derivatives.
@@ -87,7 +92,7 @@ def check_rates(time: str, times: Sequence[FloatArray], states: Mapping[str, Seq
 def check_varies(table: Table, name: str, values: FloatArray, role: str, *, is_only: bool = False) -> None:
     """Raise DataError if a column that is a state, a derivative or the target has too few values, or is constant.
 
-    `is_only` is true for the only column with an equation: then another choice of states does not help.
+    `is_only`: this is the only column with an equation, so another choice of states does not help.
     """
     values = values[np.isfinite(values)]
     if len(values) < MIN_ROWS:
@@ -127,11 +132,12 @@ def check_trajectory(table: Table, name: str, times: FloatArray, rows: Sequence[
 def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
     """Raise DataError if a state jumps by a full turn, as a wrapped angle does.
 
-    A wrapped angle stays within one turn, and after subtraction of a full turn its jumps are as smooth as its other
-    steps. A jump is larger than all other steps, whereas noise makes steps of all sizes. With few rows far apart, a
-    step may be about a full turn by chance. If none of n other steps reaches half a turn, the next step does so with
-    probability 1/(n + 2) (Laplace's rule of succession). This probability is multiplied by the difference between step
-    and full turn, as a share of a turn.
+    The values of a wrapped angle are within one turn, and after subtraction of a full turn its jumps are as small as
+    its other steps. A jump is larger than all other steps, whereas noise makes steps of all sizes. If there are few
+    rows far apart, a step may be about a full turn by chance. The probability of this is estimated as a product. The
+    first factor is the probability that a step reaches half a turn, if none of the n other steps does: 1/(n + 2)
+    (Laplace's rule of succession). The second factor is the difference between step and full turn, as a share of a
+    turn.
     """
     parts = [part[np.isfinite(part)] for part in parts]
     values = np.concatenate(parts)
@@ -153,7 +159,8 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
 
 
 def _margins_of_turns(steps: FloatArray, usual: float, turn: float) -> list[float]:
-    """Return for each step of about a `turn` the difference from its neighbours after subtraction of the turn.
+    """Find the steps of about one `turn`. Return, for each, its difference from the neighbouring steps after
+    subtraction of the turn.
 
     Such a step is much larger than the `usual` steps, and differs from the turn by little more than the steps next to
     it.
@@ -172,7 +179,8 @@ def _margins_of_turns(steps: FloatArray, usual: float, turn: float) -> list[floa
 
 
 def _weighted_rows(table: Table, name: str | None) -> tuple[list[int], list[str]]:
-    """Return the rows with weight (all rows without a column of weights), and a sentence if rows are left out."""
+    """Return the rows with a positive weight, and a sentence if rows are left out. Without a column of weights, return
+    all rows."""
     if name is None:
         return [*range(table.rows)], []
     weights = table.column(name)
@@ -193,9 +201,9 @@ def _weighted_rows(table: Table, name: str | None) -> tuple[list[int], list[str]
 
 
 def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) -> tuple[list[int], list[str]]:
-    """Return the rows among `weighted` with all needed values, and sentences if rows or values are left out.
+    """Return those of the rows `weighted` that have all needed values, and sentences if rows or values are left out.
 
-    Of the states measured in time, one value is enough; every other used column is needed.
+    If states are measured in time, one finite state is enough; every other used column is needed.
     """
     used = [table.names.index(name) for name in roles.used]
     has_weight = np.isin(np.arange(table.rows), weighted)

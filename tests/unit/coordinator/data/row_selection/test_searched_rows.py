@@ -9,11 +9,11 @@ from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.interpolation import END_ROWS
 from atoll_coordinator.data.differentiation.smoothing import Smoother
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.selected_rows import (
+from atoll_coordinator.data.searched_rows import (
     FAR_OUT,
     SelectedRows,
     explain_excluded_rows,
-    select_rows,
+    select_searched_rows,
     thin_searched_rows,
 )
 from atoll_coordinator.data.trajectories.measurements import Measurements, Trajectories
@@ -48,7 +48,7 @@ def selected(estimates, lengths=None, held_out=None, paper=False):
     trajectories = Trajectories(("1",) * len(lengths), tuple(np.arange(float(rows)) for rows in lengths), 0.0, {})
     held_out = held_out or (False,) * len(lengths)
     roles = Roles("t", None, ("x",), ())
-    return select_rows(
+    return select_searched_rows(
         Measurements(roles, {}, tuple(pairwise(ends)), held_out, trajectories, ()), estimates, paper=paper
     )
 
