@@ -326,8 +326,8 @@ def write_refuted_factors(
 def list_fitted_places(
     given: Collection[int], variables: Sequence[str], explicit: Sequence[ExplicitCoefficients]
 ) -> list[Place]:
-    """Return the variable and the place of each fitted constant, in the order of the fit. For a factor of one, None is
-    returned instead."""
+    """Return the variable and the place of each fitted constant, in the order of the fit. The place of a factor of one
+    is None."""
     return [
         Place(variable=variable, constant=origin)
         for equation, (variable, coefficients) in enumerate(zip(variables, explicit, strict=True))
