@@ -145,8 +145,8 @@ class EquationBounds:
         return lower, min((bound.upper for bound in covering), default=math.inf)
 
     def laid_out(self, program: Program) -> Program | None:
-        """Return `program` with brackets expanded, and with those factors equal to 1 written as constants that have a
-        bound. None if this is impossible.
+        """Return `program` with brackets expanded. If a factor equal to 1 has a bound, it is written as a constant.
+        None if this is impossible.
 
         A program that is already laid out is returned unchanged, for any values of its constants.
         """

@@ -9,4 +9,5 @@ The reasons and figures: ADR 0044.
 from typing import Literal
 
 Discretisation = Literal["local linearisation", "Euler-Maruyama"]
-"""Meaning of a step between rows: a time step of the process, or a step of the numerical method with this name."""
+"""The meaning of a step between two rows: it is a time step of the process (local linearisation), or a step of the
+numerical method with this name (Euler-Maruyama)."""

@@ -79,7 +79,8 @@ def terms_of(program: Program) -> Sum:
 
 @contained
 def expand_sum(terms: Sum) -> Sum:
-    """Return a sum without brackets in its numerators; raises UndefinedError for more than `MOST_TERMS` terms."""
+    """Return a sum without brackets in its numerators. Raises UndefinedError if the sum has more than `MOST_TERMS`
+    terms."""
     while True:
         powers = ((place, power) for place, (monomial, _) in enumerate(terms) for power in monomial)
         bracket = next((found for found in powers if found[1][0][0] == op.ADD and found[1][1] > 0), None)

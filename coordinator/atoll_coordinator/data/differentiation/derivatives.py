@@ -64,11 +64,11 @@ there is no noise."""
 class StateEstimate:
     """The estimate of one state over all its rows, in the order of the signals. All arrays are (R,).
 
-    `values` are interpolated (as measured) or smoothed; `derivative` has the derivative of the requested order,
-    `velocity` the first derivative. `uncertainty` is the standard error of `derivative`; `total_uncertainty` is
-    sqrt(standard error^2 + estimated bias^2); for an interpolated state, it is equal to `uncertainty`. If the state is
-    missing at a row, and its other rows do not determine it, both uncertainties are infinite there, the derivatives are
-    0, and the value is a substitute.
+    `values` are the measured values if the state is interpolated, or else smoothed values. `derivative` is the
+    derivative of the requested order, and `velocity` is the first derivative. `uncertainty` is the standard error of
+    `derivative`; `total_uncertainty` is sqrt(standard error^2 + estimated bias^2); for an interpolated state, it is
+    equal to `uncertainty`. If the state is missing at a row, and its other rows do not determine it, both uncertainties
+    are infinite there, the derivatives are 0, and the value is a substitute.
 
     `noise` is the estimated standard deviation of the measurement errors; it is at least the rounding error of the
     `quantisation` (None: no rounding). `standard_deviation` refers to the measurements. `smoother` is None for an

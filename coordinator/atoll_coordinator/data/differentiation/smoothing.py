@@ -167,7 +167,8 @@ def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
 
 
 def estimate_noise(signals: Sequence[Signal], smoother: Smoother) -> float:
-    """Return the estimated standard deviation of the errors in a row of inverse variance 1, from residuals of loess.
+    """Return the standard deviation of the errors in a row of inverse variance 1, estimated from the residuals of
+    loess.
 
     The variance is the sum of squared residuals divided by the degrees of freedom (Cleveland & Devlin 1988, section 3).
     These are the number of rows, minus twice the trace of the smoother's matrix, plus the trace of its square. Rows

@@ -2,6 +2,6 @@
 `measurements.take_measurements`.
 
 - `table_checks`: drops incomplete rows, and checks the measured values
-- `measurements`: where trajectories begin, their names, centred times, states with unwrapped angles, held-out
-  trajectories; trajectories split at gaps in the times
+- `measurements`: divides rows into trajectories, names them, centres the times, unwraps angles, selects held-out
+  trajectories, and splits trajectories at gaps in the times
 """

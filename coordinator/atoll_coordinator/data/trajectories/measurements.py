@@ -314,7 +314,8 @@ def unwrap(values: FloatArray) -> FloatArray:
 def find_pieces(times: FloatArray, span: int) -> list[Range]:
     """Return the half-open ranges of rows between gaps longer than `span` median steps.
 
-    Random times have a gap of k median steps with probability 2^-k: gaps that may be chance are always bridged.
+    If the times are random, a gap of k median steps has the probability 2^-k. A gap that may be due to chance does not
+    end a range.
     """
     steps = np.diff(times)
     by_chance = int(1.0 / SETTINGS.common.improbable).bit_length()

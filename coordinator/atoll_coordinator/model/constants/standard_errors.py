@@ -326,7 +326,8 @@ def write_refuted_factors(
 def list_fitted_places(
     given: Collection[int], variables: Sequence[str], explicit: Sequence[ExplicitCoefficients]
 ) -> list[Place]:
-    """Return variable and place of each fitted constant, in the order of the fit; None for a factor of one."""
+    """Return the variable and the place of each fitted constant, in the order of the fit. The place of a factor of one
+    is None."""
     return [
         Place(variable=variable, constant=origin)
         for equation, (variable, coefficients) in enumerate(zip(variables, explicit, strict=True))

@@ -1,4 +1,5 @@
-"""The chosen system as it is shown: fitted to all rows, its constants rounded, simulated along whole trajectories.
+"""The chosen system as it is shown: it is fitted to all rows, its constants are rounded, and it is simulated along
+whole trajectories.
 
 `finalize` works in this order:
 
@@ -80,8 +81,9 @@ class FinalModel(ShownEquations):
     """The model on all rows.
 
     `comparison` fits the constants, in pieces of at most `piece` rows, possibly to a subset of the rows.
-    `shown_comparison` simulates the equations as they are shown, over all rows, along whole trajectories if possible;
-    `shown_fit` is this simulation. `held_out_comparison` contains the held-out trajectories; None if there are none.
+    `shown_comparison` simulates the equations as they are shown: over all rows and, if possible, along whole
+    trajectories; `shown_fit` is this simulation. `held_out_comparison` contains the held-out trajectories; None if
+    there are none.
     """
 
     task: ModellingTask
@@ -306,7 +308,8 @@ def _show_equations(
 def _write_refuted_factors(
     task: ModellingTask, comparison: ModelComparison, shown: ShownEquations
 ) -> tuple[Program, ...] | None:
-    """Return the programs with refuted factors of one written as constants; None if the data refute no factor."""
+    """Return the programs in which refuted factors of one are written as constants. None if the data refute no
+    factor."""
     programs, errors = shown.programs, estimate_errors(comparison, shown.free)
     known = describe_constants(comparison.fixed, shown.explicit, programs, errors)
     if not any(constants.refuted_factors for constants in known):
@@ -327,8 +330,9 @@ def _round_to_fewest_digits(
 ) -> tuple[RoundedEquations, FittedModel] | None:
     """Return a system with rounded constants. They have the fewest digits with which simulations do not change.
 
-    In the simulation for comparison, simple numbers are the same, and the other constants have all digits. None if the
-    system cannot be simulated. A constant is not replaced by a simple number outside its 95 % interval.
+    The simulation is compared with a reference: in the reference, simple numbers are the same, and the other constants
+    have all digits. None if the system cannot be simulated. A constant is not replaced by a simple number outside its
+    95 % interval.
     """
     *few, most = ERROR_DIGITS
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None

@@ -158,8 +158,8 @@ class _OtherInitialStates:
         """Initial states (G, D): each between two measured states of one group, or near a measured state.
 
         States without an equation may be inputs with their measured values. Then each initial state is nearer to the
-        start of a trajectory: a tenth of the way from there to such a point. Farther away, the measured inputs would
-        not match the states.
+        start of a trajectory: it is on the line from this start to such a point, after a tenth of the way. Farther
+        away, the measured inputs would not match the states.
         """
         measurements = self._measurements
         if self._is_near and not measurements.has_smoothed_inputs:

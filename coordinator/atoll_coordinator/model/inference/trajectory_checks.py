@@ -552,7 +552,8 @@ def drop_larger_equations(most: int, alternatives: Sequence[Alternative]) -> lis
 
 
 def standard_deviation(measurements: TrajectoryMeasurements, index: int) -> float:
-    """Return the standard deviation of the measured values of a state in rows that count, scaled to weight 1."""
+    """Return the standard deviation of the measured values of a state, scaled to weight 1. Only rows that count are
+    used."""
     squares, count = squares_about_mean(measurements, index, slice(None))
     return max(math.sqrt(squares / max(count, 1)), 1e-300)
 

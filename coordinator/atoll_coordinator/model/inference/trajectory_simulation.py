@@ -133,8 +133,8 @@ def compute_r2(measurements: TrajectoryMeasurements, fit: TrajectoryFit, rows: I
 
 
 def squares_about_mean(measurements: TrajectoryMeasurements, state: int, rows: IntArray | slice) -> tuple[float, int]:
-    """Return the sum of squares of a measured state about its mean, scaled to weight 1, and the number of rows that
-    count."""
+    """Return the sum of the squared differences of a measured state from its mean, scaled to weight 1, and the number
+    of rows that count."""
     counts = measurements.weights[state, rows] > 0.0
     values = measurements.measured[state, rows][counts]
     weights = np.ones(len(values))
@@ -147,7 +147,8 @@ def squares_about_mean(measurements: TrajectoryMeasurements, state: int, rows: I
 def simulated_standard_errors(
     measurements: TrajectoryMeasurements, fit: TrajectoryFit, spread: FloatArray, scale: float
 ) -> FloatArray:
-    """Return the standard errors (O, N) of the simulated states, from constants and initial states together.
+    """Return the standard errors (O, N) of the simulated states that are due to the errors of constants and initial
+    states together.
 
     To first order, the variance of a state is K S K' + Y C^-1 Y' with K = J - Y C^-1 B'. J are the sensitivities to the
     constants, and Y the sensitivities to the initial state of the piece. B and C are blocks of the normal equations: B

@@ -33,7 +33,8 @@ from atoll_coordinator.settings import SETTINGS
 
 @dataclass(frozen=True)
 class Rule:
-    """A check: its `name`, the quantity it `measures`, its `limit` in words, and the `kinds` of job it applies to.
+    """A check: its `name`, the quantity that it `measures`, its `limit` in words, and the `kinds` of job to which it
+    applies.
 
     If `is_exactness`, the check is needed only for the grade `exact`.
     """

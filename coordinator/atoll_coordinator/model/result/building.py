@@ -371,7 +371,7 @@ def _describe_constants(
 
 
 def _describe_units(shown: Refined) -> Units | None:
-    """Return the implied units and contradictions of units of an equation; None if no unit is known."""
+    """Return the units that follow for an equation, and the contradictions between units. None if no unit is known."""
     if shown.units is None:
         return None
     implied = tuple(ImpliedUnit(of=term, unit=str(unit)) for term, unit in shown.units.implied)

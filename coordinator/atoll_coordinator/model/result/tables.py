@@ -112,7 +112,7 @@ def describe_system(preparation: Preparation) -> System | None:
 
 
 def describe_regression(preparation: Preparation, program: Program | None) -> Regression | None:
-    """Return some of the rows with the fitted values of `program`; None without a target or an equation."""
+    """Return some of the rows with the fitted values of `program`. None if there is no target or no equation."""
     if preparation.source is None or preparation.source.target is None or program is None:
         return None
     dataset = preparation.dataset

@@ -136,8 +136,8 @@ def _rewrite(comparison: ModelComparison, programs: Sequence[Program], *, is_sho
 
 
 _WRITINGS_OF_A_BATCH: Final = (32, 4)
-"""Most programs of a batch, for short and for shortest forms: a short form takes about a millisecond, the shortest form
-ten, and for some programs a hundred."""
+"""Most programs of a batch, for short and for shortest forms: a short form takes about a millisecond; the shortest form
+takes about ten milliseconds, and a hundred milliseconds for some programs."""
 _WRITINGS: Final[BatchFunction[bool, Program, Program]] = BatchFunction(
     "writings", bool, Program, Program,
     lambda is_shortest, program: shortest(program) if is_shortest else shortened(program),

@@ -1,4 +1,4 @@
-"""Cross-validation: how well a system predicts trajectories that its constants were not fitted to.
+"""Cross-validation: how well a system predicts trajectories to which its constants were not fitted.
 
 Each fold leaves out one trajectory (Stone 1974), or several if there are many trajectories. The constants are fitted to
 the other trajectories, starting from the fit to all trajectories. Along the trajectories that were left out, only the

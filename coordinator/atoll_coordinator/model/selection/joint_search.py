@@ -167,8 +167,8 @@ def _exchange_two(comparison: ModelComparison, best: FittedModel) -> FittedModel
 
     If noise hides the difference between alternatives, the best equation of one state depends on the equation of
     another state. Then no single exchange may shorten the description: for example, with 21 rows of hares and lynxes,
-    the system with the best alternative of each equation was 2 nats shorter. Pairs of alternatives are sorted by the
-    nats that their two single exchanges cost together; the first pairs are fitted.
+    the description with the best alternative of each equation was 2 nats shorter. Pairs of alternatives are sorted by
+    the nats that their two single exchanges cost together; the first pairs are fitted.
     """
     alternatives: list[list[tuple[float, Program]]] = [[] for _ in best.programs]
     own_forms = [structure(program) for program in best.programs]
@@ -213,8 +213,8 @@ def search_locally(
 ) -> FittedModel:
     """Return the end of the descent from the best system.
 
-    If the residuals of the system are noise, a program is not tried if it is so long that no decrease of the misfit
-    could compensate its length.
+    If the residuals of the system are noise, long programs are not tried: no decrease of the misfit could compensate
+    their length.
     """
     room = comparison.score.possible_gain(best)
     has_room = comparison.score.may_be_improved(best)

@@ -154,7 +154,8 @@ def propose(proposer: Proposer) -> Callable[[Choice], Choice]:
 def _law_programs(task: ModellingTask) -> dict[str, list[Program]]:
     """Return the laws that were found among many variables, by equation.
 
-    Empty if all equations have such laws: the system of these laws did not fit, so one of the laws is wrong.
+    The result is empty if all equations have such laws: the system of these laws did not fit, so one of the laws is
+    wrong.
     """
     law_programs = {
         name: [law.program for law in task.laws[name] if task.may_be_shown(law.program)]

@@ -6,9 +6,9 @@ consists of the size of the independent errors and of correlated errors of a sen
 the smoother, later from the residuals of the best system. A score never changes: `Score.calibrate` returns another
 score. The length of a system by one score is never compared with a length by another score.
 
-Doubts: the calibration treats the residuals of the best system so far as errors of measurement. If this system is
-wrong, the errors are overestimated, and other wrong systems may seem to fit. So the errors are calibrated again after
-each stage that found a better system.
+Doubts: the calibration uses the best system found so far, and treats its residuals as errors of measurement. If this
+system is wrong, the errors are overestimated, and other wrong systems may seem to fit. So the errors are calibrated
+again after each stage that found a better system.
 """
 
 import math
@@ -81,7 +81,7 @@ class Score:
 
     Attributes:
         estimator: fits systems to the measurements.
-        leading: number of equations of positions that come before the other equations (order 2); not scored.
+        leading: number of equations of positions, which come before the other equations (order 2) and are not scored.
         fixed: equations, by index, whose constants are given.
         groups: number of groups of trajectories that may have their own constants; 1 if there are no groups.
         roughness: standard deviations (O,) of independent errors.

@@ -132,8 +132,8 @@ class Innovations:
         return replace(found, sigmas=np.where(shares > 0.0, np.sqrt(squares / np.maximum(self._counts, 1.0)), sigmas))
 
     def _is_smooth(self, state: int, residuals: FloatArray, share: float, decay: float, turn: float) -> bool:
-        """Tell whether a smooth process, with a derivative that is correlated over `turn` rows or more, is more
-        probable than a rough process."""
+        """Tell whether a smooth process is more probable than a rough process. The derivative of the smooth process is
+        correlated over at least `turn` rows."""
         sums, room = np.empty(2), (*np.empty((3, 3, 3)), np.empty((2, 3)))
         self._innovate(state, residuals, share, decay, sums)
         rough, length = self._length(state, sums), turn  # its correlation (1 + x - x^2) exp(-x) is 1/e at x = 1

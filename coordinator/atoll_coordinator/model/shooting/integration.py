@@ -78,8 +78,9 @@ class Integrator:
     def __init__(self, measurements: TrajectoryMeasurements, tolerance: float, measured_rows: int = 0) -> None:
         """`tolerance` is the error of a step, divided by the standard deviation of the state.
 
-        The number of allowed steps is proportional to the number of rows. If the rows represent a larger number of rows
-        of the same time span, `measured_rows`, it is proportional to this number.
+        The number of allowed steps is proportional to the number of rows. The rows may represent a larger number of
+        measured rows of the same time span. Then the number of allowed steps is proportional to this larger number,
+        `measured_rows`.
         """
         self.measurements: Final = measurements
         self.tolerance: Final = tolerance

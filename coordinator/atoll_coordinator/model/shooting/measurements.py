@@ -55,8 +55,8 @@ class TrajectoryMeasurements:
         variables: names of the components of a point: D states, then U inputs.
         names: names of the trajectories.
         has_smoothed_inputs: whether smoothed states without an equation are inputs.
-        inverse_variances: relative inverse variances (O, N) of the errors, 1 on average over the recording. `weights`
-            include these numbers as a factor. None: all are 1.
+        inverse_variances: relative inverse variances (O, N) of the errors; their mean over the recording is 1.
+            `weights` include these numbers as a factor. None: all are 1.
         consistency: weighted mean square (O,) of normal errors, divided by their variance. It is less than one if
             robustness weights reduce large errors. None: one for all states.
         resting: a mask (O, N) of the rows of trajectories along which a state was always 0, such as an absent species.
@@ -353,7 +353,8 @@ def _consistency(parts: Sequence[Trajectory], chosen: list[int]) -> FloatArray |
 def _inverse_variances(
     parts: Sequence[Trajectory], chosen: list[int], variances: Sequence[VarianceModel]
 ) -> FloatArray | None:
-    """Return the inverse variances (O, N) from the user's weights and the residuals of smoothing; None if all are 1."""
+    """Return the inverse variances (O, N) that follow from the user's weights and the residuals of smoothing. None if
+    all are 1."""
     if all(part.weights is None for part in parts) and not any(variance.proportional for variance in variances):
         return None
     by_value = (

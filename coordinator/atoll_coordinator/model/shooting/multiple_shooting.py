@@ -76,8 +76,8 @@ class _Blocks(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A point of the fit: system with constants, initial states (G, L), errors, cost, simulated states and normal
-    equations."""
+    """A point of the fit: the system with its constants, the initial states (G, L), the error model, the cost, the
+    simulated states and the normal equations."""
 
     system: OdeSystem
     starts: FloatArray
@@ -138,8 +138,8 @@ class MultipleShooting:
             steps: most steps; successful and failed steps count.
             starts: initial states (G, D), or with offsets (G, D + K); None: the smoothed states.
             errors: the first error model; None: errors are independent and as large as the smoother's noise.
-            is_stiff: whether similar systems are stiff. If they are not, a fit of few steps may not use the implicit
-                method, since most candidates that seem stiff are wrong.
+            is_stiff: whether similar systems are stiff. If similar systems are not stiff, a fit of few steps must not
+                use the implicit method, since most candidates that seem stiff are wrong.
         """
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=may_be_stiff)

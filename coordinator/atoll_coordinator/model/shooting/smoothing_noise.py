@@ -40,7 +40,8 @@ class VarianceModel:
     scale: float = 1.0
 
     def weights(self, values: FloatArray) -> FloatArray:
-        """Return the inverse variances of rows with these smoothed values, 1 on average over the recording."""
+        """Return the inverse variances of rows with these smoothed values. Over the whole recording, their mean is
+        1."""
         return np.asarray(_inverse(values / self.rms, self.proportional) / self.mean)
 
 

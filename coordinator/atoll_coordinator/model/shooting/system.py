@@ -105,7 +105,7 @@ class OdeSystem:
 
     @property
     def multiples(self) -> FloatArray:
-        """Each constant (P,) is this multiple of its fitted number."""
+        """The ratio (P,) of each constant to its fitted number."""
         return np.ones(len(self.places)) if self.sharing is None else self.sharing.multiples
 
     @property

@@ -268,7 +268,8 @@ class _Windows:
 
 
 def _search_law(regression: SparseRegression, terms: tuple[Product, ...]) -> tuple[Law, ...]:
-    """Return the law that a search from the sum of these products finds; empty without one."""
+    """Return the law that a search finds if it begins with the sum of these products. The result is empty if no law is
+    found."""
     places = {atom.shape.factors: place for place, atom in enumerate(regression.atoms)}
     found = regression.select_terms([places[term] for term in terms])
     if found is None or found.assessment is None:

@@ -67,7 +67,7 @@ within the noise, it must give the same result as cubic interpolation."""
 
 @dataclass(frozen=True, eq=False)
 class ShortWindows(WeakRows):
-    """Windows as short as the sampling allows, for states that change one after another.
+    """Windows that are as short as the sampling allows. They are for states that change one after another.
 
     Functions are interpolated by cubics between rows, and the product with the test function is integrated exactly.
     `coarse` are the weights (W, L) of test functions and their derivatives for linear interpolation between rows. The
@@ -240,7 +240,7 @@ def find_short_laws(equations: Mapping[str, UnknownEquation]) -> dict[str, tuple
 
 
 def _short_sum(equation: UnknownEquation) -> Sum | None:
-    """Return the shortest sum of a polynomial and up to two products with functions; None if none is found.
+    """Return the shortest sum of a polynomial and up to two products with functions. None if no sum is found.
 
     Polynomials have the first and second degree. If rows are precise, wrong sums have much larger residuals. So the
     search then ends with the first law, and polynomials of higher degree are tried last.

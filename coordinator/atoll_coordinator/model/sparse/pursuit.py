@@ -285,8 +285,8 @@ class _Pursuit:
                 yield from self._fit_sums([atoms])
 
     def _extend(self, beam: Sequence[Sum], *, has_pairs: bool = False) -> list[Sum]:
-        """Return the best sums with one more term than the sums of the beam; if `has_pairs`, also sums of any two
-        terms."""
+        """Return the best sums with one more term than the sums of the beam. If `has_pairs`, sums of any two terms are
+        also tried."""
         width, grown = SETTINGS.effort.kept, list[tuple[float, tuple[Atom, ...]]]()
         further = rank_further_terms(self._rows, [fit.atoms for fit in beam], [self._grid], width)
         for fit, terms in zip(beam, further, strict=True):

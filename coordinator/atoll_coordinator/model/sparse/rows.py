@@ -157,7 +157,8 @@ class RateRows(RegressionRows):
 
     @property
     def numbers(self) -> float:
-        """The number n for which n/2 ln(scale^2) equals the misfit of `assess`, ``systematic_numbers`` ln(scale)."""
+        """The number of independent numbers n. It follows from the misfit of `assess`: ``systematic_numbers`` ln(scale)
+        is equal to n/2 ln(scale^2)."""
         return 2.0 * SETTINGS.selection.systematic_numbers
 
     @property
@@ -229,8 +230,8 @@ class MeasuredRows:
     Large tables are subsampled in evenly spread blocks.
 
     `values` (V, R) are the measured variables; missing values are replaced by smoothed values. `smoothed` (V, R) are
-    the smoothed variables. `noise` (V,) are the standard deviations of the errors, 0 for inputs and for interpolated
-    states.
+    the smoothed variables. `noise` (V,) are the standard deviations of the errors; they are 0 for inputs and for
+    interpolated states.
     """
 
     times: FloatArray
@@ -510,10 +511,10 @@ def half_width(measured: MeasuredRows, smoothing: StateSmoothing, variables: int
     """Return the half width of a window in rows: half of the smoother's span, or less if the largest library needs more
     windows.
 
-    Longer windows make it harder to distinguish terms that are nearly linearly dependent. Shorter windows have larger
-    errors of the trapezoidal rule; errors due to noise should be ten times as large as errors of this rule. With the
-    half width h and p = `_SMOOTHNESS`, the errors of the rule in the left side decrease as h^-(p + 1), and errors due
-    to noise decrease as h^-1.5.
+    In longer windows, nearly linearly dependent terms have larger errors relative to their differences. Shorter windows
+    have larger errors of the trapezoidal rule; errors due to noise should be ten times as large as errors of this rule.
+    With the half width h and p = `_SMOOTHNESS`, the errors of the rule in the left side decrease as h^-(p + 1), and
+    errors due to noise decrease as h^-1.5.
     """
     terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
     most = int(len(measured.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(measured.ranges) + 1))

@@ -25,9 +25,9 @@ _MOST_POINTS: Final = 101
 
 
 def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> PathEnsemble | None:
-    """Return an ensemble from the initial state of the first trajectory, at its times and with its inputs.
+    """Return an ensemble of paths. They have the initial state, the times and the inputs of the first trajectory.
 
-    None if fewer than half of the paths stay finite to the end. Times are the times in the user's file.
+    The result is None if fewer than half of the paths are finite to the end. Times are the times in the user's file.
     """
     path = next(path for path in process.paths if not path.held_out)
     rows = min(len(path.times), _STEPS + 1)

@@ -5,6 +5,7 @@ import math
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -104,6 +105,17 @@ def test_the_odds_of_the_data_have_no_price_of_structures():
     assert _odds_without_prices(longer, own, 0, points) == pytest.approx(math.exp(own.nats - longer.nats))
 
 
+def test_a_given_equation_is_compared_with_a_walk_step_by_step():
+    config = JobConfig(space=NO_LIBRARIES, prior=PriorConfig(known={"x": "-0.5*x"}))
+    times = 0.3 * np.arange(12.0)
+    refinement = refined(DECAY, ([1.0], [2.0]), {"x": ("x",)}, times=times, noise=0.05, seed=3, config=config)
+    rows = [(part.measured["x"], part.values["x"]) for part in refinement.simulation.trajectories]
+    squares = sum(np.square(np.subtract(measured, values)).sum() for measured, values in rows)
+    steps = np.concatenate([np.diff(measured) for measured, _ in rows])
+    nats = 0.5 * len(steps) * math.log(float(steps @ steps) / squares)
+    assert check_of(refinement, "x", "no equation").value == pytest.approx(nats, rel=1e-3)
+
+
 def test_an_exact_line_of_five_rows_is_not_exact():
     line = Known(("h",), lambda _, z: [40.0 + 0.0 * z[0]])
     refinement = refined(line, ([30.0],), {"h": ("40.0",)}, times=0.5 * np.arange(5.0))
@@ -122,6 +134,21 @@ def test_rows_at_rest_are_no_rows_to_test_an_equation_by():
     assert check_of(refinement, "x", "distinct rows").value == 3
     assert check_of(refinement, "y", "distinct rows").value == 10
     assert refinement.equations["x"].grade == "doubtful"
+
+
+@pytest.mark.parametrize(("text", "rows"), [("u - x", 2), ("u - x*y", 10), ("0.5*u", 2)])
+def test_distinct_rows_are_counted_in_the_variables_of_the_equation(text, rows):
+    """x and the input u rest after one row, and y goes on."""
+    resting, names = np.minimum(np.arange(10.0), 1.0), ("x", "y", "u")
+    measurements = SimpleNamespace(
+        smoothed=np.zeros((2, 10)), variables=names, observed=np.arange(2), inputs=resting[None],
+        measured=np.array([resting, np.arange(10.0)]),
+    )  # fmt: skip
+    checks = object.__new__(trajectory_checks.TrajectoryChecks)
+    final = SimpleNamespace(task=SimpleNamespace(dataset=SimpleNamespace(names=names)))
+    shown = SimpleNamespace(program=from_infix(text, names))
+    vars(checks).update(measurements=measurements, final=final, index=0, shown=shown)
+    assert checks._count_distinct_rows() == rows
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """What the rows of a target say: an equation that is as near, and predicts something else, is a doubt."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,19 @@ def test_what_is_as_near_and_predicts_something_else_is():
     verdict = judged(("9.0*sin(a)", 0.5))
     assert verdict.grade == "doubtful"
     assert verdict.reason == "Another equation describes the data about as well (Δ description length 0.5)."
+
+
+def test_rows_left_out_are_predicted_as_by_fits_without_them():
+    """Three rows and two constants: a line through two rows predicts the third, and one row is left for the noise."""
+    a, values = np.array([1.0, 2.0, 4.0]), np.array([1.0, 3.0, 4.0])
+    slope, intercept = np.polyfit(a, values, 1).tolist()
+    errors = values - slope * a - intercept
+    shown = Refined(0, parsed(f"{slope}*a + {intercept}"), float(np.abs(errors).mean()), float(np.mean(errors**2)), ())
+    checks = TargetChecks(shown, Problem(("a",), a[None], Target("f", "f", values, 0.0, float(values.std()))), None)
+    others = [np.delete(np.arange(3), row) for row in range(3)]
+    missed = [values[row] - np.polyval(np.polyfit(a[kept], values[kept], 1), a[row]) for row, kept in enumerate(others)]
+    assert checks.predicted_r2 == pytest.approx(1.0 - np.square(missed).sum() / (3.0 * values.var()))
+    assert checks.noise == pytest.approx(math.sqrt(errors @ errors))
 
 
 def test_a_wave_in_the_last_digit_does_not_make_an_equation_exact():

@@ -5,6 +5,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from scipy import special
 
 from atoll_coordinator.model.inference.residuals import residual_statistics
 from atoll_coordinator.model.inference.verdict import RULES, add_objection, judge, make_checks
@@ -157,6 +158,15 @@ def test_few_interpolated_rows_do_not_exclude_noise() -> None:
     few = replace(CLEAN, residuals=noise(0.02, rows=2), noise_estimate=0.008, parameters=2.0)
     assert outcomes(few)["residual size"] == "passed"
     assert outcomes(replace(few, residuals=noise(0.02)))["residual size"] == "failed"
+
+
+@pytest.mark.parametrize(("factor", "outcome"), [(0.95, "passed"), (1.05, "failed")])
+def test_residuals_exceed_the_noise_of_an_interpolated_state_by_the_f_test(factor: float, outcome: str) -> None:
+    """The noise comes from second differences, which have 18/35 degrees of freedom per row."""
+    few = replace(CLEAN, residuals=noise(0.02, rows=2), parameters=2.0)
+    limit = special.fdtri(6.0, 18.0 / 35.0 * few.rows, 0.99) * factor
+    estimated = few.statistics.standard_deviation / math.sqrt(limit)
+    assert outcomes(replace(few, noise_estimate=estimated))["residual size"] == outcome
 
 
 @pytest.mark.parametrize("part", ["constants", "unit_coefficients"])

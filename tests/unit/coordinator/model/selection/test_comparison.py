@@ -4,6 +4,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -283,6 +284,12 @@ def test_noise_is_not_exact_and_its_absence_is():
     assert not comparison.score.is_exact(comparison.fit_model([RIVALS[0], OTHER]))
 
 
+def test_the_state_with_the_largest_share_of_integration_errors_decides():
+    score = lotka().score
+    model = FittedModel((), SimpleNamespace(squares=score.least_errors**2 / [4.0, 0.25]), 0.0, 0.0)
+    assert score.integration_error_factor(model) == pytest.approx(4.0)
+
+
 def test_the_covariance_is_that_of_least_squares():
     """x' = -a x from a fitted start: two columns, in closed form."""
     rows = measurements(DECAY, [[2.0]], TIMES, noise=0.01)
@@ -449,6 +456,17 @@ def test_errors_of_a_sensor_are_held_for_all_systems():
     anew = comparison.fit_model([DECAY.parsed("-0.4*x")])
     assert anew.fit.errors.shares.tolist() == comparison.score.errors.shares.tolist()
     assert anew.nats == pytest.approx(model.nats, abs=0.01)
+
+
+def test_errors_are_calibrated_anew_whatever_errors_were_held_before():
+    wrong = "1.0 - 0.4*x*x"
+    comparison, begun = drifting("-0.4*x")
+    comparison, _ = comparison.calibrate(begun)
+    after, fitted_after = comparison.calibrate(comparison.fit_model([DECAY.parsed(wrong)]))
+    fresh, begun = drifting(wrong)
+    fresh, fitted = fresh.calibrate(begun)
+    assert fitted_after.fit.system.values == pytest.approx(fitted.fit.system.values, rel=1e-2)
+    assert after.score.roughness == pytest.approx(fresh.score.roughness, rel=1e-3)
 
 
 def test_what_a_law_misses_is_no_error_of_a_sensor():

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.description_length import constant_nats_of, structure_length
-from atoll_coordinator.model.sparse.pursuit import pursue
+from atoll_coordinator.model.sparse.atoms import product_atoms
+from atoll_coordinator.model.sparse.pursuit import ResidualGains, pursue
+from atoll_coordinator.model.sparse.rows import RegressionRows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.evaluation import values_of
@@ -105,3 +107,31 @@ def test_sums_that_must_have_an_operator_and_be_short_do_and_are():
     assert min(lengths) < 20.0
     assert max(lengths) < 40.0  # that of a sum and one of its terms once more
     assert pursue(problem, (0, 1), ALL, needed, 5.0) == []
+
+
+def test_gains_are_the_shares_of_the_squared_residuals_that_further_terms_explain():
+    rng = np.random.default_rng(5)
+    inputs, further = rng.uniform(0.3, 2.5, (2, 60)), rng.standard_normal((4, 60))
+    rows = RegressionRows(inputs, rng.standard_normal(60))
+    atoms = product_atoms(inputs, [(0,), (1, 1)])
+
+    def share(*columns):
+        squares = [
+            np.linalg.lstsq(np.array([*(atom.values for atom in atoms), *more]).T, rows.sides, rcond=None)[1][0]
+            for more in ((), columns)
+        ]
+        return 1.0 - squares[1] / squares[0]
+
+    with np.errstate(all="ignore"):
+        gains, pairs = ResidualGains(rows, atoms).gains(further), ResidualGains(rows, atoms).gains_of_pairs(further)
+    assert gains == pytest.approx([share(column) for column in further])
+    assert pairs[0, 1:] == pytest.approx([share(further[0], column) for column in further[1:]])
+    assert not np.tril(pairs).any()
+
+
+def test_no_function_is_added_to_a_polynomial_within_the_uncertainty_of_the_target():
+    problem, _ = problem_of("0.6*x", 0.1)
+    sums = [program for program in pursue(problem, (0, 1), DEFAULT) if len(constant_places(program)) > 5]
+    functions = {BY_NAME[name].code for name in ("/", "inverse", "sin", "cos")}
+    assert sums
+    assert not any(functions & set(program.operators.tolist()) for program in sums)

@@ -145,3 +145,13 @@ def test_without_outliers_a_fit_is_least_squares():
     fit = regression.refit((0, 1, 2), 1.0 / errors)
     assert fit.coefficients == pytest.approx(expected, rel=0.2)
     assert 0.8 < fit.excess < 1.2
+
+
+def test_terms_that_only_fit_noise_are_pruned():
+    errors = np.full(300, 0.1)
+    noise = errors * np.random.default_rng(2).normal(size=300)
+    _, regression = rows_of(errors, lambda columns: columns.T @ [1.0, -2e-3, 0.0] + noise)
+    whole = regression.refit((0, 1, 2), 1.0 / errors)
+    pruned = regression.prune(whole)
+    assert pruned.kept == (0, 1)
+    assert pruned.nats < whole.nats

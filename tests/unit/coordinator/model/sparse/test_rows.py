@@ -1,12 +1,22 @@
 """Rows: integrals against test functions with their errors, and derivatives with errors of their own."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from atoll_coordinator.data.recording import StateSmoothing
 from atoll_coordinator.model.sparse.atoms import product_atoms
 from atoll_coordinator.model.sparse.many_variables import _short_windows, _weights, window_rows
-from atoll_coordinator.model.sparse.rows import MeasuredRows, _select_blocks, rate_rows, weak_rows
+from atoll_coordinator.model.sparse.rows import (
+    MeasuredRows,
+    RegressionRows,
+    _select_blocks,
+    half_width,
+    rate_rows,
+    weak_rows,
+)
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.sparse.enzyme import NAMES, prepared
 
@@ -25,6 +35,12 @@ def atoms(form, terms):
     return product_atoms(form.inputs, terms)
 
 
+@pytest.mark.parametrize(("residual", "square"), [(1.0, 4.0), (0.5, 1.0), (0.01, 0.04), (0.0, 0.04)])
+def test_the_misfit_of_residuals_is_that_of_their_sum_of_squares_or_the_least(residual, square):
+    rows = RegressionRows(np.zeros((1, 4)), np.zeros(4), least=0.04)
+    assert rows.assess((), (), np.full(4, residual)).misfit == pytest.approx(2.0 * math.log(square))
+
+
 def test_without_noise_both_sides_are_equal():
     form = weak_rows(curves(), 0, 20)
     assert form.columns(atoms(form, [(Y,)]))[0] == pytest.approx(form.sides, abs=1e-5)
@@ -34,6 +50,13 @@ def test_no_window_reaches_over_the_end_of_a_trajectory():
     form = weak_rows(curves(), 0, 20)
     assert all(first % 200 + 41 <= 200 for first in form.first.tolist())
     assert weak_rows(curves(60), 0, 20) is None
+
+
+@pytest.mark.parametrize(("rows", "variables"), [(2000, 1), (4000, 2), (20_000, 3)])
+def test_windows_are_short_enough_to_determine_the_largest_library(rows, variables):
+    half = half_width(curves(rows), StateSmoothing("x", "loess", 0.1, 0.1, span=rows), variables)
+    terms = math.comb(variables + SETTINGS.sparse.degree, variables)
+    assert 5 < half < rows / (SETTINGS.sparse.rows_per_term * terms)
 
 
 @pytest.mark.parametrize("term", [(X, X), (X, X, X), (X, X, Y, Y)])
