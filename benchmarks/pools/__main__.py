@@ -18,6 +18,7 @@ from typing import Final
 
 from atoll.terminal.output import note, say, table
 from atoll_coordinator.settings import Settings
+from atoll_core.errors import UsageError
 from benchmarks.harness.command_line import option, positive, program, verb, verbs, whole, workers
 from benchmarks.harness.parallel import in_parallel
 from benchmarks.pools.campaign import (
@@ -96,8 +97,11 @@ def main(options: Namespace) -> int:
 
 def _try_settings(options: Namespace) -> int:
     reference = read_reference(REFERENCE)
-    named = [title for title in titles() if any(word in title for word in options.only)]
-    wanted = named or sample(reference, options.pools, 5.0)
+    drawn = [title for title in titles() if has_table(title, Folders())]
+    wanted = [title for title in drawn if any(word in title for word in options.only)]
+    if options.only and not wanted:
+        raise UsageError(f"--only: no drawn pool has a title with {' or '.join(options.only)}")
+    wanted = wanted or sample(reference, options.pools, 5.0)
     before = with_settings("", wanted, options.workers)
     baseline = {one.title: one for one in before}
     heads = ("setting", "right, gained", "lost", "grades changed", "newly false", "failed", "seconds, ratio")

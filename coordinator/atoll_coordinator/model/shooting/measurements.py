@@ -25,6 +25,8 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
+_LONG_RUN: Final = 10.0
+"""A state rests in runs of equal values that are this many times as long as the median of its runs."""
 BLOW_UP_WIDTHS: Final = 3.0
 """A simulated state counts as blown up if it leaves the measured range by more than this many widths of the range."""
 _LARGEST_SHARE: Final = 0.1
@@ -245,17 +247,36 @@ def measurements_of(
         resting=resting if resting.any() else None,
         groups=np.array([recording.groups.index(part.group) for part in parts], np.int64) if recording.groups else None,
         input_error=recording.input_error,
-        rounding=_rounding(recording, chosen, variances),
+        rounding=_rounding(recording, parts, chosen, variances),
     )
     return _keep_rows_with_inputs(whole, parts, others)
 
 
-def _rounding(recording: Recording, chosen: Sequence[int], variances: Sequence[VarianceModel]) -> FloatArray | None:
-    quantisations = [recording.smoothing[index].quantisation for index in chosen]
-    if not any(quantisations):
-        return None
-    errors = [0.0 if known is None else known.error for known in quantisations]
-    return np.array([error * variance.scale for error, variance in zip(errors, variances, strict=True)])
+def _rounding(
+    recording: Recording, parts: Sequence[Trajectory], chosen: Sequence[int], variances: Sequence[VarianceModel]
+) -> FloatArray | None:
+    """Return the standard deviations (O,) of rounding errors; None: no state is rounded.
+
+    The errors of values with equally many digits count as 0: their mean square is mostly that of a few large values,
+    and depends on the weights of these rows. So do errors in rows at which a state rests, see `_resting_share`.
+    """
+    errors = np.zeros(len(chosen))
+    for place, index in enumerate(chosen):
+        known = recording.smoothing[index].quantisation
+        if known is not None and known.kind != "digits":
+            moving = 1.0 - _resting_share([part.measured[index] for part in parts])
+            errors[place] = known.error * variances[place].scale * np.sqrt(moving)
+    return errors if errors.any() else None
+
+
+def _resting_share(parts: Sequence[FloatArray]) -> float:
+    """Return the share of the rows in runs of equal values that are much longer than most runs.
+
+    There a state rests, such as a population near 0, and its rounding errors may be much smaller than a step.
+    """
+    ends = [np.flatnonzero(np.diff(values, append=np.nan) != 0.0) for values in parts]
+    runs = np.concatenate([np.diff(places, prepend=-1) for places in ends])
+    return float(runs[runs > _LONG_RUN * np.median(runs)].sum() / runs.sum())
 
 
 def _keep_rows_with_inputs(

@@ -11,6 +11,7 @@ from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core.errors import UsageError
 from benchmarks.pools import stored
+from benchmarks.pools.__main__ import main
 from benchmarks.pools.campaign import POOLS, REFERENCE, changes_of, judge_pool, sample, titles
 from benchmarks.pools.cases import Folders, Judged, job_of
 from benchmarks.pools.outcomes import PoolOutcome, read_reference, report, write_reference
@@ -86,6 +87,14 @@ def test_every_number_of_the_settings_is_tried_halved_and_doubled_and_is_read_ba
         stage, _, field = change.name.partition(".")
         assert getattr(getattr(with_changes(Settings(), change.text), stage), field) == change.value
     assert len({change.text for change in changes}) == len(changes) > 90
+
+
+@pytest.mark.parametrize("word", ["no-such-title", "quantised3"])
+def test_words_of_no_drawn_pool_are_refused_before_pools_are_refined(word, monkeypatch, capsys):
+    monkeypatch.setattr("benchmarks.pools.__main__.with_settings", lambda *_: pytest.fail("pools were refined"))
+    with pytest.raises(SystemExit, match="2"):
+        main(["settings", "--only", word])
+    assert f"no drawn pool has a title with {word}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["selection.least=1.0", "none.steps=3", "effort.steps=2.5"])

@@ -7,7 +7,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.shooting.measurements import BLOW_UP_WIDTHS, measurements_of
+from atoll_core.config import JobConfig
+from atoll_core.data.table import Table
 from tests.unit.coordinator.model.shooting.made import DRIVEN, LOTKA, SWING, recording
 
 TIMES = 0.1 * np.arange(30.0)
@@ -239,3 +242,25 @@ def test_a_state_that_is_zero_throughout_rests_and_has_no_weight():
     assert measured.part([1]).resting.shape == (2, 20)
     assert measurements_of(swinging(noise=0.1), [0, 1]).resting is None
     assert measurements_of(replace(rows, order=2, velocity_symbols=("x_dot", "y_dot")), [0, 1]).resting is None
+
+
+def rounding_of(*states):
+    count = len(states[0])
+    rows, names = np.arange(count, dtype=np.int64), ("t", "x", "y")[: 1 + len(states)]
+    columns = np.array([np.linspace(0.0, 30.0, count), *states])
+    rounded = Table(names, ("",) * len(names), columns, (0,), ("a.csv",), 0 * rows, rows + 2, ())
+    return measurements_of(prepare(rounded, JobConfig()).recording, range(len(states))).rounding
+
+
+def test_rounding_errors_are_known_in_steps_and_not_in_digits():
+    times = np.linspace(0.0, 30.0, 300)
+    digits = np.vectorize(lambda value: float(f"{value:.2g}"))(40.0 * np.exp(2.0 * np.cos(times)))
+    assert rounding_of(digits, np.round(20.0 + 5.0 * np.sin(times))) == pytest.approx([0.0, 12.0**-0.5])
+    assert rounding_of(digits) is None
+
+
+def test_where_a_state_rests_rounding_errors_may_be_smaller_than_their_known_size():
+    times = np.linspace(0.0, 30.0, 300)
+    outbreaks = 60.0 * np.exp(6.0 * (np.cos(times) - 1.0))
+    error = np.sqrt(np.mean((np.round(outbreaks) - outbreaks) ** 2))
+    assert 0.0 < rounding_of(np.round(outbreaks))[0] < error < 0.8 * 12.0**-0.5
