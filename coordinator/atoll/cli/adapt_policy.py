@@ -12,7 +12,7 @@ from typing import Final, Literal
 from atoll_core.errors import AtollError
 
 MOST_FAILURES: Final = 3
-"""Number of consecutive jobs that end before one of their workers has joined, after which `adapt` fails; one or two
+"""`adapt` fails after this number of consecutive jobs that ended before one of their workers had joined; one or two
 jobs may get a bad node."""
 
 BatchState = Literal["pending", "running", "ending", "failed"]

@@ -69,7 +69,8 @@ _LARGEST_CERTAINTY: Final = 0.999
 _NEGLIGIBLE_NATS: Final = 0.01
 """Smallest difference in nats that is not negligible."""
 _CERTAIN: Final = 0.95
-"""Smallest probability with which an experiment distinguishes two candidates."""
+"""An experiment counts as distinguishing two candidates if the lower bound of its probability of doing so is at least
+this number."""
 _WEIGHTS: Final = "weights use only the fit to the data (Akaike); the result also counts the lengths of the equations"
 _IMPROVED: Final = 6
 """Number of the best distinct experiments that are improved and examined more accurately."""
@@ -129,9 +130,9 @@ class CandidateSystem:
     """A candidate with its fitted constants: `equations` by left-hand side, `origin` of the candidate.
 
     `weight` is its Akaike weight among all candidates, which uses only the fit to the data. `nats` is the logarithm of
-    the largest weight divided by this weight. `longer` is its Δ description length relative to the displayed equations
-    in nats; jobs choose equations by their description length. `written` are the equations with the constants of the
-    result, if these differ from the fitted constants.
+    a ratio: the largest weight divided by this weight. `longer` is its Δ description length relative to the displayed
+    equations in nats; jobs choose equations by their description length. `written` are the equations with the constants
+    of the result, if these differ from the fitted constants.
     """
 
     equations: Mapping[str, str]
@@ -155,12 +156,13 @@ class Suggestion:
 
     `information` is the expected information in nats about the right candidate, or about the constants. `evidence` is
     the expected Δ log-likelihood for the right candidate, at most 2,000 nats. `worth` divided by `cost` ranks
-    experiments. It is the evidence, limited for each pair of candidates to the amount that decides, or the information
-    about constants. `worst` is the constant with the largest relative error, with this error before and after the
-    experiment; it is None if the purpose is to distinguish candidates. `certainties` has a number for each candidate
-    except the first one: a lower bound of the probability that the experiment correctly distinguishes this candidate
-    from the first one, if one of the two is right. It is empty if the purpose is to determine constants. `remark` names
-    initial values outside of the measured range; it is "" if there are none.
+    experiments. If candidates are to be distinguished, `worth` is the evidence, limited for each pair of candidates to
+    the amount that decides. Otherwise it is the information about constants. `worst` is the constant with the largest
+    relative error, with this error before and after the experiment; it is None if the purpose is to distinguish
+    candidates. `certainties` has a number for each candidate except the first one: a lower bound of the probability
+    that the experiment correctly distinguishes this candidate from the first one, if one of the two is right. It is
+    empty if the purpose is to determine constants. `remark` names initial values outside of the measured range; it is
+    "" if there are none.
     """
 
     initial: Mapping[str, float]

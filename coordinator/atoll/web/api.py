@@ -73,7 +73,8 @@ MAX_COMING: Final = 8
 """Maximum number of files that a user sends at a time, since they take disk space: enough for a few pages."""
 
 MAX_OF_USER: Final = 64 * 1024**2
-"""Maximum bytes of a user's messages in memory, from the first byte until the answer: four of the largest."""
+"""Maximum bytes of a user's messages in memory, from the first byte until the answer: enough for four messages
+of the largest size."""
 
 MAX_OF_ALL: Final = 128 * 1024**2
 """Maximum bytes of messages of all users in memory."""
@@ -111,7 +112,7 @@ _OPTIONS: Final = "options of the command line by name, as a JSON object: texts,
 class JobsQuery(QueryParameters):
     limit: int = Field(50, ge=1, le=MAX_PAGE_JOBS, description="maximum number of jobs")
     cursor: int | None = Field(None, ge=0, lt=2**63, description="`next` of the previous page")
-    prefix: str = Field("", description="the beginning of their ids")
+    prefix: str = Field("", description="the beginning of the ids of the jobs")
     state: JobState | None = Field(None, description="only jobs in this state")
 
 
@@ -161,7 +162,7 @@ class ExportQuery(ResultQuery, PickQuery):
 
 
 class WorkersQuery(QueryParameters):
-    prefix: str = Field("", description="the beginning of their names")
+    prefix: str = Field("", description="the beginning of the names of the workers")
 
 
 class NewPriority(Body):

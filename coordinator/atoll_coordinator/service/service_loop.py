@@ -261,7 +261,7 @@ class Service:
         return counts
 
     def _user_views(self) -> tuple[UserView, ...]:
-        """Return the users with the most jobs that have not ended, in this order."""
+        """Return the users with the most unfinished jobs, the user with the most first."""
         queued, begun = Tally[str | None](), Tally[str | None]()
         for (user, state), number in self._jobs_by_user().items():
             (queued if state == "queued" else begun)[user] += number
@@ -474,7 +474,7 @@ class Service:
             self._bus.post(_Turn())
 
     def _party(self, client: str, event: Query) -> str:
-        """Return the party that takes turns with other parties: a user, or without certificates a session."""
+        """Return the party that takes turns with other parties: a user; if there are no certificates, a session."""
         return self._authorization.submitter(client) or f"/{event.session}"
 
     def _take_turn(self) -> None:

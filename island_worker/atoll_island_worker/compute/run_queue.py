@@ -151,7 +151,8 @@ class RunQueue:
             self._charged_users.pop(user, None)
 
     def _join_shares(self, job: str) -> None:
-        """Start a job, and its user, at the least charge of jobs and users with tasks: idle time gives no credit."""
+        """Give a job without tasks at least the smallest charge among its user's jobs with tasks, and a user without
+        tasks at least the smallest charge among users with tasks. So idle time gives no credit."""
         user, open_jobs = self._users.get(job, ""), {key.job for key in self._open}
         if job not in open_jobs:
             own = [self._charged[other] for other in open_jobs if self._users.get(other, "") == user]

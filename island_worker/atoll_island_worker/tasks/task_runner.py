@@ -328,7 +328,7 @@ class TaskRunner:
         self._reply(query, encode(PullAnswer(body=given)))
 
     def _answer_helpers(self, task: str) -> None:
-        """Notify helpers that wait for batches of a task that the task has ended."""
+        """If helpers wait for batches of a task that has ended, tell them that it has ended."""
         for token in [token for token, (asked, _) in self._questions.items() if asked == task]:
             _, query = self._questions.pop(token)
             self._reply(query, None)

@@ -100,8 +100,8 @@ class _Markup(NamedTuple):
     """Templates of a markup language, and a function that writes a `name`.
 
     The template `scaled` is for a number times a power of ten, `addend` for a sign and a term, and `product` for a
-    factor, a multiplication sign and a factor. `derivatives` has, by the order of the derivative, the template for a
-    left-hand side with a function and a variable.
+    factor, a multiplication sign and a factor. `derivatives` has one template for each order of a derivative (0, 1, 2).
+    The template writes a left-hand side from its function and variable.
     """
 
     name: Callable[[str], str]

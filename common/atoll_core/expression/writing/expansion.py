@@ -42,10 +42,10 @@ Path: TypeAlias = tuple[tuple[str, int], ...]
 class Role:
     """The meaning of a constant of an expanded program.
 
-    `sign` times the value of the constant is the coefficient of the term of this `shape` or, if `is_inner`, a number
-    inside the term. `path` is the position of the number inside the term: factor, sum, term and so on. In a path, each
-    part is identified by its shape, and equal shapes are numbered. So a path does not change if other numbers lead to
-    another order of the parts.
+    The coefficient of the term with this `shape` is `sign` times the value of the constant. If `is_inner`, this product
+    is a number inside the term instead. `path` is the position of the number inside the term: factor, sum, term and so
+    on. In a path, each part is identified by its shape, and equal shapes are numbered. So a path does not change if
+    other numbers lead to another order of the parts.
     """
 
     shape: Shape
@@ -58,8 +58,7 @@ class Role:
 class Expansion:
     """The expanded `program` and the role of each of its constants, in node order.
 
-    `units` are the roles of the numbers 1 and -1 inside terms that are not written; the `sign` of such a role is the
-    number.
+    `units` are the roles of unwritten numbers 1 and -1 inside terms; the `sign` of such a role is the number.
     """
 
     program: Program

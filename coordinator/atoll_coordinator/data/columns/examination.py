@@ -31,8 +31,8 @@ CHECKS: Final[Sequence[Callable[[ExaminedColumns], Iterable[ColumnFinding]]]] = 
     check_second_order,
     check_map,
 )
-"""The checks after `check_fill_values`, in order. In their columns, the fill values that `check_fill_values` found are
-treated as missing."""
+"""The checks after `check_fill_values`, in order. In the columns that these checks examine, the fill values found by
+`check_fill_values` are treated as missing."""
 
 
 @dataclass(frozen=True, eq=False)

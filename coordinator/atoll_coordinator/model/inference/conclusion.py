@@ -282,9 +282,9 @@ def _odds_without_prices(other: FittedModel, own: FittedModel, equation: int, po
     """Return the odds of another model. They follow from its misfit and its number of constants (Schwarz 1978), without
     the price of structures.
 
-    Nested models are an exception: for some values of its constants, the other equation is equal to the model's
-    equation. There are many such equations, and each describes the data about as well. So their odds include the price
-    of the structure.
+    Nested models are an exception: the other equation is equal to the model's equation for some values of the other
+    equation's constants. There are many such equations, and each describes the data about as well. So their odds
+    include the price of the structure.
     """
     program, contained = other.programs[equation], own.programs[equation]
     expansion = expand_program(program)

@@ -8,15 +8,15 @@ start values, and a fit of whole trajectories uses all information of the data.
 
 1. *A point of the fit* (`_Point`). The system is integrated with its sensitivities, the derivatives of all states by
    the constants and by the initial state of the segment (`integration`). The sensitivities give the normal equations.
-   Their matrix has the shape of an arrow: it has one block for the constants, and for each segment a block of the
-   segment's own numbers, which is coupled to the constants only. The segments' blocks are eliminated first
-   (`kernels.normal_equations.solve_step`).
+   Their matrix has the shape of an arrow: one block for the constants, and for each segment one block for its own
+   numbers (initial state and offsets), which is coupled to the constants only. The segments' blocks are eliminated
+   first (`kernels.normal_equations.solve_step`).
 2. *The errors* (`error_model`). After each step, the variance of each state is estimated again from the residuals. So
    the unit of a state does not change its weight. If errors of a sensor are correlated between neighbouring rows, the
-   residuals are whitened before they are squared (`Innovations`); the correlated share is constant during a fit. This
-   share is found by calibration (`selection.comparison`): the first good model is fitted with independent errors, and
-   the errors of measurement are estimated from its residuals. All later models are fitted and compared with this error
-   model.
+   residuals are whitened before they are squared (`Innovations`). The share of the variance that is correlated is
+   constant during a fit. This share is found by calibration (`selection.comparison`): the first good model is fitted
+   with independent errors, and the errors of measurement are estimated from its residuals. All later models are fitted
+   and compared with this error model.
 3. *A step* (`least_squares.minimize`). Nearly half of all steps fail. So if sensitivities take much more work than
    states, a step is first integrated without sensitivities.
 4. *Joining* (`MultipleShooting.join`). Before a fit with longer segments, constants and initial states are moved until
@@ -30,9 +30,9 @@ start values, and a fit of whole trajectories uses all information of the data.
 
 Doubts. A variance is estimated by its most probable value for the residuals, and not integrated out of the likelihood.
 So if a model fits a state exactly, the weight of this state follows from `SmoothingSettings.smallest_noise`. Two rules
-were tuned on one machine: when a step is first integrated without sensitivities, and how many integration steps are
-free. These rules do not change a fit. They change the counted work, and so the point at which a search stops. Letters:
-D states, P fitted constants, L numbers of a segment, G segments, N rows, O measured states.
+were tuned on one machine: when a step is first integrated without sensitivities, and how many integration steps count
+as the work of one row. These rules do not change a fit. They change the counted work, and so the point at which a
+search stops. Letters: D states, P fitted constants, L numbers of a segment, G segments, N rows, O measured states.
 """
 
 import math
@@ -137,7 +137,7 @@ class MultipleShooting:
             length: rows of a segment; None for whole trajectories.
             steps: most steps; successful and failed steps count.
             starts: initial states (G, D), or with offsets (G, D + K); None: the smoothed states.
-            errors: the first error model; None: errors are independent and as large as the smoother's noise.
+            errors: the first error model; None: errors are independent and as large as the smoother estimates them.
             is_stiff: whether similar systems are stiff. If similar systems are not stiff, a fit of few steps must not
                 use the implicit method, since most candidates that seem stiff are wrong.
         """
@@ -320,8 +320,8 @@ class MultipleShooting:
     def squared_innovations(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
         """Return equivalent sums of squared innovations (O,) of residuals (O, N) of whole trajectories.
 
-        The variances of innovations differ. The result is the sum of squares of the same number of innovations with
-        equal variances and the same likelihood.
+        The variances of innovations differ. The result is the sum of squares that as many innovations would have if
+        their variances were equal and their likelihood unchanged.
         """
         squares, logarithms = self.layout(None).squares(residuals, errors)
         counts = np.maximum((self.measurements.weights > 0.0).sum(axis=1), 1)
@@ -369,7 +369,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     def init(self) -> _Point | None:
         """Return the first point; None if the system cannot be integrated from any of the tried initial states.
 
-        If the explicit method takes too many steps, the implicit method is used if it is allowed.
+        If the explicit method takes too many steps and the implicit method is allowed, the implicit method is used.
         """
         measurements = self._measurements
         system = self._system.with_values(self._system.values)  # within their bounds
@@ -480,8 +480,9 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         """Yield initial states (G, D or more) that are tried until a system can be integrated.
 
         Noise may change the sign of the first value of a state, and many laws, for example laws of growth, blow up from
-        a value with the wrong sign. So a second set of initial states is tried. If a state keeps its sign from some row
-        of its piece to the end, the set has the value in this row.
+        a value with the wrong sign. So a second set of initial states is tried. If the first value of a state has
+        another sign than its values from a certain row to the end of its piece, the second set contains the smoothed
+        value in the first such row.
         """
         measurements, segments = self._measurements, self._segments
         smoothed = np.ascontiguousarray(measurements.smoothed[:, segments[:, 0]].T)
@@ -507,7 +508,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return np.concatenate([starts, np.zeros((len(starts), missing))], axis=1)
 
     def _zero_resting_states(self, starts: FloatArray) -> FloatArray:
-        """Return the initial states, but with 0 for resting states."""
+        """Return the initial states, with 0 for each state that was 0 along the whole trajectory."""
         measurements = self._measurements
         if measurements.resting is None:
             return starts

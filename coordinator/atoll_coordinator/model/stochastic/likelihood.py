@@ -15,11 +15,12 @@ This is the likelihood of the extended Kalman filter, linearised about smoothed 
 Cholesky factor L of the covariance is banded. With the whitened residuals z = L^-1 r and the logarithms l of the
 diagonal of L, minus the log-likelihood is sum(z^2)/2 + sum(l). An element of the information matrix belongs to two
 constants. It is a sum over all elements of z and l: the derivative by one constant times the derivative by the other.
-This is right for the constants of the covariance C, too, because E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2.
+This is also right for constants that occur in the covariance C = L L' of the residuals, because
+E |dz|^2 + |dl|^2 = 1/2 tr (C^-1 dC)^2.
 
 Doubtful: steps are Gaussian only if they are short: drift and diffusion must not change much within a step. For the
-linearisation about smoothed states, they must not change much over the size of a measurement error. Derivatives are
-central differences.
+linearisation about smoothed states, drift and diffusion must not change much over the size of a measurement error.
+Derivatives are central differences.
 
 Letters: S states, N steps, K constants.
 """
