@@ -64,8 +64,8 @@ class TrajectoryMeasurements:
         groups: index of the group of each trajectory if groups have their own constants; None: all have the same.
         input_error: interpolation error of input curves, divided by the standard deviations of the inputs. Simulated
             states have about the same relative error.
-        rounding: standard deviations (O,) of the rounding errors of the measured values; None: the values are not
-            rounded.
+        rounding: standard deviations (O,) of the rounding errors of the measured values, 0 if they are not known; None:
+            all are 0.
     """
 
     bounds: Ints
@@ -255,7 +255,7 @@ def measurements_of(
 def _rounding(
     recording: Recording, parts: Sequence[Trajectory], chosen: Sequence[int], variances: Sequence[VarianceModel]
 ) -> FloatArray | None:
-    """Return the standard deviations (O,) of rounding errors; None: no state is rounded.
+    """Return the standard deviations (O,) of rounding errors, 0 if they are not known; None: all are 0.
 
     The errors of values with equally many digits count as 0: their mean square is mostly that of a few large values,
     and depends on the weights of these rows. So do errors in rows at which a state rests, see `_resting_share`.
