@@ -27,7 +27,7 @@ help:
 	@echo "             times, ratios, digests; also OTHER=revision MINUTES=5 ROUNDS=1 STROGATZ=folder ONLY=name"
 	@echo "             RESULTS=1: sixty small jobs instead, compared in all that is written and printed; or once"
 	@echo "             make compare RECORD=file (continues if the file exists), and later make compare AGAINST=file"
-	@echo "make judge   refine 128 stored pools again: right forms, grades and seconds next to the reference, under ten minutes;"
+	@echo "make judge   refine 129 stored pools again: right forms, grades and seconds next to the reference, under ten minutes;"
 	@echo "             with TABLES=folder REAL=folder also the tables there; ACCEPT=1 writes the reference anew"
 	@echo "make figures STROGATZ=folder DYSTS=folder   measure again what README and docs quote, about 100 minutes;"
 	@echo "             QUICK=1 few seeds, half an hour; MINUTES=35 a bound; then python -m benchmarks.figures quote"
