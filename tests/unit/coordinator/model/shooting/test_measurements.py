@@ -259,8 +259,22 @@ def test_rounding_errors_are_known_in_steps_and_not_in_digits():
     assert rounding_of(digits) is None
 
 
-def test_where_a_state_rests_rounding_errors_may_be_smaller_than_their_known_size():
-    times = np.linspace(0.0, 30.0, 300)
-    outbreaks = 60.0 * np.exp(6.0 * (np.cos(times) - 1.0))
-    error = np.sqrt(np.mean((np.round(outbreaks) - outbreaks) ** 2))
-    assert 0.0 < rounding_of(np.round(outbreaks))[0] < error < 0.8 * 12.0**-0.5
+@pytest.mark.parametrize(
+    "course",
+    [
+        lambda time: np.cos(2.0 * time),
+        lambda time: 1.0 / (1.0 + np.exp(5.0 - time)),
+        lambda time: np.exp(-time / 2.0),
+        lambda time: np.exp(-2.0 * time),
+        lambda time: np.exp(6.0 * (np.cos(3.0 * time) - 1.0)),
+        lambda time: np.exp(-((time - 3.0) ** 2)),
+    ],
+    ids=["oscillation", "growth", "decay", "decay to rest", "outbreaks", "pulse"],
+)
+@pytest.mark.parametrize("levels", [20, 60])
+@pytest.mark.parametrize("rows", [100, 300, 1000])
+def test_rounding_errors_are_hardly_smaller_than_their_known_size_also_where_a_state_rests(course, levels, rows):
+    values = levels * course(np.linspace(0.0, 10.0, rows))
+    error = np.sqrt(np.mean((np.round(values) - values) ** 2))
+    known = rounding_of(np.round(values))
+    assert known is None or known[0] < 1.25 * error
