@@ -159,7 +159,7 @@ def _chosen_job(client: Client, prefix: str | None) -> str:
     if len(views) != 1:
         names = ", ".join(view.job for view in views[-_MOST_NAMED:])
         names += " and others" if len(views) > _MOST_NAMED else ""
-        found = f"several jobs have not ended: {names}" if names else "all jobs have ended"
+        found = f"several jobs have not ended: {names}" if names else "no job is waiting or running"
         raise UsageError(f"no job was named, and {found}; name one")
     return views[0].job
 

@@ -26,10 +26,12 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 _LONG_RUN: Final = 10.0
-"""A state rests in runs of equal values that are this many times as long as the median of its runs. With 3, a sine of ten
-steps would count as resting at its extremes. Without this limit, the assumed rounding errors of a decay to rest are up to
-2.6 times the true errors; with it at most 1.25 times for oscillations, growth, decays and outbreaks with 20 or 60 steps
-(tested), but up to 3 times for pulses of 2 to 5 steps."""
+"""A state rests in runs of equal values that are this many times as long as the median of its runs.
+
+With 3, a sine of ten steps would count as resting at its extremes. Without this limit, the assumed rounding errors of
+a decay to rest are up to 2.6 times the true errors. With it, they are at most 1.25 times the true errors for
+oscillations, growth, decays and outbreaks of 20 or 60 steps (tested), but up to 3 times for pulses of 2 to 5 steps.
+"""
 BLOW_UP_WIDTHS: Final = 3.0
 """A simulated state counts as blown up if it leaves the measured range by more than this many widths of the range."""
 _LARGEST_SHARE: Final = 0.1
