@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 _PACKAGE: Final = "atoll_island_worker"
 _ROWS: Final = 40
-KERNELS: Final = 13
+KERNELS: Final = 14
 """Number of separately compiled kernels that an epoch needs."""
 
 
