@@ -14,7 +14,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
-from atoll_core.compilation.cache import cache_directory, on_ready
+from atoll_core.compilation.cache import cache_directory, on_ready, wheel_kernels
+from atoll_core.compilation.prebuilt import Kernels
 from atoll_core.errors import AtollError
 
 try:
@@ -200,8 +201,40 @@ def _without_bodies(llvm_code: bytes) -> bytes:
     return code
 
 
+class _WheelLocator(_Locator):
+    """The place of one function's machine code in the installed wheel; the function belongs to a package with some."""
+
+    def get_cache_path(self) -> str:
+        kernels = wheel_kernels(self._package)
+        assert isinstance(kernels, Kernels)
+        return str(kernels.folder)
+
+
+class _WheelResults(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_WheelLocator,)
+
+
+class _WheelCache(FunctionCache):  # type: ignore[misc]
+    """Machine code of one function that the installed wheel brought for a level of processors; it is only read."""
+
+    _impl_class = _WheelResults
+
+    def __init__(self, function: Callable[..., Any], kernels: Kernels) -> None:
+        super().__init__(function)
+        self._target = kernels.target
+
+    def _index_key(self, signature: Any, codegen: Any) -> Any:
+        arguments, _, code = super()._index_key(signature, codegen)
+        return arguments, self._target, code
+
+
 class _Cache(FunctionCache):  # type: ignore[misc]
     _impl_class = _Results
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        kernels = wheel_kernels(function.__module__.partition(".")[0])
+        self._wheel = _WheelCache(function, kernels) if isinstance(kernels, Kernels) else None
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the cached compilation, None if there is none.
@@ -211,7 +244,9 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         """
         numba.core.runtime.rtsys.initialize(target)
         with self._guard_against_spurious_io_errors():
-            result = self._load_overload(signature, target)
+            result = None if self._wheel is None else self._wheel._load_overload(signature, target)
+            if result is None:
+                result = self._load_overload(signature, target)
         if result is None:
             target.refresh()
         else:
