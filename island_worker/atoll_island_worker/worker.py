@@ -234,7 +234,8 @@ class Worker:
                     body = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
                 finally:
                     answer = body if isinstance(body, epochs.Migrants | epochs.States) else None
-                    self._handle(io.PullEnded(asked, answer))
+                    has_timed_out = payload is None and self._bus.now() >= request.deadline
+                    self._handle(io.PullEnded(asked, answer, has_timed_out))
 
     def _fetch(self) -> None:
         """Request missing chunks of datasets and of inputs of tasks."""

@@ -81,10 +81,14 @@ class PullAsked:
 
 @dataclass(frozen=True, slots=True)
 class PullEnded:
-    """A pull of this worker, `asked`, has ended with an answer, or without an answer (None)."""
+    """A pull of this worker, `asked`, has ended with an answer, or without an answer (None).
+
+    `has_timed_out`: no answer came within the timeout, perhaps because the migrants did not exist yet.
+    """
 
     asked: "SendPull"
     body: epochs.Migrants | epochs.States | None
+    has_timed_out: bool = False
 
 
 @dataclass(frozen=True, slots=True)
