@@ -75,7 +75,8 @@ def step(self, event):
     try:
         _step(self, event)
     finally:
-        _steps.append((self._requests.asked or name_of(event), time.monotonic() - began, time.thread_time() - processor))
+        name = self._requests.asked or name_of(event)
+        _steps.append((name, time.monotonic() - began, time.thread_time() - processor))
 def write():
     with open(FILE + "-", "w") as file:
         json.dump({"lags": _lags, "steps": _steps}, file)
@@ -98,13 +99,16 @@ Service.step, Service.start, RequestDispatcher.answer = step, start, answer
 """
     + TIED_COORDINATOR
 )
-"""The coordinator's program. It writes the lags of probes and the duration of each event into FILE, from the moment when
-FILE.begin exists to the moment when FILE.end exists; each in seconds of the clock and of the loop's processor time."""
+"""The coordinator's program. It writes the lags of probes and the duration of each event into FILE, from the moment
+when FILE.begin exists to the moment when FILE.end exists; in seconds of the clock and of the loop's processor time."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Events of one kind: their number, and milliseconds of all and of the longest, of processor time and by the clock."""
+    """Events of one kind: their number, and milliseconds of all and of the longest.
+
+    `wall` is by the clock, the other times are processor time of the loop.
+    """
 
     kind: str
     number: int

@@ -109,8 +109,8 @@ def begin_coevolution(
     """Draw random predictors and take random individuals as trainers."""
     draw_coevolution(lists, coevolution, setup.every.length, stream)
     for t in range(len(coevolution.exact)):
-        train(coevolution, t, setup.every, setup.fit, setup.scratch.tape, setup.scratch.work, counters)
-    judge_all(coevolution, setup.coevolving.relative)
+        setup.call(train, coevolution, t, setup.every, setup.fit, setup.scratch.tape, setup.scratch.work, counters)
+    setup.call(judge_all, coevolution, setup.coevolving.relative)
 
 
 def measure_population(
@@ -118,7 +118,8 @@ def measure_population(
 ) -> None:
     """Gather the best predictor's rows (all rows while predictors are off) and measure the population on them."""
     if setup.coevolving.enabled:
-        gather(setup.rows, setup.every, coevolution.predictors[coevolution.best[0]], functions_address())
+        best = coevolution.predictors[coevolution.best[0]]
+        setup.call(gather, setup.rows, setup.every, best, functions_address())
     setup.call(measure_all, lists, fitness, setup.rows, setup.fit, setup.scratch, counters, part)
 
 
@@ -137,8 +138,8 @@ def renew_trainer(setup: IslandSetup, lists: Lists, coevolution: Coevolution, co
     for column, values in zip(coevolution.trainers._asdict().values(), individuals, strict=True):
         column[oldest] = values[disputed]
     coevolution.born[oldest] = coevolution.clock[0]
-    train(coevolution, oldest, setup.every, setup.fit, scratch.tape, scratch.work, counters)
-    return bool(judge_all(coevolution, relative))
+    setup.call(train, coevolution, oldest, setup.every, setup.fit, scratch.tape, scratch.work, counters)
+    return bool(setup.call(judge_all, coevolution, relative))
 
 
 def evolve(
@@ -365,7 +366,10 @@ class Island:
         if setup.coevolving.enabled and self.epoch > 0:
             for t in range(self._coevolution.exact.shape[0]):
                 uncounted = np.zeros(len(PARTS), np.int64)
-                train(self._coevolution, t, setup.every, setup.fit, setup.scratch.tape, setup.scratch.work, uncounted)
+                setup.call(
+                    train, self._coevolution, t, setup.every, setup.fit, setup.scratch.tape, setup.scratch.work,
+                    uncounted,
+                )  # fmt: skip
 
 
 def reshuffle_without_blocks(islands: Sequence[Island]) -> None:

@@ -2,9 +2,11 @@
 
 import math
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
+from itertools import accumulate
 from typing import Any, get_args
 
 import numpy as np
@@ -188,8 +190,6 @@ def _scales(problem: Problem) -> FloatArray:
 
 
 def _power_of_two(column: FloatArray) -> float:
-    total = 0.0
-    for value in column.tolist():
-        total += abs(value)
+    (total,) = deque(accumulate(map(abs, column.tolist())), maxlen=1)  # numbers are added in order, one by one
     mean = total / len(column)
     return math.ldexp(1.0, math.frexp(mean)[1]) if mean > 0.0 else 1.0

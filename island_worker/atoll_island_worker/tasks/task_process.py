@@ -292,10 +292,6 @@ def cause_of(code: int | None) -> tuple[frames.Failure, str]:
     return "crash", f"its process was ended by signal {-code} ({name})"
 
 
-LOAD_AFTER_S: Final = 2.0
-"""After this time without a request the server also loads the modules for refining. By then the first refining process
-has loaded them itself; helpers that start later inherit them from the server."""
-
 _MOST: Final = 256
 
 
@@ -379,7 +375,6 @@ class _Server:
     def __init__(self, requests: socket.socket) -> None:
         self._requests = requests
         self._forks: dict[int, tuple[int, Connection[object, object]]] = {}
-        self._is_loaded = self._was_asked = False
         self._poll = select.poll()
         self._poll.register(requests, select.POLLIN)
 
@@ -389,13 +384,11 @@ class _Server:
         request_parent_death_signal()
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # otherwise exit codes would be lost
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # otherwise numpy's library starts threads
-        _load("prepare")
+        with contextlib.suppress(Exception):  # the process that runs a task will report the error
+            importlib.import_module("atoll.tasks.functions").load_ahead()
+        gc.freeze()  # all forks share this memory as long as the garbage collector does not write to it
         while True:
-            events = self._poll.poll(None if self._is_loaded or not self._was_asked else 1000.0 * LOAD_AFTER_S)
-            if not events:
-                _load("refine")
-                self._is_loaded = True
-            for descriptor, _ in events:
+            for descriptor, _ in self._poll.poll():
                 if descriptor in self._forks:
                     self._send_exit_code(descriptor)
                 elif not self._handle():
@@ -405,7 +398,6 @@ class _Server:
         """Handle a request; return False if no worker is left."""
         message, descriptors, _, _ = socket.recv_fds(self._requests, _MOST, 2)
         if len(descriptors) == 2:
-            self._was_asked = True
             self._fork(descriptors[0], descriptors[1], int(message))
         return bool(message)
 
@@ -442,9 +434,3 @@ class _Server:
         _, status = os.waitpid(pid, 0)
         with telling, contextlib.suppress(OSError):  # the worker may have ended before
             telling.send_bytes(str(os.waitstatus_to_exitcode(status)).encode())
-
-
-def _load(function: str) -> None:
-    with contextlib.suppress(Exception):  # the process that runs the task will report the error
-        importlib.import_module("atoll.tasks.functions").FUNCTIONS[function].load()
-    gc.freeze()  # all forks share this memory as long as the garbage collector does not write to it
