@@ -108,7 +108,7 @@ def test_a_held_out_trajectory_that_cannot_be_solved_leaves_the_table_as_it_is(f
 
 
 def test_no_further_candidates_are_sought_once_a_solver_computes_the_rows(caplog):
-    """The equation of y with a term too many describes the rows better in nats; the law alone gives all their digits."""
+    """The equation of y with a term too many describes the rows better in nats; the law gives all digits."""
     prepared = prepare(table(Computed(("x", "y"), predation), STARTS, TIMES), CONFIG)
     pool = pools(prepared, x=(LAW[0],), y=(LAW[1], "0.1*x*y - 0.4*y - 0.003*x"))
     with caplog.at_level("INFO"):
