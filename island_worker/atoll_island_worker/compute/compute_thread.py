@@ -56,14 +56,18 @@ class Engine:
         problem, islands = self._problems[key.job, key.variable], self._islands.setdefault(key.shard, {})
         if task.state is not None:
             island = Island.from_bytes(task.state, problem, config, key.island)
-            if island.epoch != key.epoch:
+            if island.epoch != key.epoch - (task.blocks is not None):
                 raise RemoteProtocolError(f"a state of epoch {island.epoch} came for epoch {key.epoch}")
             islands[key.island] = island
         elif task.blocks is None:
             islands[key.island] = Island(problem, config, key.island)
-        else:
+        if task.blocks is not None:
             islands[key.island].immigrate(task.blocks)
         return Epoch(task, islands[key.island])
+
+    def state_of(self, key: io.TaskKey) -> bytes:
+        """Return the state of an island after a whole epoch; another process continues from it and its immigrants."""
+        return self._islands[key.shard][key.island].to_bytes()
 
     def forget(self, shard: io.ShardKey) -> None:
         """Forget the islands of an archipelago's term."""

@@ -321,12 +321,18 @@ class Island:
         }
 
     def to_bytes(self) -> bytes:
-        """Return the state between two epochs, for checkpoints: all data that can influence later bits or counters."""
-        if self._begun:
-            raise LocalProtocolError("an island is written between epochs only, before generation 0")
+        """Return the state between two epochs: all data that can influence later bits or counters.
+
+        It is written before generation 0, for checkpoints, or after a whole epoch, before the island takes its
+        immigrants; then another process can continue with `from_bytes` and `immigrate`.
+        """
+        is_over = self._begun and self._hit is None and self.generation == self._setup.config.migration.generations
+        if self._begun and not is_over:
+            raise LocalProtocolError("an island is written between epochs only: before generation 0, or at the end")
         arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}
         front, near = _rows_of(self._front.entries), _rows_of(self._runners_up.entries)
-        return encode_arrays({"epoch": self.epoch, "front": front, "runners up": near}, arrays)
+        header = {"epoch": self.epoch, "front": front, "runners up": near}
+        return encode_arrays(header | {"is over": True} if is_over else header, arrays)
 
     @classmethod
     def from_bytes(cls, data: bytes, problem: Problem, config: JobConfig, island: int) -> Self:
@@ -338,21 +344,22 @@ class Island:
                 if (arrays[name].shape, arrays[name].dtype.kind) != (mine.shape, mine.dtype.kind):
                     raise ValueError(f"{name} has shape {arrays[name].shape}, expected {mine.shape}")
                 mine[...] = arrays[name]
-            restored.epoch = int(header["epoch"])
+            restored.epoch, is_over = int(header["epoch"]), header.get("is over", False) is True
             restored._front.replace(FrontEntry(*entry) for entry in header["front"])
             restored._runners_up.replace(FrontEntry(*entry) for entry in header["runners up"])
         except (KeyError, ValueError, TypeError) as error:
             raise RemoteProtocolError(f"the state of an island does not fit its job: {error}") from error
-        restored._check()
-        restored._retrain()
+        if restored.epoch > 0 or is_over:  # before the first generation there is no population yet
+            restored._check()
+            restored._retrain()
         restored._start_epoch()
+        if is_over:
+            restored._begun, restored.generation = True, config.migration.generations
         return restored
 
     def _check(self) -> None:
-        """Raise RemoteProtocolError unless all nodes and rows that kernels will use exist; epoch 0 is not checked."""
+        """Raise RemoteProtocolError unless all nodes and rows that kernels will use exist."""
         setup, coevolution = self._setup, self._coevolution
-        if self.epoch == 0:
-            return
         migration.check_nodes(self._lists, setup.space, setup.allowed)
         if not setup.coevolving.enabled:
             return
@@ -364,7 +371,7 @@ class Island:
     def _retrain(self) -> None:
         """Compute the trainers' losses at all rows again, which checkpoints lack; these evaluations are not counted."""
         setup = self._setup
-        if setup.coevolving.enabled and self.epoch > 0:
+        if setup.coevolving.enabled:
             for t in range(self._coevolution.exact.shape[0]):
                 uncounted = np.zeros(len(PARTS), np.int64)
                 setup.call(

@@ -79,7 +79,7 @@ def test_without_docstrings_kernels_are_compiled_once_more_which_is_told() -> No
 PACKAGE = "atoll_island_worker"
 
 
-def warm_up(report: Report, exercise: Callable[[], None]) -> None:
+def warm_up(report: Report, exercise: Callable[[], str]) -> None:
     compile_or_load(PACKAGE, exercise, 2, report)
 
 
@@ -94,8 +94,9 @@ class Exercise:
     def __init__(self) -> None:
         self.count = 0
 
-    def __call__(self) -> None:
+    def __call__(self) -> str:
         self.count += 1
+        return ""
 
 
 def test_the_first_time_is_announced_and_later_ones_are_not() -> None:
@@ -109,7 +110,7 @@ def test_the_first_time_is_announced_and_later_ones_are_not() -> None:
 
 
 def test_a_compilation_that_failed_does_not_count() -> None:
-    def fail() -> None:
+    def fail() -> str:
         raise ValueError("no compiler")
 
     said: list[str] = []
@@ -121,7 +122,7 @@ def test_a_compilation_that_failed_does_not_count() -> None:
 
 def test_every_kernel_that_is_ready_is_counted() -> None:
     said: list[str] = []
-    warm_up(said.append, lambda: cache.on_ready[-1]())
+    warm_up(said.append, lambda: str(cache.on_ready[-1]()))
     assert said == [sentence_of(done, 2) for done in (0, 1, 2)]
     assert cache.on_ready == []
 
@@ -145,7 +146,7 @@ def test_who_comes_while_another_compiles_waits_and_then_loads(folder: Path) -> 
 
     with (folder / "lock").open("w") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
-        thread = threading.Thread(target=warm_up, args=(report, lambda: events.append("loaded")))
+        thread = threading.Thread(target=warm_up, args=(report, lambda: str(events.append("loaded"))))
         thread.start()
         assert waiting.wait(30.0)
         assert events == []

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from llvmlite.binding import parse_bitcode
 
 from atoll_core.compilation.cache import WORKER, cache_directory, kernel_files, packages_compiled_into
 from atoll_core.compilation.jit import IS_COMPILED, entry_point, kernel
@@ -63,6 +65,19 @@ def test_machine_code_is_loaded_without_what_compiling_needs(tmp_path: Path) -> 
     folder = tmp_path / "one"
     assert run(folder, 2.0, tmp_path / "cache", LOAD) == ["4.0", "[0,", "1,", "2]", "True"]
     assert run(folder, 2.0, tmp_path / "cache", LOAD) == ["4.0", "[0,", "1,", "2]", "False"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not IS_COMPILED, reason="kernels are interpreted")
+def test_machine_code_is_stored_without_the_llvm_code_of_its_functions(tmp_path: Path) -> None:
+    run(tmp_path / "one", 2.0, tmp_path / "cache")
+    (stored,) = tmp_path.glob("cache/place-*/*.nbc")
+    (_, _, (machine_code, llvm_code)), *_ = pickle.loads(stored.read_bytes())
+    assert len(machine_code) > 1000
+    functions = [each for each in parse_bitcode(llvm_code).functions if not each.is_declaration]
+    assert functions
+    instructions = [str(one).strip() for each in functions for block in each.blocks for one in block.instructions]
+    assert set(instructions) == {"unreachable"}
 
 
 @pytest.mark.slow
