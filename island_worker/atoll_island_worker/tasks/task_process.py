@@ -34,6 +34,7 @@ from typing import Final, Protocol
 
 from atoll_core import task_frames as frames
 from atoll_core.errors import AtollError
+from atoll_core.machine import use_common_instructions
 from atoll_core.task_frames import OTHER_VERSION, version
 from atoll_island_worker.processes import Forked, request_parent_death_signal
 
@@ -108,13 +109,15 @@ def start_process(connection: "Connection[object, object]") -> StartedProcess:
     level = logging.getLogger().getEffectiveLevel()
     descriptor = connection.fileno()
     words = [str(descriptor), str(level), version(), *sys.path]  # so that the same modules are found
+    environment = dict(os.environ)
+    use_common_instructions(environment)  # both programs have done so; the worker of another engine has not
     try:
         return _Interpreter(
             [sys.executable, "-P", "-c", _PROGRAM, *words],
             stdin=subprocess.DEVNULL,
             pass_fds=(descriptor,),
             start_new_session=True,  # Ctrl-C on the terminal is for the worker
-            env={"OPENBLAS_NUM_THREADS": "1", **os.environ},  # matrices are small: more threads would only wait
+            env=environment,
         )
     except OSError as error:
         raise AtollError(f"no process could be started for it: {error.strerror}") from error
