@@ -24,7 +24,6 @@ from atoll_core.expression.restrictions import EquationBounds, Restrictions
 from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.expression.writing.shortest import collected
 from atoll_core.search.pareto import FrontEntry, merge, runners_up
-from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.kernels.offers import (
     SIMPLE,
     SIMPLE_COEFFICIENTS,
@@ -240,7 +239,6 @@ class RunnersUp:
 REFIT_STEPS = 10
 POLISH_STEPS = 4
 PRUNE_STEPS = 15
-PRUNE_SAMPLE = 64
 MOST_NODES = 200
 _NEAR = 2.0
 _NEAR_EXACT = 1e-6
@@ -309,7 +307,7 @@ class FrontUpdater:
     """Offers individuals to a front, and to its runners-up if these are kept.
 
     `offered` and `offered_loss` (sizes,) are hash and loss of the last structure of each size that was offered to the
-    front. `sample` are rows spread evenly over all rows.
+    front.
     """
 
     def __init__(self, setup: IslandSetup, front: Front, runners_up: RunnersUp) -> None:
@@ -328,7 +326,6 @@ class FrontUpdater:
         self._result = np.zeros(2)
         self._unscaled = Fit(setup.fit.steps, 0, MOST_FITTED, setup.fit.loss, math.inf)
         self._largest = setup.config.space.max_size or MOST_NODES
-        self.sample = _spread(setup.every)
 
     def offer(self, lists: Lists, fitness: Floats, counters: Ints, tag: Tag, offers_next_best: bool) -> Additions:
         """Measure the best of each size on all rows and offer it; return the additions to front and runners-up.
@@ -497,7 +494,7 @@ class FrontUpdater:
             size = self._canonical(candidate)
             if size >= len(formula):
                 continue
-            self._refit(size, self.sample, PRUNE_STEPS, counters)
+            self._refit(size, self._setup.equation.spread, PRUNE_STEPS, counters)
             if not self._error() <= _PROMISING * target:
                 continue
             self._refit(size, self._setup.every, PRUNE_STEPS, counters)
@@ -505,9 +502,3 @@ class FrontUpdater:
             if self._error() <= target and self._setup.restrictions.are_kept(to_program(reduced)):
                 return reduced
         return None
-
-
-def _spread(every: Rows) -> Rows:
-    """Return rows evenly spread over `every`."""
-    index = np.arange(min(every.length, PRUNE_SAMPLE)) * every.length // min(every.length, PRUNE_SAMPLE)
-    return padded_rows(every.inputs[:, index], every.target[0, index])

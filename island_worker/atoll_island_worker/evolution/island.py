@@ -43,7 +43,7 @@ from atoll_island_worker.evolution.kernels.predictors import judge_all
 from atoll_island_worker.evolution.kernels.random import Stream as StreamState
 from atoll_island_worker.evolution.kernels.trainers import most_disputed, train
 from atoll_island_worker.evolution.setup import IslandSetup
-from atoll_island_worker.evolution.structures import Coevolution, Floats, Ints, Lists, Rows, empty_lists
+from atoll_island_worker.evolution.structures import Coevolution, Floats, Ints, Lists, empty_lists
 
 GUESS_STEPS: Final = 25
 """Largest number of Levenberg-Marquardt steps that fit the constants of a guess before the first generation."""
@@ -54,11 +54,11 @@ OCTAVES: Final = 3
 Guess = Sequence[PlacedNode]
 
 
-def begin_with_guesses(lists: Lists, setup: IslandSetup, rows: Rows, counters: Ints) -> None:
-    """Write the guesses for this equation over the first individuals, one each, and fit their constants to `rows`.
+def begin_with_guesses(lists: Lists, setup: IslandSetup, counters: Ints) -> None:
+    """Write the guesses for this equation over the first individuals, one each, and fit their constants.
 
-    The fit is counted as fitting of offspring. If constants are not fitted, all islands take the guesses unchanged.
-    Pure except for `lists`, scratch and `counters`.
+    They are fitted to rows spread evenly over all rows. The fit is counted as fitting of offspring. If constants are
+    not fitted, all islands take the guesses unchanged. Pure except for `lists`, scratch and `counters`.
     """
     guesses = parse_guesses(setup)
     if not guesses:
@@ -71,6 +71,7 @@ def begin_with_guesses(lists: Lists, setup: IslandSetup, rows: Rows, counters: I
     if is_fitted:
         first = Lists(*(column[: len(guesses)] for column in lists._asdict().values()))
         fitness, options, scratch = np.zeros(len(guesses)), setup.fit._replace(steps=GUESS_STEPS), setup.scratch
+        rows = setup.equation.spread
         measure_all(first, fitness, rows, options, scratch._replace(near=scratch.work), counters, OFFSPRING)
 
 
@@ -226,7 +227,7 @@ class Island:
         setup, part = self._setup, OFFSPRING if self.epoch == 0 else REEVALUATION
         if self.epoch == 0:
             random_population(self._lists, setup.space, self._stream)
-            begin_with_guesses(self._lists, setup, self._updater.sample, self._counters)
+            begin_with_guesses(self._lists, setup, self._counters)
             if setup.coevolving.enabled:
                 begin_coevolution(setup, self._lists, self._coevolution, self._stream, self._counters)
         measure_population(setup, self._lists, self._fitness, self._coevolution, self._counters, part)
