@@ -214,8 +214,8 @@ def command_of(engine: str, options: Namespace, is_struck: bool) -> list[str]:
     words += ["--after", str(options.after or 3.0)] if is_struck else []
     if engine != "mpi":
         return [sys.executable, "-m", *words]
-    launcher = ["mpiexec", "--allow-run-as-root", "--oversubscribe", "-n", str(WORKERS + 1)]
-    return [*launcher, sys.executable, "-m", "mpi4py.futures", "-m", *words]
+    launcher = ["mpiexec", "--allow-run-as-root", "--oversubscribe", "--mca", "mpi_yield_when_idle", "1"]
+    return [*launcher, "-n", str(WORKERS + 1), sys.executable, "-m", "mpi4py.futures", "-m", *words]
 
 
 def run(engine: str, options: Namespace, is_struck: bool) -> tuple[Took, Any]:
