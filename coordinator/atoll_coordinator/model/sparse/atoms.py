@@ -251,12 +251,17 @@ class Shape:
 
     def value(self, constant: float) -> FloatArray:
         """Return the values (R,). All values are NaN if a pole lies between the rows."""
-        if self.function is None or self.u is None:
-            return self.product
+        return self.product if self.function is None else np.asarray(self.product * self.function_values(constant))
+
+    def function_values(self, constant: float) -> FloatArray:
+        """Return the values (R,) of the function, which must exist. All values are NaN if a pole lies between the
+        rows."""
+        assert self.function is not None
+        assert self.u is not None
         values = self.function.value(self.u, constant)
         if self.function.has_pole and (values > 0.0).any() and (values < 0.0).any():
             return np.full_like(values, np.nan)
-        return np.asarray(self.product * values)
+        return values
 
     def over(self, inputs: FloatArray) -> "Shape":
         """Return the same shape on other rows of the variables, `inputs` (V, R)."""

@@ -31,13 +31,14 @@ from atoll_coordinator.model.sparse.atoms import (
     product_atoms,
     products_with_functions,
 )
-from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum, make_grid, rank_further_terms
+from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum, rank_functions
 from atoll_coordinator.model.sparse.regression import SparseRegression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
     CAUCHY,
     NORMAL_DEVIATION,
     Assessment,
     MeasuredRows,
+    OfTerms,
     RegressionRows,
     WeakRows,
     measured_rows_of,
@@ -88,6 +89,16 @@ class ShortWindows(WeakRows):
         return np.asarray(-window_integrals(self.first, self.slope - self.coarse[1], target)[0])
 
     @cached_property
+    def _quadrature(self) -> FloatArray:
+        """The weights (W, L) of the differences between integrals by cubic and by linear interpolation."""
+        return self.bump - self.coarse[0]
+
+    @cached_property
+    def _values_of(self) -> OfTerms[FloatArray]:
+        """The values (R,) of a term."""
+        return OfTerms(lambda atom: atom.values)
+
+    @cached_property
     def side_errors(self) -> FloatArray:
         """The standard errors (W,) of the left sides, with errors of the integration."""
         return np.sqrt(np.maximum(self._own + self.widen(self._target_quadrature) ** 2, 1e-300))
@@ -98,8 +109,8 @@ class ShortWindows(WeakRows):
         In some windows a function changes too fast for the integration. So large residuals have less weight (Cauchy),
         and the excess follows from the median.
         """
-        values = sum(c * atom.values for c, atom in zip(coefficients, atoms, strict=True))
-        difference = window_integrals(self.first, self.bump - self.coarse[0], np.asarray(values)[None])[0]
+        values = sum(c * self._values_of(atom) for c, atom in zip(coefficients, atoms, strict=True))
+        difference = window_integrals(self.first, self._quadrature, np.asarray(values)[None])[0]
         quadrature = self.widen(self._target_quadrature - difference)
         variances = np.maximum(self.variances(atoms, coefficients), 1e-300) + quadrature**2
         squares = residuals**2 / variances
@@ -280,11 +291,9 @@ def _add_functions(
         most = len(trusted.sides) / SETTINGS.sparse.rows_per_term
         fits: list[Sum] = []
         start_sums = [atoms for atoms in start_sums if len(atoms) <= most]
-        grids = (make_grid(trusted, [shape]) for shape in shapes)
-        for atoms, further in zip(
-            start_sums, rank_further_terms(trusted, start_sums, grids, SETTINGS.effort.beam), strict=True
-        ):
-            sums = filter(None, (fit_sum(trusted, [*atoms, atom]) for _, atom in further))
+        further_terms = rank_functions(trusted, start_sums, shapes, SETTINGS.effort.beam)
+        for atoms, further in zip(start_sums, further_terms, strict=True):
+            sums = filter(None, (fit_sum(trusted, [*atoms, atom]) for atom in further))
             fits += map(fit_inner_constants, sorted(sums, key=lambda fit: fit.nats)[:_KEPT])
         library, candidate = product_atoms(rows.inputs, sizes[-1][0]), None
         for fit in sorted(fits, key=lambda fit: fit.nats):
