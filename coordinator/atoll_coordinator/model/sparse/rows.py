@@ -393,7 +393,7 @@ class WeakRows(RegressionRows):
                 values = _product(factors, _powers(measured.values, measured.noise, len(factors)))
             else:
                 values = atom.values
-            return window_integrals(first, bump, values[None])[0]
+            return np.asarray(window_integrals(first, bump, values[None])[0])
 
         return OfTerms(column)
 
