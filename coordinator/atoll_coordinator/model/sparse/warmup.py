@@ -33,7 +33,7 @@ def warm_up() -> list[FloatArray]:
     )  # fmt: skip
     find_shortest_with_each(values, side, sums, cross, first, first + 1, np.ones(2), 3.0, 1.0, nats := np.zeros(1))
     explained_shares(
-        values, values, np.arange(3), np.ones((3, 1)), ones, values, first + 2, 0.0, shares := np.zeros((1, 2, 2))
+        values, values, np.arange(3), np.ones((3, 1)), ones, 0.1 * values, first + 2, 0.0, shares := np.zeros((1, 2, 2))
     )
     solve_damped(np.array([[2.0, 1.0], [1.0, 3.0]]), 0.0, solution := np.array([1.0, 5.0]))
     return [windows, weights, halves, sums, cross, squares, found, nats, shares, solution]
