@@ -301,7 +301,7 @@ def work(
         if parent is not None:
             processes.end_with_parent(parent)
         configure(options.log_format, options.log_level, worker=name)
-        from atoll_core.compilation.cache import WarmUpDisplay
+        from atoll_core.compilation.progress import WarmUpDisplay
         from atoll_island_worker.worker import run_worker
 
         on_signal = partial(draining, parent) if options.grace > 0.0 else lambda leave: contextlib.nullcontext()

@@ -1,4 +1,4 @@
-"""Compile the kernels of a package once per machine; choose the folder of the compiled kernels; show the progress.
+"""Compile the kernels of a package once per machine; choose the folder of the compiled kernels.
 
 There is one folder for each package and each digest of all source text that is compiled into its kernels. Checkouts,
 wheels and copies with equal sources therefore share machine code. Machine code of other sources is never loaded. If the
@@ -13,21 +13,17 @@ import functools
 import hashlib
 import os
 import platform
-import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from atoll_core.compilation import prebuilt
+from atoll_core.compilation.progress import Report, reporting
 from atoll_core.errors import AtollError
 from atoll_core.machine import user_folder
-
-if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
-
 
 WORKER: Final = ("atoll_core", "atoll_island_worker")
 """The packages whose kernels decide the bits of a search."""
@@ -170,62 +166,17 @@ def _processor() -> str:
     return platform.processor()
 
 
-_COUNT: Final = re.compile(r"(\d+) of (\d+) compiled")
-
-
-def sentence_of(done: int, kernels: int) -> str:
-    """Return the progress message for `done` compiled kernels of all `kernels`."""
-    return f"compiling kernels, only once on this machine: {done} of {kernels} compiled"
-
-
-def count_of(sentence: str) -> tuple[int, int] | None:
-    """Return the numbers of compiled kernels and of all kernels in a progress message; None if it has no numbers."""
-    match = _COUNT.search(sentence)
-    return (int(match[1]), int(match[2])) if match else None
-
-
-class WarmUpDisplay:
-    """Shows the messages of warm-ups on stderr: progress bars on a terminal, else the first and the last count only."""
-
-    def __init__(self) -> None:
-        self._bars: Progress | None = None
-        self._tasks: dict[str, TaskID] = {}
-
-    def __call__(self, sentence: str, of: str = "") -> None:
-        """Show a message; `of` names one of several warm-ups."""
-        done, kernels = count_of(sentence) or (0, 0)
-        if kernels and sys.stderr.isatty():
-            self._draw(done, kernels, of)
-        elif done in (0, kernels):
-            sys.stderr.write(f"{of}: {sentence}\n" if of else f"{sentence}\n")
-
-    def _draw(self, done: int, kernels: int, of: str) -> None:
-        if self._bars is None:
-            from rich.console import Console
-            from rich.progress import Progress
-
-            self._bars = Progress(console=Console(stderr=True))
-            self._bars.start()
-        if of not in self._tasks:
-            self._tasks[of] = self._bars.add_task(f"compiling kernels, only once {of}".strip(), total=kernels)
-        self._bars.update(self._tasks[of], completed=done, refresh=True)
-        if self._bars.finished:
-            self._bars.stop()
-            self._bars = None
-            self._tasks.clear()
-
-
-Report = Callable[[str], None]
 Exercise = Callable[[], str]
 """Calls every kernel with the types of arguments that the program uses, and returns a digest of what they computed."""
 
 
-def compile_or_load(package: str, exercise: Exercise, kernels: int, report: Report) -> None:
+def compile_or_load(package: str, exercise: Exercise, costs: Mapping[str, float], report: Report) -> None:
     """Compile or load all kernels of `package` by running `exercise`. Do nothing with ``NUMBA_DISABLE_JIT``.
 
-    Numba compiles or loads as many functions as `kernels` says. `report` is called with a message before the first
-    compilation and after each kernel, if this process waits, or if the kernels of a wheel cannot be used. Raises
-    AtollError if the cache of compiled kernels cannot be written, or if the kernels of a wheel fail their self-test.
+    `costs` has each separately compiled function, in the order of the exercise, and the seconds of a processor that it
+    usually takes. `report` is called with a message before the first compilation, after each kernel and every second;
+    if this process waits; or if the kernels of a wheel cannot be used. Raises AtollError if the cache of compiled
+    kernels cannot be written, or if the kernels of a wheel fail their self-test.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
@@ -238,7 +189,7 @@ def compile_or_load(package: str, exercise: Exercise, kernels: int, report: Repo
             report(f"the compiled kernels of the installed wheel {brought.reason}; kernels are compiled here")
         with _hold_lock(_make(cache_directory(package)) / "lock", report):
             if not is_compiled(package):
-                with _report_counts(kernels, report):
+                with reporting([*costs.values()], on_ready, report):
                     exercise()
                 marker(package).touch()
                 return
@@ -256,26 +207,6 @@ def _make(directory: Path) -> Path:
             "set ATOLL_KERNEL_CACHE to a folder that can be written"
         ) from error
     return directory
-
-
-@contextlib.contextmanager
-def _report_counts(kernels: int, report: Report) -> Iterator[None]:
-    """Report how many kernels are compiled: at the beginning, after each kernel, and at the end."""
-    done = 0
-
-    def count() -> None:
-        nonlocal done
-        done += 1
-        if done < kernels:  # the last count is reported below, since some kernels may have been ready before
-            report(sentence_of(done, kernels))
-
-    report(sentence_of(0, kernels))
-    on_ready.append(count)
-    try:
-        yield
-    finally:
-        on_ready.remove(count)
-    report(sentence_of(kernels, kernels))
 
 
 @contextlib.contextmanager

@@ -3,15 +3,21 @@
 import hashlib
 from typing import TYPE_CHECKING, Final
 
-from atoll_core.compilation.cache import Report, compile_or_load
+from atoll_core.compilation.cache import compile_or_load
+from atoll_core.compilation.progress import Report
 
 if TYPE_CHECKING:
     from atoll_core.data.dataset import Problem
 
 _PACKAGE: Final = "atoll_island_worker"
 _ROWS: Final = 40
-KERNELS: Final = 14
-"""Number of separately compiled kernels that an epoch needs."""
+COSTS: Final = {
+    "_apply": 2.6, "gather": 0.6, "random_population": 0.5, "draw_coevolution": 0.4, "train": 2.1, "judge_all": 0.4,
+    "measure_all": 8.6, "advance": 9.4, "most_disputed": 2.3, "choose_offers": 2.6, "refit_offers": 4.0,
+    "write_variant": 1.8, "refit": 1.4,
+}  # fmt: skip
+"""The separately compiled kernels that an epoch needs, and the seconds of a processor that each took on one machine
+(``python -m benchmarks.kernels.compiling``)."""
 
 
 def warm_up(report: Report) -> None:
@@ -20,7 +26,7 @@ def warm_up(report: Report) -> None:
     Raises:
         AtollError: the cache of compiled kernels cannot be written.
     """
-    compile_or_load(_PACKAGE, run_small_epochs, KERNELS, report)
+    compile_or_load(_PACKAGE, run_small_epochs, COSTS, report)
 
 
 def run_small_epochs() -> str:
