@@ -1,8 +1,8 @@
 """The first run after an installation: ``python -m benchmarks.operations.first_run WHEEL...``.
 
 Installs each wheel into a fresh environment, with the newest dependencies and no extras, and prints the megabytes of
-its site-packages without pip and setuptools. Then runs the example twice with an empty folder of kernels, and prints the
-seconds of all processors and the seconds until the result, for the first run and for the second run.
+its site-packages without pip and setuptools. Then runs the example twice with an empty folder of kernels, and prints
+the seconds of all processors and the seconds until the result, for the first run and for the second run.
 """
 
 import ctypes
