@@ -224,6 +224,7 @@ def test_few_tables_are_solved_by_all_workers_and_fail_alone() -> None:
     assert isinstance(found["one row"], DataError)
 
 
+@pytest.mark.slow
 def test_tables_are_read_only_as_far_as_they_are_needed() -> None:
     read: list[str] = []
 
@@ -257,6 +258,7 @@ ENDLESS: dict[str, Any] = {"max_epochs": 10**6, "target_error": 1e-300}
 """Options of a search that goes on for more than 60 epochs."""
 
 
+@pytest.mark.slow
 def test_a_time_limit_keeps_the_equations_found_until_then() -> None:
     with ThreadPoolExecutor(2) as executor:
         model = atoll.discover(EXAMPLE, executor=executor, max_time=5.0, **ENDLESS)

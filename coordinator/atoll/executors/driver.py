@@ -3,8 +3,8 @@
 How it works. The states of the job, the end of its search and its result are those of the service: `Job`, `Collector`
 and `draft_of` are used as they are, and `JobDriver` carries out their actions. Preparing and refining run in one task
 process next to the driver, which gives batches of its work to the executor, as a worker of the service gives them to
-helpers. The islands of each archipelago are divided into as many groups as there are workers for them; a call computes
-one epoch of one group. When all groups have finished an epoch, the driver passes the emigrants on, and the next epoch
+helpers. The islands of each archipelago are divided into as many groups as there are workers for them; one epoch of one
+group is a batch, too. When all groups have finished an epoch, the driver passes the emigrants on, and the next epoch
 begins. All events arrive in one inbox: finished calls, messages of the task process, and the passing of time.
 
 An epoch begins when the epoch before it is merged. So no epoch is computed in vain, and there is neither a checkpoint
@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from atoll.executors.dispatcher import Computed, Dispatcher, Finished
-from atoll.executors.tasks import ComputedEpoch, borrowed_process
+from atoll.executors.epochs import EPOCHS, JOB, ComputedEpoch, SearchedJob
+from atoll.executors.tasks import borrowed_process
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.result.result import timed
 from atoll_coordinator.service.jobs.checks import epoch_limit_reason
@@ -39,12 +40,11 @@ from atoll_coordinator.tasks.refining import Searched
 from atoll_core import task_frames as frames
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError
-from atoll_core.wire.codec import decode
 from atoll_core.wire.messages.epochs import EpochReport
 from atoll_core.wire.messages.tasks import TaskFunction
 from atoll_core.wire.messages.views import JobCounters, JobView
 from atoll_core.wire.messages.workers import Placement
-from atoll_core.wire.values import decode_value
+from atoll_core.wire.values import decode_value, encode_value
 from atoll_island_worker.session.interface import EpochTask, TaskKey
 from atoll_island_worker.tasks.task_process import TaskProcess
 
@@ -67,7 +67,7 @@ _tokens: Final = itertools.count()
 
 
 class _EpochTag(NamedTuple):
-    """One call of `compute_epoch`: some islands of an archipelago."""
+    """One epoch of some islands of an archipelago."""
 
     variable: str
     epoch: int
@@ -75,7 +75,7 @@ class _EpochTag(NamedTuple):
 
 
 class _BatchTag(NamedTuple):
-    """One call of `compute_batch`: the number of the batch, unique among the batches of all task processes."""
+    """A batch of a task: its number, unique among the batches of all task processes."""
 
     number: int
 
@@ -126,13 +126,12 @@ class JobDriver:
             submitted.job, submitted.name, self._spec, hashlib.sha256(self._table).hexdigest(), iso_now()
         )
         self.job: Final = Job(record, submitted.config, time.monotonic())
-        self._encoded = self._config = self._dataset = b""
+        self._encoded = self._searched = b""
         self._dispatcher: Final = dispatcher
         self._inbox: Final = dispatcher.inbox
         self._show = show
         self._shown_at = 0.0
         self._refine_within: float | None = None
-        self._terms = itertools.count(_TERM)
         self._waiting: dict[str, set[int]] = {}
         self._states: dict[str, dict[int, bytes]] = {}
         self._emigrants: dict[str, dict[int, Mapping[int, bytes]]] = {}
@@ -140,10 +139,9 @@ class JobDriver:
     def solve(self) -> str:
         """See the function `solve`."""
         try:
-            with borrowed_process(self._inbox) as process:
-                self._prepare(process)
-                self._search()
-                self._refine(process)
+            self._prepare()
+            self._search()
+            self._refine()
         except KeyboardInterrupt:
             self._carry_out(self.job.cancel())
             if self.job.prepared is None:
@@ -153,12 +151,12 @@ class JobDriver:
 
     # ------------------------------------------------------------------------------------------- the three stages
 
-    def _prepare(self, process: TaskProcess) -> None:
+    def _prepare(self) -> None:
         config = self.job.config
         self.job.start_preparing()
         try:
             inputs = (self._table, self._spec.encode())
-            data = self._run_task(process, "prepare", inputs, config.budget.max_time)
+            data = self._run_task("prepare", inputs, config.budget.max_time)
         except _TaskFailedError as error:
             self.job.fail("internal", f"preparing the data failed ({error}){self._to_send(error)}")
             return
@@ -169,8 +167,8 @@ class JobDriver:
             self.job.fail("data", outcome.sentence)
             return
         prepared = outcome.prepared
-        self._encoded, self._dataset = outcome.encoded, outcome.data
-        self._config = prepared.config.model_dump_json().encode()
+        self._encoded = outcome.encoded
+        self._searched = encode_value(SearchedJob(prepared.config, outcome.data))
         unknown = epoch_limit_reason(config, prepared)
         actions = self.job.start(prepared, {}, self._now()) if unknown is None else self.job.fail("data", unknown)
         self._carry_out(actions)
@@ -195,12 +193,12 @@ class JobDriver:
                     self._add_epoch(tag, computed)
         self._dispatcher.cancel()
 
-    def _refine(self, process: TaskProcess) -> None:
+    def _refine(self) -> None:
         if self.job.state != "refining":
             return
         searched = Searched(self.job.id, tuple(outcomes_of(self.job)))
         try:
-            text = self._run_task(process, "refine", (self._encoded, searched.to_bytes()), self._refine_within)
+            text = self._run_task("refine", (self._encoded, searched.to_bytes()), self._refine_within)
         except _TaskFailedError as error:
             warning = f"Refining failed ({error}); equations are as the search found them{self._to_send(error)}."
             self.job.finish_unrefined(Refinement(warnings=(warning,), end="not refined"))
@@ -233,32 +231,31 @@ class JobDriver:
         self._waiting[variable] = set(range(limits.islands))
         for group in range(groups):
             islands = range(group * limits.islands // groups, (group + 1) * limits.islands // groups)
-            term = next(self._terms)
             tasks = tuple(
                 EpochTask(
-                    TaskKey(self.job.id, variable, term, island, epoch),
+                    TaskKey(JOB, variable, _TERM, island, epoch),
                     {source: blocks[island] for source, blocks in emigrants.items() if island in blocks} or None,
                     epoch + 1 >= limits.epochs, limits.commit_order, states.get(island),
                 )
                 for island in islands
             )  # fmt: skip
             tag = _EpochTag(variable, epoch, tuple(islands))
-            self._dispatcher.submit(tag, "epoch", (tasks,), self._config, self._dataset)
+            self._dispatcher.submit(tag, "batch", (EPOCHS.name, EPOCHS.encode([tasks])), self._searched)
 
     def _add_epoch(self, tag: _EpochTag, computed: Computed) -> None:
         """Add the result of a group of islands."""
         archipelago = self.job.open_archipelago(tag.variable)
         if archipelago is None:
             return
-        if computed.sentence:
-            sentence = f"islands of {tag.variable} failed in epoch {tag.epoch}: {computed.sentence}"
-            self._carry_out(self.job.fail("internal", f"{sentence}{ask_for_report(self.job.config)}"))
+        epoch = ComputedEpoch(sentence=computed.sentence) if computed.sentence else EPOCHS.decode(computed.value)[0]
+        if epoch.sentence:
+            self._carry_out(self.job.fail("internal", f"{epoch.sentence}{ask_for_report(self.job.config)}"))
             return
-        epoch: ComputedEpoch = computed.value
         self._waiting[tag.variable] -= set(tag.islands)
         self._states.setdefault(tag.variable, {}).update(epoch.states)
-        self._emigrants.setdefault(tag.variable, {}).update(epoch.emigrants)
-        report = decode(epoch.report, EpochReport).model_copy(update={"term": _TERM})
+        self._emigrants.setdefault(tag.variable, {}).update({one.key.island: one.emigrants for one in epoch.islands})
+        islands = tuple(one.report for one in epoch.islands)
+        report = EpochReport(job=self.job.id, variable=tag.variable, term=_TERM, epoch=tag.epoch, islands=islands)
         self._carry_out(self.job.add_report(_EXECUTOR, report, self._now()))
         archipelago.collector.forget(archipelago.collector.state.epochs)
         if archipelago.cut is not None:
@@ -266,29 +263,27 @@ class JobDriver:
 
     # -------------------------------------------------------------------------------------------------- the tasks
 
-    def _run_task(
-        self, process: TaskProcess, function: TaskFunction, inputs: tuple[bytes, ...], seconds: float | None
-    ) -> bytes | None:
+    def _run_task(self, function: TaskFunction, inputs: tuple[bytes, ...], seconds: float | None) -> bytes | None:
         """Return the result of a task; None: the job has ended before, by its time limit.
 
         A task is tried twice, as on the service. Raises _TaskFailedError after the second failure.
         """
         failed: list[frames.Failure] = []
         while True:
-            threads = min(MOST_THREADS, self._dispatcher.workers)
-            life = process.send(frames.Run(function, function, inputs, seconds, threads, self.job.id))
-            end = self._follow_task(process, function, life)
+            with borrowed_process(self._inbox) as process:
+                threads = min(MOST_THREADS, self._dispatcher.workers)
+                life = process.send(frames.Run(function, function, inputs, seconds, threads, self.job.id))
+                end = self._follow_task(process, function, life)
+                if end is None:
+                    process.stop()
             self._dispatcher.cancel()
             match end:
-                case None:
-                    process.stop()
-                    return None
-                case frames.TaskFinished(result=result):
-                    return result
                 case frames.Failed(failure=failure, sentence=sentence) | frames.Ended(failure=failure, why=sentence):
                     failed.append(failure)
                     if len(failed) > 1:
                         raise _TaskFailedError(failure, sentence + (", twice" if len({*failed}) == 1 else ""))
+                case _:
+                    return None if end is None else end.result
 
     def _follow_task(
         self, process: TaskProcess, function: TaskFunction, life: int

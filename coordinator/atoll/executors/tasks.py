@@ -4,10 +4,10 @@ How it works. `perform` gets a `Call`: the name of a function, its arguments, an
 keeps the last shared data by digest; if data are missing, `perform` returns `Missing`, and the driver sends the call
 again with them. So each process gets a dataset once, from any executor, without a file system that all machines see.
 
-Islands are computed in the calling thread, whose kernels release the GIL. Preparing, refining and batches run in a task
-process (`TaskProcess`), as on a worker of the service: a fresh interpreter with the same settings of linear algebra,
-so that the bits do not depend on what the executor's process has loaded before. A task process that dies is started
-again. It ends with this process, or after some minutes without a task.
+All work is done in a task process (`TaskProcess`), as on a worker of the service: a fresh interpreter with the same
+settings of linear algebra, so that the bits do not depend on what the executor's process has loaded before. The task
+process is the one that the system ends if memory runs out. Then it is started again, and the executor notices nothing.
+It ends with the executor's process, or after two minutes without a task.
 
 Doubtful: an executor that starts another process for each task would also start a task process for each task.
 """
@@ -17,23 +17,18 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from atoll_core import task_frames as frames
-from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError
 from atoll_core.task_frames import TaskBatch, version
-from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.epochs import EpochReport
 from atoll_island_worker.downloads import ByteCache
 
 if TYPE_CHECKING:
     from atoll.executors.driver import SubmittedTable
-    from atoll_island_worker.compute.compute_thread import Engine
-    from atoll_island_worker.session.interface import EpochTask
     from atoll_island_worker.tasks.task_process import TaskProcess
 
 Inbox = queue.SimpleQueue[object]
@@ -103,55 +98,8 @@ def perform(call: Call) -> Done | Missing | FunctionFailed:
 # ---------------------------------------------------------------------------------------------------------- functions
 
 
-@dataclass(frozen=True, slots=True)
-class ComputedEpoch:
-    """One epoch of some islands: their encoded `EpochReport`.
-
-    After a whole epoch that is not the last, there are also the `emigrants` (blocks by source and destination) and the
-    `states` at the end of the epoch, by island.
-    """
-
-    report: bytes
-    emigrants: Mapping[int, Mapping[int, bytes]]
-    states: Mapping[int, bytes]
-
-
-def compute_epoch(tasks: "Sequence[EpochTask]", config: bytes, dataset: bytes) -> ComputedEpoch:
-    """Compute the same epoch of some islands of one archipelago.
-
-    The islands take turns slice by slice; when one of them meets the target, the slices that do not count are left out.
-
-    Args:
-        tasks: the epochs of the islands; their keys differ only in the island.
-        config: JSON of the resolved configuration.
-        dataset: the encoded dataset.
-    """
-    from atoll_island_worker.compute.run_queue import RunQueue
-    from atoll_island_worker.session import interface as io
-
-    _load_kernels()
-    shard = tasks[0].key.shard
-    engine = _engine(shard.job, config, dataset)
-    turns = RunQueue(engine.begin, time.monotonic)
-    outcomes = [outcome for task in tasks for outcome in turns.add(task)]
-    while not turns.is_idle:
-        outcomes += [outcome for outcome in turns.turn() if not isinstance(outcome, io.Snapshot)]
-    failed = [outcome.sentence for outcome in outcomes if isinstance(outcome, io.Broken | io.Rejected)]
-    if failed:
-        raise AtollError(failed[0])
-    computed = sorted((one for one in outcomes if isinstance(one, io.EpochComputed)), key=lambda one: one.key.island)
-    report = EpochReport(
-        job=shard.job, variable=shard.variable, term=shard.term, epoch=tasks[0].key.epoch,
-        islands=tuple(one.report for one in computed),
-    )  # fmt: skip
-    lasting = [one for one in computed if one.emigrants]
-    states = {one.key.island: engine.state_of(one.key) for one in lasting}
-    engine.forget(shard)
-    return ComputedEpoch(encode(report), {one.key.island: one.emigrants for one in lasting}, states)
-
-
 def compute_batch(function: str, item: bytes, context: bytes) -> bytes:
-    """Return the result of a batch, see `atoll_coordinator.model.batches`."""
+    """Return the result of a batch, see `atoll_coordinator.model.batches`; epochs of islands are batches, too."""
     inbox: Inbox = queue.SimpleQueue()
     with borrowed_process(inbox) as process:
         for _ in range(MAX_LOSSES):
@@ -185,29 +133,8 @@ def solve_table(submitted: "SubmittedTable") -> Solved:
 
 
 FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
-    "epoch": compute_epoch, "batch": compute_batch, "table": solve_table,
+    "batch": compute_batch, "table": solve_table,
 }  # fmt: skip
-
-
-@functools.cache
-def _load_kernels() -> None:
-    """Load the kernels of the search; only one process of a machine compiles them."""
-    from atoll_island_worker.compute.warmup import warm_up
-
-    warm_up(lambda sentence: None)
-
-
-@functools.lru_cache(maxsize=2)
-def _engine(job: str, config: bytes, dataset: bytes) -> "Engine":
-    """Return the engine for the islands of a job."""
-    from atoll_island_worker.compute.compute_thread import Engine
-    from atoll_island_worker.session.interface import LoadFailed
-
-    engine = Engine()
-    loaded = engine.load(job, JobConfig.model_validate_json(config), dataset)
-    if isinstance(loaded, LoadFailed):
-        raise AtollError(loaded.sentence)
-    return engine
 
 
 # ------------------------------------------------------------------------------------------------------ task processes
