@@ -7,7 +7,7 @@ from atoll_coordinator.model.shooting.warmup import warm_up as warm_up_trajector
 from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
 from atoll_core.compilation.cache import Report, compile_or_load
 
-KERNELS: Final = 17
+KERNELS: Final = 18
 """Number of separately compiled kernels."""
 
 
