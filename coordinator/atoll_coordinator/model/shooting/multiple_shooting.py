@@ -27,6 +27,8 @@ start values, and a fit of whole trajectories uses all information of the data.
 5. *Offsets and groups.* If a state was measured with an unknown offset, each whole trajectory has one offset, which is
    another number of the segment. If groups of trajectories have their own constants, the sensitivities have more
    columns (`system.Sharing`).
+6. *Equal fits.* Several stages of the choice of equations fit equal systems from equal starts. The numbers that
+   determine a fit are kept, and an equal fit is restored by one integration, with the same counted work (ADR 0103).
 
 Doubts. A variance is estimated by its most probable value for the residuals, and not integrated out of the likelihood.
 So if a model fits a state exactly, the weight of this state follows from `SmoothingSettings.smallest_noise`. Two rules

@@ -198,7 +198,7 @@ def test_a_fit_that_differs_in_any_argument_is_not_restored(monkeypatch):
     estimator, near = MultipleShooting(lotka(noise=0.02), 1e-8), system(LOTKA, *FAR)
     fit = estimator.fit(near, 25, 6)
     starts, errors = fit.starts + 0.01, replace(fit.errors, sigmas=2.0 * fit.errors.sigmas)
-    held = system_of([LOTKA.parsed(text) for text in FAR], LOTKA.names, LOTKA.names, [[1], []])
+    held = system_of([LOTKA.parsed(text) for text in FAR], LOTKA.names, LOTKA.names, [[0], []])
     kinds = counted_integrations(estimator, monkeypatch)
     for other in (
         lambda: estimator.fit(near, 8, 6),
