@@ -1,8 +1,9 @@
 """Rehearse a release without publishing it: ``python -m deploy.release`` (CONTRIBUTING.md says how one is made).
 
 Builds the source distribution and from it the wheel, checks both, installs the wheel into a fresh environment beside a
-foreign package named ``common``, runs both programs and a search there, and signs the files with a key that is thrown
-away. Needs the package index; prints one line for each step and ends with 1 at the first that fails.
+foreign package named ``common``, runs both programs and a search there. Compiles the kernels for this Python and
+processor, builds the wheel that brings them, and checks that its first search compiles nothing. Signs the files with a
+key that is thrown away. Needs the package index; prints one line for each step and ends with 1 at the first that fails.
 """
 
 import hashlib
@@ -49,6 +50,8 @@ def _rehearse(work: Path) -> None:
     python = install_wheel(work, wheel)
     _say("install", "beside a foreign package `common`; pip check finds nothing, all three packages are imported")
     _say("search", _search(work, python))
+    files.append(build_wheel_with_kernels(tools, work, python))
+    _say("kernels", _check_kernels(work, python, files[-1]))
     _say("signature", _sign(work / "gnupg", files))
 
 
@@ -107,6 +110,29 @@ def install_wheel(work: Path, wheel: Path) -> Path:
     return programs / "python"
 
 
+def build_wheel_with_kernels(tools: Path, work: Path, python: Path) -> Path:
+    """Return a wheel with compiled kernels for `python`, an environment with the wheel without them, and its numba."""
+    kernels, folder = work / "kernels", work / "compiled"
+    run(python, "-m", "deploy.kernels", kernels, cwd=ROOT)
+    run(tools / "python", "-m", "build", "--wheel", "--outdir", folder, ROOT, ATOLL_WHEEL_KERNELS=str(kernels))
+    (wheel,) = folder.iterdir()
+    return wheel
+
+
+def _check_kernels(work: Path, python: Path, wheel: Path) -> str:
+    """Return what was found of a wheel with kernels; raises FailedError if a first search compiles one."""
+    run(python.with_name("pip"), "install", "--quiet", "--force-reinstall", "--no-deps", wheel)
+    cache, data = work / "cache", ROOT / "examples" / "lotka_volterra.csv"
+    words = ("run", data, "--workers", "1", "--out", work / "first")
+    run(python.with_name("coordinator"), *words, cwd=work, ATOLL_KERNEL_CACHE=str(cache))
+    compiled = sorted(file.name for file in cache.rglob("*.nbc"))
+    if compiled:
+        raise FailedError(f"a first search with {wheel.name} compiled {', '.join(compiled)}")
+    if not all(any(cache.glob(f"{package}-*/wheel-*")) for package in ("atoll_island_worker", "atoll_coordinator")):
+        raise FailedError(f"a first search with {wheel.name} did not test its kernels")
+    return f"a first search with {wheel.name} ({wheel.stat().st_size / 1e6:.1f} MB) compiles nothing"
+
+
 def _search(work: Path, python: Path) -> str:
     """Return what both programs and a search from the wheel said."""
     versions = [run(python.with_name(name), "--version", cwd=work).strip() for name in ("coordinator", "island-worker")]
@@ -146,12 +172,12 @@ def make_environment(folder: Path) -> Path:
     return folder / "bin"
 
 
-def run(*words: str | Path, cwd: Path | None = None) -> str:
-    """Return what a program prints; raises FailedError when it ends with another code than 0."""
+def run(*words: str | Path, cwd: Path | None = None, **settings: str) -> str:
+    """Return what a program prints, with `settings` in its environment; raises FailedError if its code is not 0."""
     outside = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
     done = subprocess.run(
         [str(word) for word in words], capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False, cwd=cwd,
-        env={**outside, "PIP_DISABLE_PIP_VERSION_CHECK": "1"},
+        env={**outside, "PIP_DISABLE_PIP_VERSION_CHECK": "1", **settings},
     )  # fmt: skip
     if done.returncode != 0:
         said = "\n".join((done.stdout + done.stderr).strip().splitlines()[-20:])

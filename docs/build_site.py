@@ -36,6 +36,7 @@ CONTENTS: Final = {
         "how-to/notebooks",
         "how-to/several-machines",
         "how-to/dask-ray",
+        "how-to/executors",
         "how-to/noisy-data",
         "how-to/solver-data",
         "how-to/chaos",

@@ -11,7 +11,8 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
-from atoll_core.compilation.cache import WarmUpDisplay, cache_directory, is_compiled
+from atoll_core.compilation.cache import cache_directory, is_compiled
+from atoll_core.compilation.progress import WarmUpDisplay
 from atoll_core.machine import usable_cores
 
 _WORKER: Final = "from atoll_island_worker.compute.warmup import warm_up"

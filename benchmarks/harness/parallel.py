@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final, TypeVar
 
-from atoll_core.compilation.cache import WarmUpDisplay
+from atoll_core.compilation.progress import WarmUpDisplay
 from atoll_core.errors import AtollError
 from atoll_island_worker.compute.warmup import warm_up
 from atoll_island_worker.processes import end_with_parent

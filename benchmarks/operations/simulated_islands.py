@@ -144,6 +144,7 @@ class PacedCompute:
     def __init__(self, samples: Samples, period_s: float, pacer: Pacer, books: Books) -> None:
         self.progress = 0
         self.current: TaskKey | None = None
+        self.seconds: dict[str, float] = {}
         self._samples = samples
         self._period_s = period_s
         self._pacer = pacer
@@ -161,7 +162,10 @@ class PacedCompute:
     def warm_up(self) -> None:
         """See `ComputeThread.warm_up`."""
 
-    def load(self, job: str, config: JobConfig, dataset: bytes, weight: float = 1.0) -> None:
+    def share(self, job: str, weight: float, user: str) -> None:
+        """See `ComputeThread.share`; no time is charged."""
+
+    def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
         """See `ComputeThread.load`."""
         self._config[job] = config
         self._post(JobReady(job))

@@ -4,11 +4,10 @@ All modules log through the standard library: ``_LOG.info("placed", extra=fields
 lines call `configure`.
 """
 
-import contextlib
 import json
 import logging
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from types import MappingProxyType
@@ -22,18 +21,23 @@ _HAS_CONTEXT: Final = "atoll_has_context"
 _context: ContextVar[Mapping[str, object]] = ContextVar("fields of all log lines", default=MappingProxyType({}))
 
 
-@contextlib.contextmanager
-def about(**values: object) -> Iterator[None]:
+class about:  # read as a phrase: ``with about(job=job)``
     """Add these fields, such as `job` or `task`, to every line that is logged in this block; None adds nothing.
 
     A line's own fields take precedence over the fields of blocks, and inner blocks over outer blocks. The context
     belongs to the thread, or the asyncio task, that entered the block.
     """
-    token = _context.set({**_context.get(), **_without_none(values)})
-    try:
-        yield
-    finally:
-        _context.reset(token)
+
+    __slots__ = ("_token", "_values")
+
+    def __init__(self, **values: object) -> None:
+        self._values = values
+
+    def __enter__(self) -> None:
+        self._token = _context.set({**_context.get(), **_without_none(self._values)})
+
+    def __exit__(self, *_: object) -> None:
+        _context.reset(self._token)
 
 
 def fields(**values: object) -> dict[str, object]:

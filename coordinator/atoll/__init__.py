@@ -4,25 +4,31 @@
 a result. ``analysis`` computes its dynamics, ``experiments`` suggests measurements for it, and ``export`` writes it for
 other programs. ``display`` has notations and pictures of a model, ``report`` writes the HTML page of a result, ``text``
 writes a result as text, and ``terminal`` prints on terminals. ``tasks`` has the tasks of workers. ``workers`` starts
-workers on clusters of Dask and Ray. ``cli`` is the command line.
+workers on clusters of Dask and Ray, and ``executors`` computes jobs on an executor of another library. ``cli`` is the
+command line.
 
 This package imports `atoll_coordinator`, which imports `atoll_core`. Nothing is loaded before its first use.
 """
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # not from `typing`, which loads slowly: Ctrl-C must be handled soon after the start
+    from atoll.api.campaign import discover_many
     from atoll.api.discover import discover, submit
     from atoll.api.discoverer import Discoverer
     from atoll.api.model import Model
     from atoll.api.regressor import Regressor
     from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 
-__all__ = ["ENGINE_REVISION", "PROTOCOL_VERSION", "VERSION", "Discoverer", "Model", "Regressor", "discover", "submit"]
+__all__ = [
+    "ENGINE_REVISION", "PROTOCOL_VERSION", "VERSION", "Discoverer", "Model", "Regressor", "discover", "discover_many",
+    "submit",
+]  # fmt: skip
 
 _PUBLIC = {
     **dict.fromkeys(("ENGINE_REVISION", "PROTOCOL_VERSION", "VERSION"), "atoll_core"),
     "Model": "atoll.api.model",
     "discover": "atoll.api.discover",
+    "discover_many": "atoll.api.campaign",
     "submit": "atoll.api.discover",
     "Discoverer": "atoll.api.discoverer",
     "Regressor": "atoll.api.regressor",

@@ -12,7 +12,10 @@ from pathlib import Path
 
 from deploy.rehearsal.machine import MARK, ROOT, FailedError, Machine, NotPossibleError, command_line, wait_until
 
-COPIED = "pyproject.toml README.md LICENSE common coordinator island_worker deploy/Dockerfile deploy/entrypoint.sh"
+COPIED = (
+    "pyproject.toml hatch_build.py README.md LICENSE common coordinator island_worker "
+    "deploy/Dockerfile deploy/entrypoint.sh"
+)
 """What an image is made of: the files that the Dockerfile copies, and itself."""
 BASE = "localhost/debian-python"
 SUITE = "bookworm"

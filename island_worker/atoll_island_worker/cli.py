@@ -210,8 +210,10 @@ def work_together(connect: "Destination", names: Sequence[str], options: argpars
     from atoll_island_worker.tasks.task_process import TaskServer
 
     end = time.monotonic() + options.lifetime if options.lifetime is not None else None
+    if processes.can_fork():
+        load_shared()
     with contextlib.ExitStack() as held:
-        # Started first, because it is also a fork: it must not inherit the libraries and pipes loaded and opened below.
+        # Started first, because it is also a fork: it must not inherit the kernels and pipes loaded and opened below.
         start = partial(_fork, held.enter_context(contextlib.closing(TaskServer()))) if processes.can_fork() else _start
         exit_reasons = held.enter_context(ExitReasons())
         if processes.can_fork():
@@ -225,12 +227,23 @@ def work_together(connect: "Destination", names: Sequence[str], options: argpars
         return processes.supervise(starts, exit_reasons, options.parent, options.grace)
 
 
+def load_shared() -> None:
+    """Load the libraries that workers and task processes both need, without a thread.
+
+    Errors are ignored, because every process reports them.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # otherwise numpy's library starts threads
+    with contextlib.suppress(Exception):
+        for module in ("atoll_core.config", "atoll_core.data.dataset", "atoll_core.compilation.jit"):
+            importlib.import_module(module)
+
+
 def load_ahead() -> None:
     """Load libraries, and kernels if they are compiled. Errors are ignored here, because every worker reports them.
 
     The workers compile, because they can report this to the coordinator.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # otherwise numpy's library starts threads
+    load_shared()
     with contextlib.suppress(Exception):
         importlib.import_module("atoll_core.wire.bus.zenoh_bus")
         importlib.import_module("atoll_island_worker.worker")
@@ -288,7 +301,7 @@ def work(
         if parent is not None:
             processes.end_with_parent(parent)
         configure(options.log_format, options.log_level, worker=name)
-        from atoll_core.compilation.cache import WarmUpDisplay
+        from atoll_core.compilation.progress import WarmUpDisplay
         from atoll_island_worker.worker import run_worker
 
         on_signal = partial(draining, parent) if options.grace > 0.0 else lambda leave: contextlib.nullcontext()

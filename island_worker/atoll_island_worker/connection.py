@@ -34,8 +34,8 @@ from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
 from atoll_island_worker.session import interface as io
 
 PULL_TIMEOUT_S: Final = 5.0
-MIGRANTS_TIMEOUT_S: Final = 1.0
-"""Timeout of a pull of migrants. Migrants are requested before they exist, so a lost answer costs this time."""
+"""Timeout of a pull from another worker. Migrants are requested before they exist: a lost answer costs this time, and
+for an epoch that takes longer the pull is repeated."""
 
 FETCH_TIMEOUT_S: Final = 20.0
 
@@ -44,13 +44,15 @@ FETCH_TIMEOUT_S: Final = 20.0
 class PendingRequest:
     """A request without a reply yet: a `question` about `subject` (a digest, task or fingerprint), or a `pull`.
 
-    `index` is the number of a chunk; for a greeting it is the number of welcomes before it.
+    `index` is the number of a chunk; for a greeting it is the number of welcomes before it. A pull without an answer
+    times out at `deadline` (seconds of the bus).
     """
 
     question: str
     subject: str = ""
     index: int = 0
     pull: io.SendPull | None = None
+    deadline: float = 0.0
 
 
 class Requests:
@@ -91,8 +93,9 @@ class Requests:
             case io.SendPull():
                 key, timeout_s = topics.states(self.cluster, action.body.job), FETCH_TIMEOUT_S
                 if action.peer is not None:
-                    key, timeout_s = topics.worker(self.cluster, action.peer, "pull"), MIGRANTS_TIMEOUT_S
-                self.ask(key, encode(Pull(body=action.body)), timeout_s, PendingRequest("pull", pull=action))
+                    key, timeout_s = topics.worker(self.cluster, action.peer, "pull"), PULL_TIMEOUT_S
+                request = PendingRequest("pull", pull=action, deadline=self._bus.now() + timeout_s)
+                self.ask(key, encode(Pull(body=action.body)), timeout_s, request)
             case io.Respond():
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
 

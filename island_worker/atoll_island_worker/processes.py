@@ -34,6 +34,8 @@ from atoll_core.signals import ENDING, INTERRUPTED, forget_handlers, handling, t
 
 _STOP_LIMIT_S: Final = 5.0
 _POLL_S: Final = 0.1
+_ENDING_POLL_S: Final = 0.01
+"""Pause between two polls of the children, normally and while they end, when somebody waits for this process."""
 _STDIN: Final = 0
 
 
@@ -331,7 +333,7 @@ class Supervisor:
             try:
                 while not all(process.policy.state == "ended" for process in self._processes):
                     self._poll(parent)
-                    self._sleep(_POLL_S)
+                    self._sleep(_POLL_S if self._deadline is None else _ENDING_POLL_S)
             finally:
                 self._kill()
                 self._exit_reasons.print_new(self._clock())

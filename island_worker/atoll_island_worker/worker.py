@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Final
 
-from atoll_core.compilation.cache import count_of
+from atoll_core.compilation.progress import count_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.logs import fields
 from atoll_core.machine import available_bytes, memory_bytes
@@ -146,9 +146,10 @@ class Worker:
     def _on_posted(self, item: object) -> None:  # noqa: C901  # a table of messages of threads
         match item:
             case WarmUpNote():
-                self._detail = item.sentence
                 done, kernels = count_of(item.sentence) or (0, 0)
-                level = logging.INFO if done in (0, kernels) else logging.DEBUG
+                is_new = (done, kernels) != count_of(self._detail)  # otherwise only the remaining time has changed
+                self._detail = item.sentence
+                level = logging.INFO if is_new and done in (0, kernels) else logging.DEBUG
                 _LOG.log(level, "warm-up", extra=fields(detail=item.sentence))
                 self._send_heartbeat()
             case WarmedUp():
@@ -234,7 +235,8 @@ class Worker:
                     body = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
                 finally:
                     answer = body if isinstance(body, epochs.Migrants | epochs.States) else None
-                    self._handle(io.PullEnded(asked, answer))
+                    has_timed_out = payload is None and self._bus.now() >= request.deadline
+                    self._handle(io.PullEnded(asked, answer, has_timed_out))
 
     def _fetch(self) -> None:
         """Request missing chunks of datasets and of inputs of tasks."""

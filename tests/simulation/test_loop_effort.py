@@ -77,7 +77,7 @@ class CountedWorld(World):
         self.hashed = self.queried = self.evaluated = 0
         self.kind = ""
         self.jobs = jobs
-        super().__init__(workers=1, slowness=10.0, prepare=prepare_in_proportion, refiner=refiner)
+        super().__init__(workers=1, slowness=20.0, prepare=prepare_in_proportion, refiner=refiner)
 
     def start_service(self) -> Service:
         for number in range(self.jobs):

@@ -7,8 +7,11 @@ ROOT = Path(__file__).resolve().parents[2]
 UNBOUNDED = {
     "_codec": "of the types of values that programs write and read",
     "_digest": "of the packages whose kernels are compiled",
+    "_end_idle_processes": "of the processes that are forked from one another",
+    "_index": "of the folder of a wheel's kernels",
     "_style": "of the style sheets that come with the package",
     "_version": "of the packages that results name",
+    "wheel_kernels": "of the packages whose kernels are compiled",
 }
 
 

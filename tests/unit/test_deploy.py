@@ -114,7 +114,7 @@ def test_compose_shows_the_page_on_this_machine_alone(compose: dict[str, Any]) -
 def test_the_image_copies_what_is_there_and_not_ignored(image: list[Instruction]) -> None:
     copied = [rest.split()[:-1] for rest in of(image, "COPY") if not rest.startswith("--from=build ")]
     sources = [source for words in copied for source in words]
-    programs = {"pyproject.toml", "README.md", "LICENSE", "common", "coordinator", "island_worker"}
+    programs = {"pyproject.toml", "hatch_build.py", "README.md", "LICENSE", "common", "coordinator", "island_worker"}
     assert set(sources) == programs | {"deploy/entrypoint.sh"}
     assert [source for source in sources if not (ROOT / source).exists()] == []
     assert [source for source in sources if is_ignored(source)] == []

@@ -1,10 +1,11 @@
-"""Compile the kernels of a package once per machine; choose the folder of the compiled kernels; show the progress.
+"""Compile the kernels of a package once per machine; choose the folder of the compiled kernels.
 
 There is one folder for each package and each digest of all source text that is compiled into its kernels. Checkouts,
 wheels and copies with equal sources therefore share machine code. Machine code of other sources is never loaded. If the
 kernels of one program change, the kernels of the other program stay compiled. A marker file for each kind of processor
 and compiler says that all kernels of the package have been compiled. If several processes find nothing compiled, one
-process compiles. The others wait and then load.
+process compiles. The others wait and then load. If a wheel brought kernels that this machine can use, nothing is
+compiled (`prebuilt`).
 """
 
 import contextlib
@@ -12,20 +13,17 @@ import functools
 import hashlib
 import os
 import platform
-import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from atoll_core.compilation import prebuilt
+from atoll_core.compilation.progress import Report, reporting
 from atoll_core.errors import AtollError
 from atoll_core.machine import user_folder
-
-if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
-
 
 WORKER: Final = ("atoll_core", "atoll_island_worker")
 """The packages whose kernels decide the bits of a search."""
@@ -42,6 +40,8 @@ on_ready: Final[list[Callable[[], None]]] = []
 """Callbacks that `jit` calls after each kernel that was compiled, or loaded from the cache."""
 
 _CPU_INFO: Final = Path("/proc/cpuinfo")
+_OWN_ONLY: Final = "ATOLL_OWN_KERNELS"
+"""The variable that excludes the kernels of a wheel if it is set and not 0."""
 _SETTINGS: Final = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCHECK")
 
 
@@ -88,8 +88,57 @@ def _digest(package: str) -> str:
 
 
 def is_compiled(package: str) -> bool:
-    """Return whether the kernels of a package have been compiled for this machine, so that they are only loaded."""
-    return marker(package).exists()
+    """Return whether the kernels of a package are compiled for this machine, so that they are only loaded."""
+    return isinstance(wheel_kernels(package), prebuilt.Kernels) or marker(package).exists()
+
+
+@functools.cache
+def wheel_kernels(package: str) -> prebuilt.Kernels | prebuilt.Unusable | None:
+    """Return the kernels that the installed wheel brought for `package`, or why they cannot be used.
+
+    The digests of the files are checked until the kernels have passed their self-test on this machine. The result is
+    None if there are none, or if the environment asks for other machine code.
+    """
+    if sys.flags.optimize >= 2 or any(os.environ.get(name) for name in _SETTINGS):
+        return None
+    if os.environ.get(_OWN_ONLY, "0") not in ("", "0"):
+        return None
+    found = prebuilt.find(package, _digest(package))
+    if not isinstance(found, prebuilt.Kernels):
+        return found
+    try:
+        outcome = _outcome_file(package, found).read_text("ascii")
+    except OSError:
+        return found if found.is_intact() else prebuilt.Unusable("were changed after they were built")
+    return found if outcome == _PASSED else prebuilt.Unusable("have failed their self-test on this machine")
+
+
+_PASSED: Final = "passed"
+_FAILED: Final = "failed"
+
+
+def _outcome_file(package: str, kernels: prebuilt.Kernels) -> Path:
+    """Return the file that says whether the kernels of this wheel have passed their self-test on this machine."""
+    return cache_directory(package) / f"wheel-{kernels.index_digest}-{_machine_digest()}"
+
+
+def _test_wheel_kernels(package: str, kernels: prebuilt.Kernels, exercise: "Exercise") -> None:
+    """Load the kernels and compare what they compute; raise AtollError if their results are wrong.
+
+    The outcome is written: later processes need not check the digests of the files of kernels that passed, and compile
+    instead of using kernels that failed.
+    """
+    is_right = exercise() == kernels.results
+    file = _outcome_file(package, kernels)
+    if not (is_right and file.exists()):
+        with contextlib.suppress(OSError):  # then the digests are checked each time
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(_PASSED if is_right else _FAILED, "ascii")
+    if not is_right:
+        raise AtollError(
+            "the compiled kernels of the installed wheel compute wrong values on this machine; start again to compile "
+            f"kernels here (or set {_OWN_ONLY}=1)"
+        )
 
 
 def marker(package: str) -> Path:
@@ -117,67 +166,30 @@ def _processor() -> str:
     return platform.processor()
 
 
-_COUNT: Final = re.compile(r"(\d+) of (\d+) compiled")
+Exercise = Callable[[], str]
+"""Calls every kernel with the types of arguments that the program uses, and returns a digest of what they computed."""
 
 
-def sentence_of(done: int, kernels: int) -> str:
-    """Return the progress message for `done` compiled kernels of all `kernels`."""
-    return f"compiling kernels, only once on this machine: {done} of {kernels} compiled"
-
-
-def count_of(sentence: str) -> tuple[int, int] | None:
-    """Return the numbers of compiled kernels and of all kernels in a progress message; None if it has no numbers."""
-    match = _COUNT.search(sentence)
-    return (int(match[1]), int(match[2])) if match else None
-
-
-class WarmUpDisplay:
-    """Shows the messages of warm-ups on stderr: progress bars on a terminal, else the first and the last count only."""
-
-    def __init__(self) -> None:
-        self._bars: Progress | None = None
-        self._tasks: dict[str, TaskID] = {}
-
-    def __call__(self, sentence: str, of: str = "") -> None:
-        """Show a message; `of` names one of several warm-ups."""
-        done, kernels = count_of(sentence) or (0, 0)
-        if kernels and sys.stderr.isatty():
-            self._draw(done, kernels, of)
-        elif done in (0, kernels):
-            sys.stderr.write(f"{of}: {sentence}\n" if of else f"{sentence}\n")
-
-    def _draw(self, done: int, kernels: int, of: str) -> None:
-        if self._bars is None:
-            from rich.console import Console
-            from rich.progress import Progress
-
-            self._bars = Progress(console=Console(stderr=True))
-            self._bars.start()
-        if of not in self._tasks:
-            self._tasks[of] = self._bars.add_task(f"compiling kernels, only once {of}".strip(), total=kernels)
-        self._bars.update(self._tasks[of], completed=done, refresh=True)
-        if self._bars.finished:
-            self._bars.stop()
-            self._bars = None
-            self._tasks.clear()
-
-
-Report = Callable[[str], None]
-
-
-def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, report: Report) -> None:
+def compile_or_load(package: str, exercise: Exercise, costs: Mapping[str, float], report: Report) -> None:
     """Compile or load all kernels of `package` by running `exercise`. Do nothing with ``NUMBA_DISABLE_JIT``.
 
-    `exercise` calls every kernel with the types of arguments that the program uses. Numba then compiles or loads as
-    many functions as `kernels` says. `report` is called with a message before the first compilation and after each
-    kernel, or if this process waits. Raises AtollError if the cache of compiled kernels cannot be written.
+    `costs` has each separately compiled function, in the order of the exercise, and the seconds of a processor that it
+    usually takes. `report` is called with a message before the first compilation, after each kernel and every second;
+    if this process waits; or if the kernels of a wheel cannot be used. Raises AtollError if the cache of compiled
+    kernels cannot be written, or if the kernels of a wheel fail their self-test.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
+    brought = wheel_kernels(package)
+    if isinstance(brought, prebuilt.Kernels):
+        _test_wheel_kernels(package, brought, exercise)
+        return
     if not is_compiled(package):  # otherwise a read-only folder is enough
+        if brought is not None:
+            report(f"the compiled kernels of the installed wheel {brought.reason}; kernels are compiled here")
         with _hold_lock(_make(cache_directory(package)) / "lock", report):
             if not is_compiled(package):
-                with _report_counts(kernels, report):
+                with reporting([*costs.values()], on_ready, report):
                     exercise()
                 marker(package).touch()
                 return
@@ -195,26 +207,6 @@ def _make(directory: Path) -> Path:
             "set ATOLL_KERNEL_CACHE to a folder that can be written"
         ) from error
     return directory
-
-
-@contextlib.contextmanager
-def _report_counts(kernels: int, report: Report) -> Iterator[None]:
-    """Report how many kernels are compiled: at the beginning, after each kernel, and at the end."""
-    done = 0
-
-    def count() -> None:
-        nonlocal done
-        done += 1
-        if done < kernels:  # the last count is reported below, since some kernels may have been ready before
-            report(sentence_of(done, kernels))
-
-    report(sentence_of(0, kernels))
-    on_ready.append(count)
-    try:
-        yield
-    finally:
-        on_ready.remove(count)
-    report(sentence_of(kernels, kernels))
 
 
 @contextlib.contextmanager

@@ -6,14 +6,17 @@ Machine code is found by the text of its sources and not by their folder (ADR 00
 in the same process are not changed.
 """
 
+import contextlib
 import functools
 import hashlib
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
-from atoll_core.compilation.cache import cache_directory, on_ready
+from atoll_core.compilation.cache import WORKER, cache_directory, on_ready, wheel_kernels
+from atoll_core.compilation.prebuilt import Kernels
 from atoll_core.errors import AtollError
 
 try:
@@ -21,6 +24,7 @@ try:
     import numba._dispatcher
     import numba.core.ccallback
     import numba.core.cgutils
+    import numba.core.codegen
     import numba.core.compiler
     import numba.core.runtime
     import numba.core.sigutils
@@ -38,6 +42,7 @@ IS_COMPILED = not numba.config.DISABLE_JIT
 
 types = numba.types
 cgutils = numba.core.cgutils
+_llvm = numba.core.codegen.ll
 intrinsic: Callable[[Callable[..., Any]], Any] = numba.extending.intrinsic
 
 _entry_points: Final[dict[tuple[Any, ...], Callable[..., Any]]] = {}
@@ -94,7 +99,48 @@ def callback(signature: str, function: F) -> Any:
     return result
 
 
-class _CalleeCompiler(_FunctionCompiler):  # type: ignore[misc]  # numba has no types
+_has_plain_indices: bool = False
+"""Whether the function that is being compiled has no negative indices; numba compiles one function at a time."""
+
+
+@functools.cache
+def _replace_index_code() -> None:
+    """Let numba ask `_has_plain_indices` before it writes the test for negative indices."""
+    import numba.np.arrayobj  # only if a function must be compiled, see `_Cache.load_overload`
+
+    numba_code = numba.np.arrayobj.fix_integer_index
+
+    def code(context: Any, builder: Any, kind: Any, index: Any, size: Any) -> Any:
+        if _has_plain_indices:
+            return context.cast(builder, index, kind, types.intp)
+        return numba_code(context, builder, kind, index, size)
+
+    numba.np.arrayobj.fix_integer_index = code
+
+
+@contextlib.contextmanager
+def _without_negative_indices(function: Callable[..., Any]) -> Iterator[None]:
+    """Compile indices of a kernel of the search as they are: none of them counts from the end of an array.
+
+    numba adds the size of the array to a negative index. In the kernels of the search, whose indices are stored in
+    arrays, this test took a tenth of the time (ADR 0101). Other functions are compiled as numba does it.
+    """
+    global _has_plain_indices
+    _replace_index_code()
+    before, _has_plain_indices = _has_plain_indices, function.__module__.partition(".")[0] in WORKER
+    try:
+        yield
+    finally:
+        _has_plain_indices = before
+
+
+class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]  # numba has no types
+    def _compile_core(self, args: Any, return_type: Any) -> Any:
+        with _without_negative_indices(self.py_func):
+            return super()._compile_core(args, return_type)
+
+
+class _CalleeCompiler(_KernelCompiler):
     def _customize_flags(self, flags: Any) -> Any:
         flags.no_compile = flags.no_cpython_wrapper = True
         return flags
@@ -128,8 +174,15 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         super().__init__(function, targetoptions={**options, "nopython": True})
+        self._compiler = _KernelCompiler(
+            function, self.targetdescr, self.targetoptions, {}, numba.core.compiler.Compiler
+        )
         self._cache = _Cache(function)
-        self._callee = _Callee(function, self.targetoptions)
+
+    @functools.cached_property
+    def _callee(self) -> _Callee:
+        """The function for compiled callers; made when one is compiled, not for loaded kernels."""
+        return _Callee(self.py_func, self.targetoptions)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         return self._callee.get_call_template(tuple(map(types.unliteral, args)), kws)
@@ -167,11 +220,66 @@ def _digest(file: str) -> str:
 
 
 class _Results(CompileResultCacheImpl):  # type: ignore[misc]
+    """What of a compilation is stored: machine code, and the names of its functions.
+
+    Numba also stores the LLVM code, for other functions that are compiled later with calls of this one. Kernels never
+    need it (`_Kernel`), and reading it took half of the time of loading.
+    """
+
     _locator_classes = (_Locator,)
+
+    def reduce(self, result: Any) -> Any:
+        (name, kind, (machine_code, llvm_code)), *rest = result._reduce()
+        return (name, kind, (machine_code, _without_bodies(llvm_code))), *rest
+
+
+_BODY: Final = re.compile(r"^(define [^\n]*\{)\n.*?^\}", re.MULTILINE | re.DOTALL)
+_UNUSED: Final = re.compile(r"^(declare |@[^\n]* = (private|internal) )[^\n]*\n", re.MULTILINE)
+"""What only the instructions of a function name: other functions, and constants."""
+
+
+def _without_bodies(llvm_code: bytes) -> bytes:
+    """Return LLVM code with the same functions and public variables, but without the instructions of functions."""
+    text = str(_llvm.parse_bitcode(llvm_code))
+    declared = _UNUSED.sub("", _BODY.sub(r"\1\n  unreachable\n}", text))
+    code: bytes = _llvm.parse_assembly(declared).as_bitcode()
+    return code
+
+
+class _WheelLocator(_Locator):
+    """The place of one function's machine code in the installed wheel; the function belongs to a package with some."""
+
+    def get_cache_path(self) -> str:
+        kernels = wheel_kernels(self._package)
+        assert isinstance(kernels, Kernels)
+        return str(kernels.folder)
+
+
+class _WheelResults(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_WheelLocator,)
+
+
+class _WheelCache(FunctionCache):  # type: ignore[misc]
+    """Machine code of one function that the installed wheel brought for a level of processors; it is only read."""
+
+    _impl_class = _WheelResults
+
+    def __init__(self, function: Callable[..., Any], kernels: Kernels) -> None:
+        super().__init__(function)
+        self._target = kernels.target
+
+    def _index_key(self, signature: Any, codegen: Any) -> Any:
+        arguments, _, code = super()._index_key(signature, codegen)
+        return arguments, self._target, code
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
     _impl_class = _Results
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        kernels = wheel_kernels(function.__module__.partition(".")[0])
+        self._wheel = _WheelCache(function, kernels) if isinstance(kernels, Kernels) else None
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the cached compilation, None if there is none.
@@ -181,7 +289,9 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         """
         numba.core.runtime.rtsys.initialize(target)
         with self._guard_against_spurious_io_errors():
-            result = self._load_overload(signature, target)
+            result = None if self._wheel is None else self._wheel._load_overload(signature, target)
+            if result is None:
+                result = self._load_overload(signature, target)
         if result is None:
             target.refresh()
         else:

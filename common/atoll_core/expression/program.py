@@ -130,14 +130,16 @@ def check_program_bytes(data: bytes, variables: int) -> None:
     codes, *nodes = struct.unpack_from(f"<{count}s{2 * count}h", data, 1)
     if len(data) != 1 + 5 * count + 8 * codes.count(CONSTANT):
         raise RemoteProtocolError(f"a program of {count} nodes has {len(data)} bytes, which does not fit")
+    known = len(OPERATORS)
     for index, (code, left, right) in enumerate(zip(codes, nodes[:count], nodes[count:], strict=True)):
-        if not 0 <= code < len(OPERATORS):
+        if code >= known:
             raise RemoteProtocolError(f"node {index} of a program has unknown operator code {code}")
-        if code in (VARIABLE, CONSTANT):
-            left_limit, right_limit = variables if code == VARIABLE else 1, 1
+        arity = ARITY[code]
+        if arity == 2:
+            fits = 0 <= left < index and 0 <= right < index
         else:
-            left_limit, right_limit = index, index if ARITY[code] == 2 else 1
-        if not (0 <= left < left_limit and 0 <= right < right_limit):
+            fits = right == 0 and 0 <= left < (index if arity else variables if code == VARIABLE else 1)
+        if not fits:
             raise RemoteProtocolError(f"node {index} of a program refers to {left}, {right}, which do not exist")
 
 

@@ -21,6 +21,7 @@ from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll.analysis.continuation import (
     BRANCH_POINT,
@@ -233,12 +234,20 @@ class _LUFactors:
     @property
     def scaled_determinant(self) -> float:
         """The sign of the determinant times the geometric mean of the pivots: it is 0 if the determinant is 0."""
-        from sympy.combinatorics import Permutation
-
         pivots = self._lu.U.diagonal()
-        parities = [Permutation(order.tolist()).signature() for order in (self._lu.perm_r, self._lu.perm_c)]
-        sign = np.prod(np.sign(pivots)) * parities[0] * parities[1]
+        sign = np.prod(np.sign(pivots)) * _parity(self._lu.perm_r) * _parity(self._lu.perm_c)
         return float(sign * np.exp(np.log(np.maximum(np.abs(pivots), 1e-300)).mean()))
+
+
+def _parity(permutation: npt.NDArray[np.int32]) -> int:
+    """Return 1 for an even permutation of 0, 1, ... and -1 for an odd one."""
+    order, parity = permutation.tolist(), 1
+    for start in range(len(order)):
+        while order[start] != start:  # each exchange puts one number in its place
+            target = order[start]
+            order[start], order[target] = order[target], target
+            parity = -parity
+    return parity
 
 
 class Linearised:

@@ -19,7 +19,7 @@ import uuid
 from collections.abc import Mapping
 from numbers import Integral
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from atoll.api.model import Model
 from atoll.api.tables import NAME, files_of, in_python, python_words, table_of
@@ -37,6 +37,9 @@ from atoll_core.errors import AtollError, DataError, RefusedError, UnreachableEr
 from atoll_core.machine import usable_cores
 from atoll_core.quoting import did_you_mean, shown
 from atoll_core.wire.messages.views import JobView, Workforce
+
+if TYPE_CHECKING:
+    from atoll.executors.driver import SubmittedTable
 
 
 def is_notebook() -> bool:
@@ -142,13 +145,19 @@ _services: Final[dict[int, LocalService]] = {}
 """Services by number of workers; another thread may use a service with another number."""
 
 
+def number_of(workers: int | None) -> int | None:
+    """Return a number of workers (None: not given); raises UsageError."""
+    if workers is not None and not (isinstance(workers, Integral) and 1 <= workers <= MOST_WORKERS):
+        raise UsageError(f"workers must be a whole number from 1 to {MOST_WORKERS}, but {workers!r} was given")
+    return workers
+
+
 def local_address(workers: int | None = None) -> str:
     """Return the address of a local service with this number of workers; start the service if needed.
 
     `workers` None: any running service, else a new one with a worker for each usable core.
     """
-    if workers is not None and not (isinstance(workers, Integral) and 1 <= workers <= MOST_WORKERS):
-        raise UsageError(f"workers must be a whole number from 1 to {MOST_WORKERS}, but {workers!r} was given")
+    workers = number_of(workers)
     with _LOCK:
         for number, service in [*_services.items()]:
             if not service.is_alive:
@@ -255,7 +264,7 @@ class SubmittedJob:
                 raise RefusedError(f"job {self.id} is {view.state}; {error}") from None
 
 
-def discover(
+def discover(  # noqa: PLR0913  # where a job runs, and its options
     data: object,
     *,
     connect: str | None = None,
@@ -263,6 +272,7 @@ def discover(
     workers: int | None = None,
     progress: bool | None = None,
     priority: int = 0,
+    executor: object = None,
     **options: object,
 ) -> Model:
     """Find the equations of `data` and return them as a model.
@@ -276,6 +286,9 @@ def discover(
         workers: number of worker processes on this machine; None: one for each core.
         progress: whether to show the progress on stderr; None: on a terminal and in a notebook.
         priority: -10 to 10; each step doubles the job's share of the workers, and the job starts sooner.
+        executor: compute on an executor instead of the service: an executor of `concurrent.futures`, loky or mpi4py, a
+            function that returns one, a ``distributed.Client``, or the module ``ray``. `workers` is then the number of
+            tasks at the same time; None: as many as the executor has workers. The result is the same to the bit.
         options: options of ``coordinator run``, such as ``time="year"``, ``seed=3``, ``known={"dy": "-x"}``; a value
             may be a text, a number, a list, a mapping, or True for a switch.
 
@@ -287,6 +300,10 @@ def discover(
         DataError: the data cannot be used.
         AtollError: the job failed.
     """
+    if executor is not None:
+        if connect is not None or tls is not None or priority != 0:
+            raise UsageError("connect, tls and priority are for the service; leave them out, or leave out executor")
+        return _discover_on(executor, data, number_of(workers), progress, options)
     job = submit(data, connect=connect, tls=tls, workers=workers, priority=priority, **options)
     job.wait(progress=progress)
     try:
@@ -295,6 +312,35 @@ def discover(
         if job.is_interrupted:  # before any equation was found
             raise KeyboardInterrupt from None
         raise
+
+
+def _discover_on(
+    executor: object, data: object, workers: int | None, progress: bool | None, options: Mapping[str, object]
+) -> Model:
+    """Return the model of `data`, computed on an executor."""
+    from atoll.executors.driver import solve
+
+    table, read_as = table_of_options(data, options)
+    with _display(progress) as display, python_words():
+        if read_as:
+            display.print_note(f"read as {read_as}")
+
+        def show(view: JobView, number: int) -> None:
+            display.show(view, Workforce(alive=number), time.monotonic())
+
+        return Model(json.loads(solve(table, executor, workers, show)))
+
+
+def table_of_options(data: object, options: Mapping[str, object]) -> "tuple[SubmittedTable, str]":
+    """Return `data` and options as a job for an executor, and a sentence on how the data were read."""
+    from atoll.executors.driver import SubmittedTable
+
+    config = config_of(options)
+    with python_words():
+        check_sheet(files_of(data), config.data.sheet)
+        table = table_of(data, config.data)
+    name = table.files[0] if table.files else NAME
+    return SubmittedTable(f"py-{uuid.uuid4().hex[:12]}", name, config, table.to_bytes()), table.read_as
 
 
 def submit(

@@ -389,6 +389,7 @@ class Model(ModelCore):
     def to_sympy(self) -> "dict[str, sympy.Expr]":
         """Return the right-hand sides as sympy expressions, by left-hand side; constants are not rounded.
 
+        Needs sympy (``pip install 'atoll[sympy]'``); raises UsageError without it.
         Constants that differ between `groups` are means over them; see `of_group`.
         """
         from atoll.display.notation import sympy_expressions

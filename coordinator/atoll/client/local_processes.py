@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self
@@ -141,6 +141,7 @@ class LocalCoordinator:
         self._workers = workers
         self._stop = threading.Event()
         self._listening = threading.Event()
+        self._wake: Callable[[], object] = lambda: None
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="coordinator", daemon=True)
 
@@ -150,6 +151,7 @@ class LocalCoordinator:
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
+        self._wake()
         self._thread.join(_COORDINATOR_STOP_S)
 
     def wait(self) -> None:
@@ -173,6 +175,7 @@ class LocalCoordinator:
 
             with Store.open(None) as store, open_router(self._endpoint) as bus:
                 service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True)
+                self._wake = service.wake
                 self._listening.set()
                 service.run(self._stop)
         except BaseException as error:  # the main thread raises it

@@ -2,11 +2,13 @@
 
 from collections.abc import Iterable, Sequence
 from html import escape
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
 from atoll.export.formats import latex_lines
 from atoll.model.equations import unit_text
 from atoll.terminal.output import table
+from atoll_core.errors import UsageError
 from atoll_core.expression.text.export import left_side_to_mathml, to_mathml
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.redaction import without_secrets
@@ -46,9 +48,11 @@ def latex(model: "ModelCore") -> str:
 
 
 def sympy_expressions(model: "ModelCore") -> "dict[str, sympy.Expr]":
-    """Return the right-hand sides as sympy expressions, by left-hand side."""
+    """Return the right-hand sides as sympy expressions, by left-hand side; raises UsageError without sympy."""
     from atoll_core.expression.text.export import to_sympy
 
+    if find_spec("sympy") is None:
+        raise UsageError("expressions of sympy need sympy, which is not installed; run: pip install 'atoll[sympy]'")
     names = model.result.names
     return {equation.lhs: to_sympy(from_infix(equation.exact, names), names) for equation in model.equations}
 

@@ -24,14 +24,17 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.expression.derivative import derivative, with_variables
 from atoll_core.expression.evaluation import NUMPY, function_of
-from atoll_core.expression.operators import VARIABLE, Functions
+from atoll_core.expression.operators import CONSTANT, VARIABLE, Functions
 from atoll_core.expression.program import Program, constant_places
-from atoll_core.expression.text.export import to_sympy
+from atoll_core.expression.text.infix import displayed_form, to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
 
 MOST_STATES: Final = 200
 """Largest number of states: the Jacobian of 200 states has 40,000 formulas."""
+
+_TERM_DIGITS: Final = 15
+"""Significant digits of constants in the names of terms."""
 
 _VELOCITY: Final = "_dot"
 
@@ -139,17 +142,15 @@ class VectorField:
 
         Other parameters in the term have the values `p` (P,).
         """
-        import sympy
-
-        names, values = (*self.states, *self.inputs), p.tolist()
+        names = (*self.states, *self.inputs)
         slope = derivative(self._sides[names.index(self.parameters[index].variable)], len(names) + index)
-        marks = [f"[{number}]" for number in range(len(values))]  # no state can have such a name
-        known = {
-            sympy.Symbol(mark): sympy.Integer(value) if value.is_integer() else sympy.Float(value)
-            for mark, value in zip(marks, values, strict=True)
-        }
-        term = to_sympy(slope, [*names, *marks]).xreplace(known)
-        return str(-term if term.could_extract_minus_sign() else term)
+        operators, left, constants = slope.operators.copy(), slope.left.copy(), slope.constants.copy()
+        known = (operators == VARIABLE) & (left >= len(names))
+        constants[known] = p[left[known] - len(names)]
+        operators[known], left[known] = CONSTANT, 0
+        term = Program(operators, left, slope.right, constants)
+        is_negative = displayed_form(term, _TERM_DIGITS).whole.negative
+        return to_infix(term, names, digits=_TERM_DIGITS).removeprefix("-" if is_negative else "")
 
     @cached_property
     def _sides(self) -> list[Program]:

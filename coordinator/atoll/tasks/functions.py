@@ -26,6 +26,23 @@ class TaskHandler:
     call: Call
 
 
+def load_ahead() -> None:
+    """Load the modules for preparing and refining, and their kernels if they are compiled; forks then inherit all.
+
+    Kernels that are not compiled yet are left to the tasks, since compiling takes tens of seconds.
+    """
+    import scipy.special  # noqa: F401
+
+    import atoll_coordinator.data.prepare
+    import atoll_coordinator.model.pipeline
+    import atoll_coordinator.tasks.preparing
+    import atoll_coordinator.tasks.refining  # noqa: F401
+    from atoll_core.compilation.cache import is_compiled
+
+    if is_compiled("atoll_coordinator"):
+        load_refinement()
+
+
 def load_preparation() -> None:
     """Load the modules for preparing; its kernels are loaded when they are needed."""
     import atoll_core.data.table  # noqa: F401

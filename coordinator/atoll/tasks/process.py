@@ -14,6 +14,7 @@ that is computed twice. `Team.workers` counts only helpers that asked recently.
 
 import contextlib
 import hashlib
+import importlib
 import logging
 import os
 import queue
@@ -247,13 +248,17 @@ def compute(batch: TaskBatch) -> bytes | None:
 
 
 def _computed(function: str, context: bytes, item: bytes) -> bytes:
-    import atoll_coordinator.model.pipeline  # noqa: F401  # fills the table
     from atoll_coordinator.model.batches import FUNCTIONS
 
-    if function not in FUNCTIONS:
-        import atoll.experiments.identifiability  # noqa: F401  # adds to the table
-
+    for module in _MODULES.get(function, _OTHERS):
+        if function not in FUNCTIONS:
+            importlib.import_module(module)
     return FUNCTIONS[function](context, item)
+
+
+_MODULES: Final = {"epochs": ("atoll.executors.epochs",)}
+_OTHERS: Final = ("atoll_coordinator.model.pipeline", "atoll.experiments.identifiability")
+"""Modules that add to the table of batch functions: those of one function, and those of all others."""
 
 
 _STDIN: Final = 0

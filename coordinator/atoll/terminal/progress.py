@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from atoll.client.follower import Display
 from atoll.terminal.output import clip, count, duration, error_text, note, shorten
-from atoll_core.compilation.cache import count_of
+from atoll_core.compilation.progress import share_of
 from atoll_core.quoting import visible, visible_line
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, VariableView, Workforce
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Group
 
 PLAIN_INTERVAL_S: Final = 5.0
-_PASSING: Final = re.compile(r"\b[0-9]+ (s\b|of [0-9]+ compiled)")
+_PASSING: Final = re.compile(r"\b[0-9]+ (s( of [0-9]+ s left)?\b|of [0-9]+ compiled)")
 """Numbers of seconds and of compiled kernels: they change every second, without a change of the state."""
 _HEADS: Final = ("equation", "epoch", "error", "size", "best so far", "")
 
@@ -176,6 +176,6 @@ class LiveDisplay(Display):
         for variable in view.variables:
             is_found = variable.verdict in ("exact", "good") if variable.verdict else variable.converged
             grid.add_row(*(Text(visible_line(cell)) for cell in row(variable)), style="green" if is_found else "")
-        compiled = [count_of(detail) for detail in workforce.details]
-        bars = [ProgressBar(total=known[1], completed=known[0], width=40) for known in compiled if known is not None]
+        shares = [share_of(detail) for detail in workforce.details]
+        bars = [ProgressBar(total=1.0, completed=share, width=40) for share in shares if share is not None]
         return Group(Text(visible(headline(view, workforce, self._hint))), *bars, *([grid] if view.variables else []))

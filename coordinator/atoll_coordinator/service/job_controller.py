@@ -36,8 +36,10 @@ one long module: to understand one change, a reader must also read how jobs end.
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
+from types import TracebackType
 from typing import Final
 
 from pydantic import ValidationError
@@ -63,6 +65,7 @@ from atoll_coordinator.service.monitoring.job_views import (
     outcomes_of,
     queue_depth,
 )
+from atoll_coordinator.service.monitoring.shown_equations import FrontWritten, ShownEquations
 from atoll_coordinator.service.scheduling.fair_share import TaskTurns, Turn
 from atoll_coordinator.service.scheduling.job_queue import NO_TIME, JobQueue, pause_reason
 from atoll_coordinator.service.scheduling.limits import DAY_S, TaskTime
@@ -123,6 +126,7 @@ class JobController:
         self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
         self.workers: Final = WorkerController(self, store, channel, self.events, expected_workers)
         self.counters: Final = self.workers.counters
+        self.equations: Final = ShownEquations(background.write_front)
         self.shown: Final = JobViews(self.jobs, self.ending, self.queue, self, store, self.breakages)
         self.checkpoints: Final = PullBudget()
         self.changed: Callable[[str], object] = lambda job: None
@@ -451,12 +455,15 @@ class JobController:
                 self._change(item.job, "ending", now, lambda job: job.finish(item.text))
             case background.RefiningFailed():
                 self._change(item.job, "ending", now, lambda job: job.finish_unrefined(item.refinement))
+            case FrontWritten():
+                self.shown.add_written(item)
+                self.changed(item.front.job)
             case background.CheckpointWritten():
                 with self.guarded(item.checkpoint.job, "committing a checkpoint", now):
                     self._commit_checkpoint(item, now)
-                self._place(now)  # archipelagos may have waited for this checkpoint
-                if self.checkpoints.is_short:
-                    self._advance_checkpoints(now)
+                if self._may_change_placement(item.checkpoint):  # it has waited for this checkpoint
+                    self._place(now)
+                self._advance_waiting(now)
 
     def _prepare_checked(self, checked: background.TableChecked, now: float) -> None:
         job = self.jobs.get(checked.job)
@@ -644,7 +651,16 @@ class JobController:
         with self.guarded(pull.job, "adding states", now, by_peer=True):
             self.checkpoints.add_states(archipelago, worker, pull, body)
         if body is not None:
-            self._advance_checkpoints(now)
+            self._advance_checkpoint(pull.job, pull.variable, now)
+            self._advance_waiting(now)
+
+    def _may_change_placement(self, checkpoint: Checkpoint) -> bool:
+        """Return whether the archipelago of a checkpoint that was written may now begin another term."""
+        job = self.jobs.get(checkpoint.job)
+        archipelago = job.open_archipelago(checkpoint.variable) if job is not None else None
+        if job is None or archipelago is None:
+            return False
+        return job.is_held or archipelago.placement is None or archipelago.is_planned
 
     def _mark_durable(self, checkpoint: Checkpoint, now: float) -> None:
         job = self.jobs.get(checkpoint.job)
@@ -656,7 +672,7 @@ class JobController:
         self.workers.crash_loops.add_commit(checkpoint.key, checkpoint.epoch)
         self.events.record_commit(checkpoint)
         if commit is not None:
-            self._channel.publish(commit)
+            self.workers.tell(archipelago, commit)
 
     def _advance_checkpoints(self, now: float) -> None:
         """Pull the states that are due, and start writing complete checkpoints."""
@@ -664,6 +680,11 @@ class JobController:
             self.checkpoints.begin_round({archipelago.key: archipelago for archipelago in self._open_archipelagos()})
         for archipelago in self._open_archipelagos():
             self._advance_checkpoint(archipelago.job, archipelago.variable, now)
+
+    def _advance_waiting(self, now: float) -> None:
+        """Pull the states that waited for the end of other pulls, or for memory."""
+        for job_id, variable in self.checkpoints.waiting:
+            self._advance_checkpoint(job_id, variable, now)
 
     def _advance_checkpoint(self, job_id: str, variable: str, now: float) -> None:
         """Pull states and write the checkpoint of one archipelago: a visit to all at each message would be slow."""
@@ -691,25 +712,20 @@ class JobController:
                 self._carry_out(job, act(job), now)
             self.changed(job_id)
 
-    @contextlib.contextmanager
-    def guarded(self, job_id: str, task: str, now: float, *, by_peer: bool = False) -> Iterator[None]:
+    def guarded(self, job_id: str, task: str, now: float, *, by_peer: bool = False) -> AbstractContextManager[None]:
         """Let an error within the block end only this job, which the block may have changed in part.
 
         `by_peer`: the block handles a message of a peer. A RemoteProtocolError then means that the message was wrong
         and has changed nothing; this error is raised. A StoreError does not concern a single job, and is raised as
         well.
         """
-        try:
-            with about(job=job_id or None):
-                yield
-        except StoreError:
-            raise
-        except Exception as error:
-            if by_peer and isinstance(error, RemoteProtocolError):
-                raise
-            job, ending = self.jobs.get(job_id), self.ending.get(job_id)
-            job = ending.job if ending is not None else job
-            self._end_broken(job_id, self.breakages.add(task, error, job.config if job is not None else None), now)
+        return _Guard(self, job_id, task, now, by_peer)
+
+    def end_by_error(self, job_id: str, task: str, error: Exception, now: float) -> None:
+        """End a job by an internal error during `task`, which may have changed the job in part."""
+        job, ending = self.jobs.get(job_id), self.ending.get(job_id)
+        job = ending.job if ending is not None else job
+        self._end_broken(job_id, self.breakages.add(task, error, job.config if job is not None else None), now)
 
     def _end_broken(self, job_id: str, sentence: str, now: float) -> None:
         """End a job that an error may have changed only in part, with as much of its result as possible."""
@@ -790,7 +806,7 @@ class JobController:
                 case CommitCuts():
                     self._commit_cuts(job, action.cuts)
                 case PublishCommit():
-                    self._channel.publish(action.commit)
+                    self.workers.tell(job.archipelagos[action.commit.variable], action.commit)
                 case Refine():
                     self.queue.remove(job.id)
                     self._store.update_job(job.id, state="refining")
@@ -805,9 +821,10 @@ class JobController:
     def _commit_cuts(self, job: Job, cuts: Sequence[Cut]) -> None:
         self._store.commit_cuts(job.id, {cut.variable: encode(cut) for cut in cuts})
         for cut in cuts:
-            placement = job.archipelagos[cut.variable].placement
-            if placement is not None:
-                self._channel.publish(Close(job=job.id, variable=cut.variable, term=placement.term))
+            archipelago = job.archipelagos[cut.variable]
+            if archipelago.placement is not None:
+                close = Close(job=job.id, variable=cut.variable, term=archipelago.placement.term)
+                self.workers.tell(archipelago, close)
             self.events.record_cut(job.id, cut)
 
     def _end(self, job: Job, now: float) -> None:
@@ -906,6 +923,35 @@ class JobController:
 
     def _open_archipelagos(self) -> list[Archipelago]:
         return [archipelago for job in self.begun.values() for archipelago in job.open_archipelagos]
+
+
+class _Guard:
+    """The context of `JobController.guarded`. A class, because a message enters several of these contexts, and a
+    generator takes three times as long."""
+
+    __slots__ = ("_about", "_by_peer", "_controller", "_job_id", "_now", "_task")
+
+    def __init__(self, controller: JobController, job_id: str, task: str, now: float, by_peer: bool) -> None:
+        self._controller = controller
+        self._job_id = job_id
+        self._task = task
+        self._now = now
+        self._by_peer = by_peer
+        self._about = about(job=job_id or None)
+
+    def __enter__(self) -> None:
+        self._about.__enter__()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        self._about.__exit__(kind, error, trace)
+        if not isinstance(error, Exception) or isinstance(error, StoreError):
+            return False
+        if self._by_peer and isinstance(error, RemoteProtocolError):
+            return False
+        self._controller.end_by_error(self._job_id, self._task, error, self._now)
+        return True
 
 
 def _broken(job: Job | None, sentence: str) -> Ending | None:

@@ -168,6 +168,10 @@ class Service:
         self.start()
         self.work(stop)
 
+    def wake(self) -> None:
+        """Let a loop that waits for events check at once whether it should stop. From any thread."""
+        self._bus.post(_TimeCheck())
+
     def set_policy(self, limits: Limits, role_bindings: RoleBindings | None) -> None:
         """Apply new limits and roles; workers that may no longer take part are shut down and treated as lost.
 

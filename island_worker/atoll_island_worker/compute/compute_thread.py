@@ -20,7 +20,7 @@ from atoll_island_worker.compute.run_queue import RunQueue, brief
 from atoll_island_worker.session import interface as io
 
 if TYPE_CHECKING:
-    from atoll_core.data.dataset import Dataset
+    from atoll_core.data.dataset import Dataset, Problem
     from atoll_island_worker.evolution.island import Island
 
 _MOST: Final = 10
@@ -32,6 +32,7 @@ class Engine:
 
     def __init__(self) -> None:
         self._jobs: dict[str, tuple[JobConfig, Dataset]] = {}
+        self._problems: dict[tuple[str, str], Problem] = {}  # islands of one problem share parts of their setups
         self._islands: dict[io.ShardKey, dict[int, Island]] = {}
 
     def load(self, job: str, config: JobConfig, dataset: bytes) -> io.JobReady | io.LoadFailed:
@@ -50,17 +51,23 @@ class Engine:
 
         key = task.key
         config, dataset = self._jobs[key.job]
-        problem, islands = dataset.problem(key.variable), self._islands.setdefault(key.shard, {})
+        if (key.job, key.variable) not in self._problems:
+            self._problems[key.job, key.variable] = dataset.problem(key.variable)
+        problem, islands = self._problems[key.job, key.variable], self._islands.setdefault(key.shard, {})
         if task.state is not None:
             island = Island.from_bytes(task.state, problem, config, key.island)
-            if island.epoch != key.epoch:
+            if island.epoch != key.epoch - (task.blocks is not None):
                 raise RemoteProtocolError(f"a state of epoch {island.epoch} came for epoch {key.epoch}")
             islands[key.island] = island
         elif task.blocks is None:
             islands[key.island] = Island(problem, config, key.island)
-        else:
+        if task.blocks is not None:
             islands[key.island].immigrate(task.blocks)
         return Epoch(task, islands[key.island])
+
+    def state_of(self, key: io.TaskKey) -> bytes:
+        """Return the state of an island after a whole epoch; another process continues from it and its immigrants."""
+        return self._islands[key.shard][key.island].to_bytes()
 
     def forget(self, shard: io.ShardKey) -> None:
         """Forget the islands of an archipelago's term."""
@@ -69,6 +76,7 @@ class Engine:
     def forget_job(self, job: str) -> None:
         """Forget a job's dataset."""
         self._jobs.pop(job, None)
+        self._problems = {key: problem for key, problem in self._problems.items() if key[0] != job}
 
 
 class Epoch:

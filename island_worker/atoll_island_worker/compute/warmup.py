@@ -1,16 +1,23 @@
 """Prepares the kernels of the search before work arrives: compiled once per machine, loaded afterwards."""
 
+import hashlib
 from typing import TYPE_CHECKING, Final
 
-from atoll_core.compilation.cache import Report, compile_or_load
+from atoll_core.compilation.cache import compile_or_load
+from atoll_core.compilation.progress import Report
 
 if TYPE_CHECKING:
     from atoll_core.data.dataset import Problem
 
 _PACKAGE: Final = "atoll_island_worker"
 _ROWS: Final = 40
-KERNELS: Final = 13
-"""Number of separately compiled kernels that an epoch needs."""
+COSTS: Final = {
+    "_apply": 2.6, "gather": 0.6, "random_population": 0.5, "draw_coevolution": 0.4, "train": 2.1, "judge_all": 0.4,
+    "measure_all": 8.6, "advance": 9.4, "most_disputed": 2.3, "choose_offers": 2.6, "refit_offers": 4.0,
+    "write_variant": 1.8, "refit": 1.4,
+}  # fmt: skip
+"""The separately compiled kernels that an epoch needs, and the seconds of a processor that each took on one machine
+(``python -m benchmarks.kernels.compiling``)."""
 
 
 def warm_up(report: Report) -> None:
@@ -19,14 +26,18 @@ def warm_up(report: Report) -> None:
     Raises:
         AtollError: the cache of compiled kernels cannot be written.
     """
-    compile_or_load(_PACKAGE, run_small_epochs, KERNELS, report)
+    compile_or_load(_PACKAGE, run_small_epochs, COSTS, report)
 
 
-def run_small_epochs() -> None:
-    """Run one small epoch of one island for each preset, and the steps between two epochs."""
+def run_small_epochs() -> str:
+    """Run one small epoch of one island for each preset, and the steps between two epochs.
+
+    Return a digest of the last states of the islands.
+    """
     from atoll_core.config import PRESETS, BudgetConfig, JobConfig, MigrationConfig
     from atoll_island_worker.evolution.island import Island
 
+    digest = hashlib.blake2b(digest_size=16)
     for preset in PRESETS.values():
         fields = {
             **{name: getattr(preset, name) for name in JobConfig.model_fields},
@@ -43,6 +54,8 @@ def run_small_epochs() -> None:
         if island.report().hit is None:
             island.immigrate(island.emigrants())
             Island.from_bytes(island.to_bytes(), problem, config, 0).advance()
+        digest.update(island.to_bytes())
+    return digest.hexdigest()
 
 
 def _small_problem() -> "Problem":

@@ -3,7 +3,7 @@
 Only individuals that were measured on all rows enter. The best individual of each size is refitted on all rows. Its
 linear scaling can be written into the program in several ways (with or without the shift, coefficients near 1 exact or
 not); each way that improves the front is an addition. The path of an individual: list -> `FrontUpdater.offer` (refit in
-kernels, into a `Book`) -> `Formula` (short Python lists) -> canonical tape, measured again -> `FrontEntry`.
+kernels, into a `Book`) -> canonical tape with its coefficients, measured again in kernels -> `FrontEntry`.
 
 The population ignores bounds on constants. A program that would enter the front is checked for all required variables
 and fitted again within the bounds (`restrained`, ADR 0050). For noisy targets the next best programs of each size are
@@ -11,27 +11,29 @@ kept, too (`RunnersUp`); this class only stores measured programs.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
+from atoll_core.expression.operators import ARITY, CONSTANT, NEGATE, SUBTRACT
 from atoll_core.expression.program import Program, constant_places, tree_size
 from atoll_core.expression.restrictions import EquationBounds, Restrictions
 from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.expression.writing.shortest import collected
 from atoll_core.search.pareto import FrontEntry, merge, runners_up
-from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.kernels.offers import (
     SIMPLE,
+    SIMPLE_COEFFICIENTS,
+    WITHOUT_SHIFT,
     choose_near,
     choose_offers,
     refit,
     refit_offers,
     structure_hash,
+    write_variant,
 )
 from atoll_island_worker.evolution.kernels.tape import canonical_tape
 from atoll_island_worker.evolution.setup import IslandSetup
@@ -50,8 +52,7 @@ from atoll_island_worker.evolution.structures import (
 )
 
 
-@dataclass(frozen=True)
-class Node:
+class Node(NamedTuple):
     """One node: operator code, arguments (or the variable's index), and the value of a constant."""
 
     code: int
@@ -99,41 +100,6 @@ def to_program(formula: Formula) -> Program:
         np.array([node.right for node in formula], np.int16),
         np.array([node.constant for node in formula]),
     )
-
-
-def combine_terms(formula: Formula, terms: Sequence[int], coefficients: Sequence[float], shift: float) -> Formula:
-    """Return shift + sum of coefficient * term, where the terms are nodes of `formula`; zero coefficients are left out.
-
-    A positive term comes first if there is one, so that negative terms become differences. Dead nodes stay in the list.
-    """
-    nodes = list(formula)
-    pairs = [(node, a) for node, a in zip(terms, coefficients, strict=True) if a != 0.0]
-    pairs.sort(key=lambda pair: pair[1] < 0.0)
-    top = -1
-    for node, a in pairs:
-        top = _joined(nodes, top, node, a)
-    if top < 0:
-        nodes.append(Node(CONSTANT, constant=shift))
-    elif shift != 0.0:
-        nodes += [Node(CONSTANT, constant=shift), Node(ADD, top, len(nodes))]
-    elif top < len(nodes) - 1:
-        nodes = nodes[: top + 1]
-    return tuple(nodes)
-
-
-def _joined(nodes: list[Node], top: int, node: int, a: float) -> int:
-    """Append the nodes of ``top + a * node`` (``a * node`` without a top); return the index of the last."""
-    size = abs(a) if top >= 0 else a
-    if size == -1.0:
-        nodes.append(Node(NEGATE, node))
-        node = len(nodes) - 1
-    elif size != 1.0:
-        nodes += [Node(CONSTANT, constant=size), Node(MULTIPLY, node, len(nodes))]
-        node = len(nodes) - 1
-    if top < 0:
-        return node
-    nodes.append(Node(ADD if a > 0.0 else SUBTRACT, top, node))
-    return len(nodes) - 1
 
 
 def reductions(formula: Formula) -> Iterator[Formula]:
@@ -273,13 +239,15 @@ class RunnersUp:
 REFIT_STEPS = 10
 POLISH_STEPS = 4
 PRUNE_STEPS = 15
-PRUNE_SAMPLE = 64
 MOST_NODES = 200
 _NEAR = 2.0
 _NEAR_EXACT = 1e-6
 _PROMISING = 10.0
 _POLISHED = 0.95
 """Refining the constants of a program again is expected to reduce its loss at most to this share."""
+
+_UNSCALED: Final = -1
+"""The variant without coefficients, see `write_variant`."""
 
 _SLACK = 1.2
 """If runners-up are kept: constants are refined for individuals with a loss up to this factor above the useful loss."""
@@ -294,7 +262,11 @@ class Front:
     """Non-dominated `entries` by rising complexity and falling error. Among equal entries the earliest is kept."""
 
     def __init__(self) -> None:
-        self._entries: tuple[FrontEntry, ...] = ()
+        self._keep(())
+
+    def _keep(self, entries: tuple[FrontEntry, ...]) -> None:
+        self._entries = entries
+        self._complexities = [entry.complexity for entry in entries]
         self._least: Floats | None = None
 
     @property
@@ -304,8 +276,7 @@ class Front:
 
     def replace(self, entries: Iterable[FrontEntry]) -> None:
         """Restore a saved front."""
-        self._entries = merge((), entries)
-        self._least = None
+        self._keep(merge((), entries))
 
     def least_error(self) -> float | None:
         """Return the smallest error, None while the front is empty."""
@@ -313,7 +284,8 @@ class Front:
 
     def error_at(self, complexity: int) -> float:
         """Return the least error of entries with at most this complexity; inf if there is none."""
-        return min((e.error for e in self._entries if e.complexity <= complexity), default=math.inf)
+        place = bisect_right(self._complexities, complexity)
+        return self._entries[place - 1].error if place else math.inf
 
     def least_by_size(self, sizes: int) -> Floats:
         """Return `error_at` for each complexity below `sizes`, shape (sizes,); the caller must not change it."""
@@ -327,8 +299,7 @@ class Front:
         """Add `entry` if its error is smaller than `error_at` its complexity; return whether it was added."""
         if not entry.error < self.error_at(entry.complexity):
             return False
-        self._entries = merge(self._entries, (entry,))
-        self._least = None
+        self._keep(merge(self._entries, (entry,)))
         return True
 
 
@@ -336,7 +307,7 @@ class FrontUpdater:
     """Offers individuals to a front, and to its runners-up if these are kept.
 
     `offered` and `offered_loss` (sizes,) are hash and loss of the last structure of each size that was offered to the
-    front. `sample` are rows spread evenly over all rows.
+    front.
     """
 
     def __init__(self, setup: IslandSetup, front: Front, runners_up: RunnersUp) -> None:
@@ -355,7 +326,6 @@ class FrontUpdater:
         self._result = np.zeros(2)
         self._unscaled = Fit(setup.fit.steps, 0, MOST_FITTED, setup.fit.loss, math.inf)
         self._largest = setup.config.space.max_size or MOST_NODES
-        self.sample = _spread(setup.every)
 
     def offer(self, lists: Lists, fitness: Floats, counters: Ints, tag: Tag, offers_next_best: bool) -> Additions:
         """Measure the best of each size on all rows and offer it; return the additions to front and runners-up.
@@ -396,8 +366,8 @@ class FrontUpdater:
         if not (keeps or loss < self._front.error_at(int(book.size[k]))):
             return
         limit = _NEAR * loss + _NEAR_EXACT * self._setup.deviation
-        for variant, expected in self._variants(from_book(book, k), k, limit).items():
-            entry = self._measured(variant, expected, counters, tag)
+        for variant, expected in self._variants(k, limit):
+            entry = self._measured(k, variant, expected, counters, tag)
             if entry is None:
                 continue
             if keeps:
@@ -409,29 +379,36 @@ class FrontUpdater:
         """Return the loss of the last measurement, in the target's units."""
         return float(self._result[0]) if self._setup.fit.loss == 0 else math.sqrt(float(self._result[1]))
 
-    def _variants(self, formula: Formula, k: int, limit: float) -> dict[Formula, float]:
-        """Return the ways to write the fitted coefficients that keep the loss within `limit`, with the loss of each.
+    def _variants(self, k: int, limit: float) -> Iterator[tuple[int, float]]:
+        """Yield the ways to write the fitted coefficients that keep the loss within `limit`, with the loss of each.
 
-        The formulas are written with or without the shift, and with coefficients near 1 and -1 unchanged or exact. If
-        sizes are limited, all of these formulas may be too large, so the formula without coefficients is included.
+        The programs are written with or without the shift, and with coefficients near 1 and -1 unchanged or exact. If
+        sizes are limited, all of these programs may be too large, so the program without coefficients is included.
         """
         book = self._book
-        number = int(book.number[k])
         if not self._setup.fit.terms:
-            return {formula: float(book.loss[k])}
-        terms = book.terms[k, :number].tolist()
+            yield _UNSCALED, float(book.loss[k])
+            return
+        number = int(book.number[k])
         shift, *coefficients = book.scale[k, : 1 + number].tolist()
         plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < SIMPLE else a for a in coefficients]
-        variants: dict[Formula, float] = {}
-        for index, loss in enumerate(book.variants[k].tolist()):
-            if index & 2 and plain == coefficients:
+        is_unscaled = False
+        for variant, loss in enumerate(book.variants[k].tolist()):
+            if variant & SIMPLE_COEFFICIENTS and plain == coefficients:
                 break
-            if loss <= limit:
-                written = plain if index & 2 else coefficients
-                variants.setdefault(combine_terms(formula, terms, written, 0.0 if index & 1 else shift), loss)
-        if self._setup.config.space.max_size is not None:
-            variants.setdefault(formula, float(book.loss[k]))
-        return variants
+            if loss > limit or (variant & WITHOUT_SHIFT and shift == 0.0):  # without a shift of 0 nothing changes
+                continue
+            yield variant, loss
+            written = plain if variant & SIMPLE_COEFFICIENTS else coefficients
+            if variant & WITHOUT_SHIFT or shift == 0.0:
+                is_unscaled |= self._is_unscaled(k, written)
+        if self._setup.config.space.max_size is not None and not is_unscaled:
+            yield _UNSCALED, float(book.loss[k])
+
+    def _is_unscaled(self, k: int, coefficients: list[float]) -> bool:
+        """Return whether program `k`, with these coefficients and without a shift, is the program itself."""
+        terms = [(int(self._book.terms[k, j]), a) for j, a in enumerate(coefficients) if a != 0.0]
+        return terms == [(int(self._book.size[k]) - 1, 1.0)]
 
     def _is_wanted(self, size: int, loss: float) -> bool:
         """Return whether the program on the canonical tape, with about this `loss`, is worth measuring.
@@ -442,7 +419,7 @@ class FrontUpdater:
         if not self._runners_up.most:
             return True
         loss *= _POLISHED
-        structure = int(structure_hash(self._setup.scratch.canonical, size))
+        structure = int(self._setup.call(structure_hash, self._setup.scratch.canonical, size))
         if not loss < min(self._runners_up.limit(size), self._measured_loss.get(structure, math.inf)):
             return loss < self._front.error_at(size)
         self._measured_loss[structure] = loss
@@ -452,16 +429,22 @@ class FrontUpdater:
         """Forget the data that are only needed within an epoch."""
         self._measured_loss.clear()
 
-    def _measured(self, formula: Formula, expected: float, counters: Ints, tag: Tag) -> FrontEntry | None:
-        """Return an entry for `formula` with refined constants; None if it is too large or not finite."""
+    def _measured(self, k: int, variant: int, expected: float, counters: Ints, tag: Tag) -> FrontEntry | None:
+        """Return an entry for a variant of program `k` of the book with refined constants.
+
+        None if it is too large, not finite, or neither improves the front nor is kept for other reasons.
+        """
         setup, scratch = self._setup, self._setup.scratch
-        size = self._canonical(formula)
+        size = int(setup.call(write_variant, self._book, k, variant, scratch))
         if size > self._largest or not self._is_wanted(size, expected):
             return None
         steps = POLISH_STEPS if setup.fit.steps else 0
         self._refit(size, setup.every, steps, counters)
+        is_restricted = not setup.restrictions.are_none
+        if not (is_restricted or self._runners_up.most or self._error() < self._front.error_at(size)):
+            return None
         program: Program | None = to_program(from_tape(scratch.canonical, size))
-        if program is not None and not setup.restrictions.are_none:
+        if program is not None and is_restricted:
             program = restrained(
                 program, setup.restrictions, scratch, lambda nodes: self._refit(nodes, setup.every, steps, counters)
             )
@@ -471,12 +454,16 @@ class FrontUpdater:
 
     def _refit(self, size: int, rows: Rows, steps: int, counters: Ints) -> None:
         scratch = self._setup.scratch
-        refit(size, rows, self._unscaled, steps, scratch.canonical, scratch.work, self._scale, self._result, counters)
+        self._setup.call(
+            refit, size, rows, self._unscaled, steps, scratch.canonical, scratch.work, self._scale, self._result,
+            counters,
+        )  # fmt: skip
 
     def _canonical(self, formula: Formula) -> int:
         """Put the canonical form of `formula` on the canonical tape; return its size."""
         scratch = self._setup.scratch
-        return int(canonical_tape(scratch.tape, onto_tape(formula, scratch.tape), scratch.work, scratch.canonical))
+        count = onto_tape(formula, scratch.tape)
+        return int(self._setup.call(canonical_tape, scratch.tape, count, scratch.work, scratch.canonical))
 
     def _entry(self, program: Program, tag: Tag) -> FrontEntry:
         return FrontEntry(len(program), self._error(), float(self._result[1]), *tag, program.to_bytes())
@@ -507,7 +494,7 @@ class FrontUpdater:
             size = self._canonical(candidate)
             if size >= len(formula):
                 continue
-            self._refit(size, self.sample, PRUNE_STEPS, counters)
+            self._refit(size, self._setup.equation.spread, PRUNE_STEPS, counters)
             if not self._error() <= _PROMISING * target:
                 continue
             self._refit(size, self._setup.every, PRUNE_STEPS, counters)
@@ -515,9 +502,3 @@ class FrontUpdater:
             if self._error() <= target and self._setup.restrictions.are_kept(to_program(reduced)):
                 return reduced
         return None
-
-
-def _spread(every: Rows) -> Rows:
-    """Return rows evenly spread over `every`."""
-    index = np.arange(min(every.length, PRUNE_SAMPLE)) * every.length // min(every.length, PRUNE_SAMPLE)
-    return padded_rows(every.inputs[:, index], every.target[0, index])

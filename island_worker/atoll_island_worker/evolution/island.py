@@ -43,7 +43,7 @@ from atoll_island_worker.evolution.kernels.predictors import judge_all
 from atoll_island_worker.evolution.kernels.random import Stream as StreamState
 from atoll_island_worker.evolution.kernels.trainers import most_disputed, train
 from atoll_island_worker.evolution.setup import IslandSetup
-from atoll_island_worker.evolution.structures import Coevolution, Floats, Ints, Lists, Rows, empty_lists
+from atoll_island_worker.evolution.structures import Coevolution, Floats, Ints, Lists, empty_lists
 
 GUESS_STEPS: Final = 25
 """Largest number of Levenberg-Marquardt steps that fit the constants of a guess before the first generation."""
@@ -54,11 +54,11 @@ OCTAVES: Final = 3
 Guess = Sequence[PlacedNode]
 
 
-def begin_with_guesses(lists: Lists, setup: IslandSetup, rows: Rows, counters: Ints) -> None:
-    """Write the guesses for this equation over the first individuals, one each, and fit their constants to `rows`.
+def begin_with_guesses(lists: Lists, setup: IslandSetup, counters: Ints) -> None:
+    """Write the guesses for this equation over the first individuals, one each, and fit their constants.
 
-    The fit is counted as fitting of offspring. If constants are not fitted, all islands take the guesses unchanged.
-    Pure except for `lists`, scratch and `counters`.
+    They are fitted to rows spread evenly over all rows. The fit is counted as fitting of offspring. If constants are
+    not fitted, all islands take the guesses unchanged. Pure except for `lists`, scratch and `counters`.
     """
     guesses = parse_guesses(setup)
     if not guesses:
@@ -71,6 +71,7 @@ def begin_with_guesses(lists: Lists, setup: IslandSetup, rows: Rows, counters: I
     if is_fitted:
         first = Lists(*(column[: len(guesses)] for column in lists._asdict().values()))
         fitness, options, scratch = np.zeros(len(guesses)), setup.fit._replace(steps=GUESS_STEPS), setup.scratch
+        rows = setup.equation.spread
         measure_all(first, fitness, rows, options, scratch._replace(near=scratch.work), counters, OFFSPRING)
 
 
@@ -109,8 +110,8 @@ def begin_coevolution(
     """Draw random predictors and take random individuals as trainers."""
     draw_coevolution(lists, coevolution, setup.every.length, stream)
     for t in range(len(coevolution.exact)):
-        train(coevolution, t, setup.every, setup.fit, setup.scratch.tape, setup.scratch.work, counters)
-    judge_all(coevolution, setup.coevolving.relative)
+        setup.call(train, coevolution, t, setup.every, setup.fit, setup.scratch.tape, setup.scratch.work, counters)
+    setup.call(judge_all, coevolution, setup.coevolving.relative)
 
 
 def measure_population(
@@ -118,7 +119,8 @@ def measure_population(
 ) -> None:
     """Gather the best predictor's rows (all rows while predictors are off) and measure the population on them."""
     if setup.coevolving.enabled:
-        gather(setup.rows, setup.every, coevolution.predictors[coevolution.best[0]], functions_address())
+        best = coevolution.predictors[coevolution.best[0]]
+        setup.call(gather, setup.rows, setup.every, best, functions_address())
     setup.call(measure_all, lists, fitness, setup.rows, setup.fit, setup.scratch, counters, part)
 
 
@@ -137,8 +139,8 @@ def renew_trainer(setup: IslandSetup, lists: Lists, coevolution: Coevolution, co
     for column, values in zip(coevolution.trainers._asdict().values(), individuals, strict=True):
         column[oldest] = values[disputed]
     coevolution.born[oldest] = coevolution.clock[0]
-    train(coevolution, oldest, setup.every, setup.fit, scratch.tape, scratch.work, counters)
-    return bool(judge_all(coevolution, relative))
+    setup.call(train, coevolution, oldest, setup.every, setup.fit, scratch.tape, scratch.work, counters)
+    return bool(setup.call(judge_all, coevolution, relative))
 
 
 def evolve(
@@ -225,7 +227,7 @@ class Island:
         setup, part = self._setup, OFFSPRING if self.epoch == 0 else REEVALUATION
         if self.epoch == 0:
             random_population(self._lists, setup.space, self._stream)
-            begin_with_guesses(self._lists, setup, self._updater.sample, self._counters)
+            begin_with_guesses(self._lists, setup, self._counters)
             if setup.coevolving.enabled:
                 begin_coevolution(setup, self._lists, self._coevolution, self._stream, self._counters)
         measure_population(setup, self._lists, self._fitness, self._coevolution, self._counters, part)
@@ -319,12 +321,18 @@ class Island:
         }
 
     def to_bytes(self) -> bytes:
-        """Return the state between two epochs, for checkpoints: all data that can influence later bits or counters."""
-        if self._begun:
-            raise LocalProtocolError("an island is written between epochs only, before generation 0")
+        """Return the state between two epochs: all data that can influence later bits or counters.
+
+        It is written before generation 0, for checkpoints, or after a whole epoch, before the island takes its
+        immigrants; then another process can continue with `from_bytes` and `immigrate`.
+        """
+        is_over = self._begun and self._hit is None and self.generation == self._setup.config.migration.generations
+        if self._begun and not is_over:
+            raise LocalProtocolError("an island is written between epochs only: before generation 0, or at the end")
         arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}
         front, near = _rows_of(self._front.entries), _rows_of(self._runners_up.entries)
-        return encode_arrays({"epoch": self.epoch, "front": front, "runners up": near}, arrays)
+        header = {"epoch": self.epoch, "front": front, "runners up": near}
+        return encode_arrays(header | {"is over": True} if is_over else header, arrays)
 
     @classmethod
     def from_bytes(cls, data: bytes, problem: Problem, config: JobConfig, island: int) -> Self:
@@ -336,21 +344,22 @@ class Island:
                 if (arrays[name].shape, arrays[name].dtype.kind) != (mine.shape, mine.dtype.kind):
                     raise ValueError(f"{name} has shape {arrays[name].shape}, expected {mine.shape}")
                 mine[...] = arrays[name]
-            restored.epoch = int(header["epoch"])
+            restored.epoch, is_over = int(header["epoch"]), header.get("is over", False) is True
             restored._front.replace(FrontEntry(*entry) for entry in header["front"])
             restored._runners_up.replace(FrontEntry(*entry) for entry in header["runners up"])
         except (KeyError, ValueError, TypeError) as error:
             raise RemoteProtocolError(f"the state of an island does not fit its job: {error}") from error
-        restored._check()
-        restored._retrain()
+        if restored.epoch > 0 or is_over:  # before the first generation there is no population yet
+            restored._check()
+            restored._retrain()
         restored._start_epoch()
+        if is_over:
+            restored._begun, restored.generation = True, config.migration.generations
         return restored
 
     def _check(self) -> None:
-        """Raise RemoteProtocolError unless all nodes and rows that kernels will use exist; epoch 0 is not checked."""
+        """Raise RemoteProtocolError unless all nodes and rows that kernels will use exist."""
         setup, coevolution = self._setup, self._coevolution
-        if self.epoch == 0:
-            return
         migration.check_nodes(self._lists, setup.space, setup.allowed)
         if not setup.coevolving.enabled:
             return
@@ -362,10 +371,13 @@ class Island:
     def _retrain(self) -> None:
         """Compute the trainers' losses at all rows again, which checkpoints lack; these evaluations are not counted."""
         setup = self._setup
-        if setup.coevolving.enabled and self.epoch > 0:
+        if setup.coevolving.enabled:
             for t in range(self._coevolution.exact.shape[0]):
                 uncounted = np.zeros(len(PARTS), np.int64)
-                train(self._coevolution, t, setup.every, setup.fit, setup.scratch.tape, setup.scratch.work, uncounted)
+                setup.call(
+                    train, self._coevolution, t, setup.every, setup.fit, setup.scratch.tape, setup.scratch.work,
+                    uncounted,
+                )  # fmt: skip
 
 
 def reshuffle_without_blocks(islands: Sequence[Island]) -> None:

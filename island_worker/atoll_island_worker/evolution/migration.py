@@ -4,6 +4,7 @@ The permutation is drawn from (seed, variable, epoch), so every island can compu
 (paper, section 2; docs/protocol.md). A block holds the solutions that one island sends to another, with their slots.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Final
@@ -45,16 +46,16 @@ def pack(lists: Lists, places: Slots) -> dict[int, bytes]:
     """Return a block for each destination island; `places` (P,) are the destinations of this island's solutions."""
     population = lists.code.shape[0]
     islands = places // population
-    return {
-        int(island): _block(lists, np.flatnonzero(islands == island), places % population)
-        for island in np.unique(islands)
-    }
-
-
-def _block(lists: Lists, rows: Slots, slots: Slots) -> bytes:
-    arrays = {name: column[rows] for name, column in lists._asdict().items()}
-    arrays = {name: a.astype(np.int32) if a.dtype == np.int16 else a for name, a in arrays.items()}
-    return encode_arrays({}, {"slots": slots[rows].astype(np.int32), **arrays})
+    order = np.argsort(islands, kind="stable")
+    sorted_islands, slots = islands[order], (places % population)[order].astype(np.int32)
+    columns = {name: column[order] for name, column in lists._asdict().items()}
+    columns = {name: a.astype(np.int32) if a.dtype == np.int16 else a for name, a in columns.items()}
+    firsts = np.flatnonzero(np.diff(sorted_islands, prepend=-1)).tolist()
+    blocks: dict[int, bytes] = {}
+    for first, last in itertools.pairwise((*firsts, population)):
+        arrays = {name: column[first:last] for name, column in columns.items()}
+        blocks[int(sorted_islands[first])] = encode_arrays({}, {"slots": slots[first:last], **arrays})
+    return blocks
 
 
 def unpack(blocks: Mapping[int, bytes], population: int, space: Space, allowed: frozenset[int]) -> Lists:
@@ -63,23 +64,25 @@ def unpack(blocks: Mapping[int, bytes], population: int, space: Space, allowed: 
     Raises:
         RemoteProtocolError: a block is malformed, has an invalid list, or the slots are not complete.
     """
-    lists = empty_lists(population, space.nodes)
-    taken = np.zeros(population, np.bool_)
-    for source, block in sorted(blocks.items()):
-        slots, part = _parsed(block, space, allowed)
-        exist = ((slots >= 0) & (slots < population)).all()
-        if not exist or taken[slots].any() or len(np.unique(slots)) < len(slots):
-            raise RemoteProtocolError(f"the solutions from island {source} claim slots that are taken or do not exist")
-        taken[slots] = True
-        for column, values in zip(lists._asdict().values(), part, strict=True):
-            column[slots] = values
-    if not taken.all():
-        missing = int(population - taken.sum())
+    parsed = [_parsed(block, space) for _, block in sorted(blocks.items())]
+    slots = np.concatenate([np.zeros(0, np.int64), *(slots for slots, _ in parsed)])
+    if not ((slots >= 0) & (slots < population)).all():
+        raise RemoteProtocolError("the solutions of a reshuffle have slots that do not exist")
+    counts = np.bincount(slots, minlength=population)
+    if (counts > 1).any():
+        raise RemoteProtocolError(f"{int((counts > 1).sum())} slots are taken by several solutions of a reshuffle")
+    if not counts.all():
+        missing = int((counts == 0).sum())
         raise RemoteProtocolError(f"{missing} of {population} solutions are missing after a reshuffle")
+    arrived = Lists(*(np.concatenate(columns) for columns in zip(*(part for _, part in parsed), strict=True)))
+    check_nodes(arrived, space, allowed)
+    lists = empty_lists(population, space.nodes)
+    for column, values in zip(lists._asdict().values(), arrived, strict=True):
+        column[slots] = values
     return lists
 
 
-def _parsed(block: bytes, space: Space, allowed: frozenset[int]) -> tuple[Slots, Lists]:
+def _parsed(block: bytes, space: Space) -> tuple[Slots, Lists]:
     _, arrays = decode_arrays(block)
     count = arrays["slots"].size if "slots" in arrays else 0
     shapes = {"slots": (count,), "scale": (count, 1 + MOST_TERMS)}
@@ -87,9 +90,7 @@ def _parsed(block: bytes, space: Space, allowed: frozenset[int]) -> tuple[Slots,
     actual = {name: (array.dtype.str[1:], array.shape) for name, array in arrays.items()}
     if actual != expected:
         raise RemoteProtocolError(f"a block of migrants holds {actual}, expected {expected}")
-    slots, lists = arrays["slots"].astype(np.int64), Lists(*(arrays[name] for name in Lists._fields))
-    check_nodes(lists, space, allowed)
-    return slots, lists
+    return arrays["slots"].astype(np.int64), Lists(*(arrays[name] for name in Lists._fields))
 
 
 def check_nodes(lists: Lists, space: Space, allowed: frozenset[int]) -> None:

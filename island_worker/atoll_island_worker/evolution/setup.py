@@ -2,10 +2,13 @@
 
 import math
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
-from typing import Any, get_args
+from functools import cached_property, lru_cache
+from itertools import accumulate
+from typing import Any, Final, get_args
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -23,6 +26,7 @@ from atoll_island_worker.evolution.structures import (
     Coevolution,
     Coevolving,
     Fit,
+    Rows,
     Scratch,
     Space,
     empty_lists,
@@ -41,16 +45,20 @@ UNREACHABLE_TARGET = -1.0
 """A target error that no equation reaches."""
 
 
-class IslandSetup:
-    """All settings of one island that follow from problem and configuration, in the form that kernels need.
+SPREAD_ROWS: Final = 64
+"""Rows of `EquationSetup.spread`."""
 
-    The island only knows the variables that its equation may use: `columns` are their places in the whole problem.
+_entries: Final[dict[Callable[..., Any], Callable[..., Any]]] = {}
+"""The machine code of each kernel."""
+
+
+class EquationSetup:
+    """The constant parts that all islands with the same rows share; no island changes them.
+
+    The islands only know the variables that their equation may use: `columns` are their places in the whole problem.
     """
 
-    def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
-        if problem.groups is not None:  # migration brings solutions to islands with the rows of other groups
-            problem = problem.of_group(island % (int(problem.groups.max()) + 1))
-        self.config = config
+    def __init__(self, problem: Problem, config: JobConfig) -> None:
         self.variable = problem.target.variable
         self.columns = config.space.columns_for(self.variable, problem.names)
         self.is_narrowed = len(self.columns) < len(problem.names)
@@ -58,14 +66,48 @@ class IslandSetup:
             names = tuple(problem.names[column] for column in self.columns)
             problem = Problem(names, np.ascontiguousarray(problem.inputs[list(self.columns)]), problem.target)
         self.names = problem.names
-        self.island = island
         self.restrictions = restrictions_of(config, self.variable, problem.names)
         self.deviation = problem.target.standard_deviation
         self.target = target_error(config, problem.target) * self.deviation
         self.space = _space(problem, config)
         self.allowed = frozenset(int(code) for code in self.space.operators)
-        keeps_waves = bool(self.allowed & {SIN, COS})
-        self.every = padded_rows(problem.inputs, problem.target.values, keeps_waves)
+        self.keeps_waves = bool(self.allowed & {SIN, COS})
+        self.every = padded_rows(problem.inputs, problem.target.values, self.keeps_waves)
+
+    @cached_property
+    def spread(self) -> Rows:
+        """Return at most `SPREAD_ROWS` rows, evenly spaced over all rows."""
+        every = self.every
+        index = np.arange(min(every.length, SPREAD_ROWS)) * every.length // min(every.length, SPREAD_ROWS)
+        return padded_rows(every.inputs[:, index], every.target[0, index])
+
+
+_equations: Final[WeakKeyDictionary[Problem, list[tuple[JobConfig, int, EquationSetup]]]] = WeakKeyDictionary()
+"""For each problem in use: configurations and groups of rows with their setups."""
+
+
+def _equation_setup(problem: Problem, config: JobConfig, island: int) -> EquationSetup:
+    """Return the setup of an island's equation; it is made once for all islands with this problem and configuration."""
+    group = 0 if problem.groups is None else island % (int(problem.groups.max()) + 1)
+    known = _equations.setdefault(problem, [])
+    for other, of_group, setup in known:
+        if other is config and of_group == group:
+            return setup
+    rows = problem.of_group(group)  # migration brings solutions to islands with the rows of other groups
+    known.append((config, group, EquationSetup(rows, config)))
+    return known[-1][2]
+
+
+class IslandSetup:
+    """All settings of one island that follow from problem and configuration, in the form that kernels need."""
+
+    def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
+        self.config = config
+        self.island = island
+        self.equation = equation = _equation_setup(problem, config, island)
+        self.variable, self.names, self.every = equation.variable, equation.names, equation.every
+        self.restrictions, self.deviation, self.target = equation.restrictions, equation.deviation, equation.target
+        self.space, self.allowed = equation.space, equation.allowed
         evolution, predictors = config.evolution, config.predictors
         sample = predictors.rows
         if sample is None:
@@ -82,31 +124,30 @@ class IslandSetup:
             sum(1 << variable for variable in self.restrictions.required if variable < MOST_REQUIRED),
         )  # fmt: skip
         self.runners_up = island_share(evolution.runners_up or 0, evolution.islands)
-        variables = problem.inputs.shape[0]
-        waves = 2 * variables if keeps_waves else 0
+        variables = self.space.variables
+        waves = 2 * variables if equation.keeps_waves else 0
         self.rows = empty_rows(variables, sample, waves) if self.coevolving.enabled else self.every
         shared = _shared_scratch(
             threading.get_ident(), evolution.population, self.space.nodes, variables, self.sample, rows
         )
         # `settled` is kept between two calls; islands take turns, so each island has its own array.
         self.scratch = shared._replace(settled=np.zeros(evolution.population, np.bool_))
-        self._entries: dict[Callable[..., Any], Callable[..., Any]] = {}
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a kernel whose arguments have the same types in every call for this island."""
-        entry = self._entries.get(function)
+        """Call a kernel whose arguments have the same types in every call, for all islands."""
+        entry = _entries.get(function)
         if entry is None:
-            entry = self._entries[function] = entry_point(function, *arguments)
+            entry = _entries[function] = entry_point(function, *arguments)
         return entry(*arguments)
 
     def outward(self, entry: FrontEntry) -> FrontEntry:
         """Return a front member whose program refers to all variables, for use outside of the island."""
-        if not self.is_narrowed:
+        if not self.equation.is_narrowed:
             return entry
-        program = Program.from_bytes(entry.program, len(self.columns))
+        program = Program.from_bytes(entry.program, len(self.equation.columns))
         left = program.left.copy()
         is_variable = program.operators == VARIABLE
-        left[is_variable] = np.array(self.columns, np.int16)[left[is_variable]]
+        left[is_variable] = np.array(self.equation.columns, np.int16)[left[is_variable]]
         return replace(entry, program=replace(program, left=left).to_bytes())
 
     def empty_coevolution(self) -> Coevolution:
@@ -188,8 +229,6 @@ def _scales(problem: Problem) -> FloatArray:
 
 
 def _power_of_two(column: FloatArray) -> float:
-    total = 0.0
-    for value in column.tolist():
-        total += abs(value)
+    (total,) = deque(accumulate(map(abs, column.tolist())), maxlen=1)  # numbers are added in order, one by one
     mean = total / len(column)
     return math.ldexp(1.0, math.frexp(mean)[1]) if mean > 0.0 else 1.0

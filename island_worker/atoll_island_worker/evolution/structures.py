@@ -5,7 +5,8 @@ are NamedTuples of arrays, because numba can pass them as arguments. The functio
 the kernels do not check them.
 """
 
-from typing import NamedTuple
+import math
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -260,12 +261,28 @@ MOST_REQUIRED = 62
 front checks all of them."""
 
 
+CACHE_LINE: Final = 64
+"""Bytes of a cache line; a vector register holds as many."""
+
+
+def zeros(shape: tuple[int, ...], kind: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+    """Return zeros that begin at a cache line, for arrays that kernels load into vector registers.
+
+    A vector across two cache lines takes two loads. numpy's arrays begin anywhere.
+    """
+    kind = np.dtype(kind)
+    size = math.prod(shape) * kind.itemsize
+    room = np.zeros(size + CACHE_LINE, np.uint8)
+    first = -room.__array_interface__["data"][0] % CACHE_LINE
+    return room[first : first + size].view(kind).reshape(shape)
+
+
 def empty_lists(population: int, nodes: int) -> Lists:
     """Return the lists of `population` individuals with `nodes` nodes each, all zero and unscaled."""
     shape = (population, nodes)
-    scale = np.zeros((population, 1 + MOST_TERMS))
+    scale = zeros((population, 1 + MOST_TERMS))
     scale[:, 1] = 1.0
-    return Lists(np.zeros(shape, np.int8), np.zeros(shape, np.int16), np.zeros(shape, np.int16), np.zeros(shape), scale)
+    return Lists(zeros(shape, np.int8), zeros(shape, np.int16), zeros(shape, np.int16), zeros(shape), scale)
 
 
 def empty_tape(nodes: int) -> Tape:
@@ -280,11 +297,11 @@ def empty_work(nodes: int, rows: int) -> Work:
     """Return scratch for fits of programs with at most `nodes` nodes on at most `rows` rows."""
     length = padded(rows)
     return Work(
-        values=np.zeros((nodes, length)),
-        adjoints=np.zeros((nodes + 1, LANES)),
-        basis=np.zeros((MOST_TERMS, length)),
-        columns=np.zeros((MOST_FITTED, length)),
-        residual=np.zeros((1, length)),
+        values=zeros((nodes, length)),
+        adjoints=zeros((nodes + 1, LANES)),
+        basis=zeros((MOST_TERMS, length)),
+        columns=zeros((MOST_FITTED, length)),
+        residual=zeros((1, length)),
         matrix=np.zeros((MOST_FITTED, MOST_FITTED)),
         damped=np.zeros((MOST_FITTED, MOST_FITTED)),
         gradient=np.zeros(MOST_FITTED),
@@ -313,7 +330,7 @@ def empty_scratch(population: int, nodes: int, variables: int, sample: int, rows
         children=empty_lists(2, nodes),
         child_loss=np.zeros(2),
         child_settled=np.zeros(2, np.bool_),
-        signature=np.zeros((population + 2, nodes), np.int64),
+        signature=zeros((population + 2, nodes), np.int64),
         live=np.zeros((population + 2, -(-nodes // 64)), np.uint64),
         signed=np.zeros(2, np.int64),
         apart=np.zeros(4, np.int64),
@@ -344,9 +361,7 @@ def empty_book(programs: int, nodes: int) -> Book:
 def empty_rows(variables: int, length: int, waves: int) -> Rows:
     """Return `length` empty rows; `waves` is the first dimension of `Rows.waves`: 2 `variables`, or 0."""
     wide = padded(length)
-    mask = np.zeros((1, wide))
+    mask = zeros((1, wide))
     mask[0, :length] = 1.0
     one = (1, wide)
-    return Rows(
-        np.zeros((variables, wide)), np.zeros((waves, wide)), np.zeros(one), mask, np.zeros(one), np.zeros(2), length
-    )
+    return Rows(zeros((variables, wide)), zeros((waves, wide)), zeros(one), mask, zeros(one), np.zeros(2), length)

@@ -39,8 +39,9 @@ class EpochTask:
     """Begin epoch `key.epoch` with the immigrants `blocks`, and finish it.
 
     `blocks` are by source island; None in the first epoch of a term. The task returns emigrants unless the epoch
-    `is_last`. The `commit_order` ranks its slices. `state` is the island's state if its term begins at a checkpoint. At
-    a checkpoint the task returns a snapshot; an epoch that `is_at_barrier` is begun only for the snapshot.
+    `is_last`. The `commit_order` ranks its slices. `state` is the island's state if its term begins at a checkpoint;
+    together with `blocks` it is the state at the end of the epoch before. At a checkpoint the task returns a snapshot;
+    an epoch that `is_at_barrier` is begun only for the snapshot.
     """
 
     key: TaskKey
@@ -80,10 +81,14 @@ class PullAsked:
 
 @dataclass(frozen=True, slots=True)
 class PullEnded:
-    """A pull of this worker, `asked`, has ended with an answer, or without an answer (None)."""
+    """A pull of this worker, `asked`, has ended with an answer, or without an answer (None).
+
+    `has_timed_out`: no answer came within the timeout, perhaps because the migrants did not exist yet.
+    """
 
     asked: "SendPull"
     body: epochs.Migrants | epochs.States | None
+    has_timed_out: bool = False
 
 
 @dataclass(frozen=True, slots=True)

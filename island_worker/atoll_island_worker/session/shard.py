@@ -3,8 +3,9 @@
 An island waits for exactly the senders that the reshuffle of the last epoch names, and gets all immigrants together. So
 the times and the order of arrivals do not change the computed bits. Migrants are pulled: when the first island here
 begins an epoch, this worker requests the emigrants of that epoch from every other worker. Each worker answers when its
-islands have finished the epoch. A pull that ends without migrants is repeated at a tick. If a term begins at a
-checkpoint, the states of its islands are pulled from the coordinator in the same way.
+islands have finished the epoch. A pull that timed out is repeated as soon as an island here waits for its migrants; a
+pull that was refused is repeated at a tick. If a term begins at a checkpoint, the states of its islands are pulled from
+the coordinator in the same way.
 
 A hit (an island meets the target) ends the archipelago at one position in the commit order. Heartbeats report the hit
 to the coordinator, and the coordinator's commits report it to the other workers. Every shard stops computing after that
@@ -183,7 +184,7 @@ class Shard:
             for destination in done.emigrants.keys() & self.islands.keys():
                 data = done.emigrants[destination]
                 self._deliver(key.epoch, epochs.Block(source=key.island, destination=destination, data=data))
-            actions = [*self._answers(), *self._missing(local)]
+            actions = [*self._answers(), *self._missing()]
         self._end_late_islands()
         if key.epoch <= self.stop_epoch:
             self._buffer.keep_report(key.epoch, done.report)
@@ -275,13 +276,32 @@ class Shard:
             self._under_way.add((None, first))
             states = epochs.PullStates(**self._names, epoch=first, islands=wanted, offset=self._states.offset)
             pulls.append(io.SendPull(None, states))
-        return pulls + [pull for local in self.islands.values() for pull in self._missing(local)]
+        return pulls + self._missing()
 
-    def _missing(self, local: LocalIsland) -> list[io.SendPull]:
-        """Return pulls of the migrants that an island waits for, except pulls that are under way."""
-        if local.state != "waiting":
-            return []
-        return self._pulls(local.epoch - 1, sorted(local.needs - local.arrived.keys()), (local.index,))
+    def _missing(self) -> list[io.SendPull]:
+        """Return pulls of the migrants that islands here wait for, except pulls that are under way.
+
+        A pull is for all islands here that still need migrants of its epoch: pulls for one island after another would
+        each wait for the end of the previous pull.
+        """
+        missing: dict[int, set[int]] = {}
+        for local in self.islands.values():
+            if local.state == "waiting":
+                missing.setdefault(local.epoch - 1, set()).update(local.needs - local.arrived.keys())
+        return [
+            pull
+            for epoch in sorted(missing)
+            for pull in self._pulls(epoch, sorted(missing[epoch]), self._receivers(epoch))
+        ]
+
+    def _receivers(self, epoch: int) -> list[int]:
+        """Return the islands here that wait for migrants of an epoch, or have not finished this epoch."""
+        return [
+            local.index
+            for local in self.islands.values()
+            if (local.state == "waiting" and local.epoch == epoch + 1)
+            or (local.state != "stopped" and local.epoch <= epoch)
+        ]
 
     def _pulls(self, epoch: int, sources: Iterable[int], destinations: Iterable[int]) -> list[io.SendPull]:
         """Return one pull for each other worker with some of these sources, except pulls that are under way."""
@@ -300,15 +320,15 @@ class Shard:
             for peer in peers
         ]
 
-    def pull_ended(self, asked: io.SendPull, body: epochs.Migrants | epochs.States | None) -> list[io.SendPull]:
-        """Process the answer to a pull; if it contained only a part, return pulls for the rest.
+    def pull_ended(self, ended: io.PullEnded) -> list[io.SendPull]:
+        """Process the answer to a pull; return pulls for migrants and states that are still missing.
 
         Raises:
             RemoteProtocolError: The answer contains blocks that were not requested, or a state was damaged in transit.
         """
-        pull = asked.body
-        self._under_way.discard((asked.peer, pull.epoch))
-        match pull, body:
+        pull = ended.asked.body
+        self._under_way.discard((ended.asked.peer, pull.epoch))
+        match pull, ended.body:
             case epochs.PullStates(), epochs.States(pieces=pieces):
                 for island in self._states.take(pieces):
                     if self.islands[island].state == "restoring":
@@ -321,9 +341,9 @@ class Shard:
                         )
                 for block in blocks:
                     self._deliver(pull.epoch, block)
-                if {block.source for block in blocks} >= set(pull.sources):
-                    return []
-            case _:
+            case _ if (
+                not ended.has_timed_out
+            ):  # the other worker has refused, or is not there: the next tick repeats it
                 return []
         return self.due_pulls()
 

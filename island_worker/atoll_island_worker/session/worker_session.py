@@ -129,7 +129,7 @@ class Session:
             case io.PullEnded(asked=io.SendPull(body=pull)):
                 shard = self._shards.get((pull.job, pull.variable))
                 if shard is not None and shard.placement.term == pull.term:
-                    return [*shard.pull_ended(event.asked, event.body)]
+                    return [*shard.pull_ended(event)]
             case io.Tick():
                 return [pull for shard in self._shards.values() for pull in shard.due_pulls()]
             case io.EpochComputed() | io.Snapshot() | io.Rejected() | io.Broken() | io.Abandoned():

@@ -34,6 +34,7 @@ from typing import Final, Protocol
 
 from atoll_core import task_frames as frames
 from atoll_core.errors import AtollError
+from atoll_core.machine import use_common_instructions
 from atoll_core.task_frames import OTHER_VERSION, version
 from atoll_island_worker.processes import Forked, request_parent_death_signal
 
@@ -108,13 +109,15 @@ def start_process(connection: "Connection[object, object]") -> StartedProcess:
     level = logging.getLogger().getEffectiveLevel()
     descriptor = connection.fileno()
     words = [str(descriptor), str(level), version(), *sys.path]  # so that the same modules are found
+    environment = dict(os.environ)
+    use_common_instructions(environment)  # both programs have done so; the worker of another engine has not
     try:
         return _Interpreter(
             [sys.executable, "-P", "-c", _PROGRAM, *words],
             stdin=subprocess.DEVNULL,
             pass_fds=(descriptor,),
             start_new_session=True,  # Ctrl-C on the terminal is for the worker
-            env={"OPENBLAS_NUM_THREADS": "1", **os.environ},  # matrices are small: more threads would only wait
+            env=environment,
         )
     except OSError as error:
         raise AtollError(f"no process could be started for it: {error.strerror}") from error
@@ -292,10 +295,6 @@ def cause_of(code: int | None) -> tuple[frames.Failure, str]:
     return "crash", f"its process was ended by signal {-code} ({name})"
 
 
-LOAD_AFTER_S: Final = 2.0
-"""After this time without a request the server also loads the modules for refining. By then the first refining process
-has loaded them itself; helpers that start later inherit them from the server."""
-
 _MOST: Final = 256
 
 
@@ -379,7 +378,6 @@ class _Server:
     def __init__(self, requests: socket.socket) -> None:
         self._requests = requests
         self._forks: dict[int, tuple[int, Connection[object, object]]] = {}
-        self._is_loaded = self._was_asked = False
         self._poll = select.poll()
         self._poll.register(requests, select.POLLIN)
 
@@ -389,13 +387,11 @@ class _Server:
         request_parent_death_signal()
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # otherwise exit codes would be lost
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # otherwise numpy's library starts threads
-        _load("prepare")
+        with contextlib.suppress(Exception):  # the process that runs a task will report the error
+            importlib.import_module("atoll.tasks.functions").load_ahead()
+        gc.freeze()  # all forks share this memory as long as the garbage collector does not write to it
         while True:
-            events = self._poll.poll(None if self._is_loaded or not self._was_asked else 1000.0 * LOAD_AFTER_S)
-            if not events:
-                _load("refine")
-                self._is_loaded = True
-            for descriptor, _ in events:
+            for descriptor, _ in self._poll.poll():
                 if descriptor in self._forks:
                     self._send_exit_code(descriptor)
                 elif not self._handle():
@@ -405,7 +401,6 @@ class _Server:
         """Handle a request; return False if no worker is left."""
         message, descriptors, _, _ = socket.recv_fds(self._requests, _MOST, 2)
         if len(descriptors) == 2:
-            self._was_asked = True
             self._fork(descriptors[0], descriptors[1], int(message))
         return bool(message)
 
@@ -442,9 +437,3 @@ class _Server:
         _, status = os.waitpid(pid, 0)
         with telling, contextlib.suppress(OSError):  # the worker may have ended before
             telling.send_bytes(str(os.waitstatus_to_exitcode(status)).encode())
-
-
-def _load(function: str) -> None:
-    with contextlib.suppress(Exception):  # the process that runs the task will report the error
-        importlib.import_module("atoll.tasks.functions").FUNCTIONS[function].load()
-    gc.freeze()  # all forks share this memory as long as the garbage collector does not write to it

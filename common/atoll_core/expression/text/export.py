@@ -6,25 +6,20 @@ text.
 
 import re
 from collections.abc import Callable, Sequence
-from html import escape, unescape
+from html import escape
 from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
 from atoll_core.expression.operators import ABS, SQRT
 from atoll_core.expression.program import Program
 from atoll_core.expression.text.infix import INFIX, Form, Kind, Renderer, Signed, displayed_form, exact_form
+from atoll_core.expression.text.names import name_to_latex, name_to_mathml
 
 if TYPE_CHECKING:
     import sympy
 
-_HTML_ENTITY: Final = re.compile(r"&(?!lt;|gt;|amp;|quot;|apos;|#)\w+;")
-"""An entity that XML does not define, such as the invisible multiplication sign."""
-
 _LATEX_ESCAPES: Final = {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"} | {
     letter: f"\\{letter}" for letter in "{}$%#&_"
 }
-
-_WORD: Final = re.compile(r"(?<![^\W\d_])(?<!\\)[^\W\d_]{2,}")
-"""Two or more adjacent letters that are not a LaTeX command."""
 
 _LATEX_UNITS: Final = {" ": r"\ ", "°": r"{}^{\circ}", "µ": r"\mu ", "μ": r"\mu ", "Ω": r"\Omega "}
 _RAISED: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺"
@@ -197,11 +192,8 @@ def _latex_name(name: str) -> str:
 
     A name that is not an identifier becomes text, with special characters escaped.
     """
-    import sympy
-
     if re.fullmatch(r"\w*", name):
-        text = str(sympy.latex(sympy.Symbol(name))) if name else ""
-        return _WORD.sub(lambda word: rf"\mathrm{{{word[0]}}}", text)
+        return name_to_latex(name) if name else ""
     return rf"\text{{{_latex_escaped(name)}}}"
 
 
@@ -226,13 +218,7 @@ def _unit_part(part: re.Match[str]) -> str:
 
 def _mathml_name(name: str) -> str:
     """Return a name as an element, with Greek letters and indices. A name that is not an identifier is not changed."""
-    import sympy
-    from sympy.printing.mathml import mathml
-
-    if not re.fullmatch(r"\w+", name):
-        return f"<mi>{escape(name)}</mi>"
-    text = mathml(sympy.Symbol(name), printer="presentation")
-    return _HTML_ENTITY.sub(lambda entity: unescape(entity[0]), text)
+    return name_to_mathml(name) if re.fullmatch(r"\w+", name) else f"<mi>{escape(name)}</mi>"
 
 
 _LATEX: Final = _Markup(

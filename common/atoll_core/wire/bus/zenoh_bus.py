@@ -117,7 +117,10 @@ a further wait of `_CLOSING_S` is short in comparison."""
 _CLOSING_S: Final = 0.1
 _LEASE_MS: Final = 4_000
 _ATTEMPT_MS: Final = 3_000
+_FIRST_PAUSE_S: Final = 0.01
 _PAUSE_S: Final = 0.2
+"""Pause between two attempts to connect: short at first, for workers that are started together with their coordinator,
+and doubled up to `_PAUSE_S`."""
 _QUICK_S: Final = 0.1
 _SLOW_S: Final = 1.0
 _CLOSE_LIMIT_S: Final = 5.0
@@ -193,7 +196,7 @@ def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Setti
     to = connect if isinstance(connect, Destination) else destination(connect)
     further = {**_tls_settings(to), **(settings or {})}
     end = time.monotonic() + wait_s
-    while True:
+    for attempt in itertools.count():
         reasons: list[str] = []
         for place, address in enumerate(to.addresses):
             in_turn = [str(each) for each in (*to.addresses[place:], *to.addresses[:place])]
@@ -208,7 +211,9 @@ def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Setti
                 f"no coordinator answers at {to}{waited}: {reason}; "
                 "check the address, or start one with `coordinator serve`"
             )
-        time.sleep(min(_PAUSE_S, max(0.0, end - time.monotonic())))
+        pause_s = min(_PAUSE_S, _FIRST_PAUSE_S * 2.0 ** min(attempt, 10))
+        time.sleep(min(pause_s, max(0.0, end - time.monotonic())))
+    raise AssertionError
 
 
 def _dial(address: Address, to: Destination, config: zenoh.Config) -> "ZenohBus | str":

@@ -201,8 +201,10 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
                 workers.dismiss()
             result = request.result(client, view)
             if result is not None:
-                path = write_result(folder, result)
-                request.show(result)
+                try:
+                    request.show(result)
+                finally:  # also if nobody reads the output
+                    path = write_result(folder, result)
                 note(_times(result, follower.phases, time.monotonic() - started))
                 note(f"result in {path}")
                 if options.report:
@@ -303,8 +305,10 @@ def _print_waiting_reason(view: JobView, client: Client, hint: str) -> None:
 
 def _deliver(request: JobRequest, result: "Result", folder: Path | None, *, has_report: bool) -> None:
     """Print a result; if a folder is given, write the result and its page into it."""
-    if folder is not None:
-        note(f"result in {write_result(folder, result)}")
-    request.show(result)
+    try:
+        request.show(result)
+    finally:
+        if folder is not None:
+            note(f"result in {write_result(folder, result)}")
     if folder is not None and has_report:
         write_report(folder / REPORT, result)

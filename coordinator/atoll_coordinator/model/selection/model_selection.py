@@ -32,7 +32,7 @@ from atoll_coordinator.model.selection.joint_search import (
     search_locally,
     search_terms,
 )
-from atoll_coordinator.model.selection.piece_lengths import search_in_pieces
+from atoll_coordinator.model.selection.piece_lengths import fit_without_solver_errors, search_in_pieces
 from atoll_coordinator.model.selection.pool import CandidatePool, Proposer
 from atoll_coordinator.model.selection.proposals import (
     may_use_further_operators,
@@ -163,6 +163,27 @@ def _law_programs(task: ModellingTask) -> dict[str, list[Program]]:
         if name in task.rate_law_variables and task.laws[name][0].excess <= SETTINGS.inference.excess
     }
     return law_programs if len(law_programs) < len(task.variables) - len(task.known) else {}
+
+
+def reproduce_rows(choice: Choice) -> Choice:
+    """Select a system from which a known solver computes the rows digit by digit, if there is one.
+
+    Two systems are tried: the best one, and the first candidates of each equation. The best one may have terms that
+    describe errors of the solver. Further candidates are not needed, because no solver computes the rows from a wrong
+    system.
+    """
+    pool = choice.pool
+    assert pool is not None
+    assert pool.best is not None
+    firsts = [programs[0] for programs in pool.lists]
+    models = [pool.best] if firsts == list(pool.best.programs) else [pool.best, pool.comparison.fit_model(firsts)]
+    for model in models:
+        if model is not None:
+            found = SelectedModel(choice.task, pool.comparison, model, pool.lists)
+            selection = fit_without_solver_errors(choice.task, found)
+            if selection is not None:
+                return replace(choice, selection=selection)
+    return choice
 
 
 def search(choice: Choice) -> Choice:
@@ -321,7 +342,9 @@ STAGES: Final = (
     Stage("laws by sparse regression, together", lambda choice: not choice.task.recording.groups, fit_laws),
     Stage("laws in short pieces", lambda c: c.selection is None and c.task.is_limited, begin_with_laws),
     Stage("the nearest candidates", lambda choice: choice.selection is None, propose(propose_nearest)),
+    Stage("rows computed by a known solver", _is_clean_and_lacks_candidates, reproduce_rows),
     Stage("sums by pursuit", lambda choice: choice.lacks_candidates, propose(propose_sums)),
+    Stage("rows computed by a known solver", _is_clean_and_lacks_candidates, reproduce_rows),
     Stage("sums with further operators", _is_clean_and_lacks_candidates, propose(propose_further_sums)),
     Stage("all candidates", lambda choice: choice.lacks_candidates, propose(propose_all)),
     Stage("search among the candidates", lambda choice: choice.selection is None, search),

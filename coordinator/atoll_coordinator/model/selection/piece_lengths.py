@@ -31,7 +31,7 @@ def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
         selection = search_jointly(choose_piece_length(task, first), lists)
         if selection is None or selection.comparison.score.is_exact(selection.model):
             return selection
-        return _fit_without_solver_errors(task, selection) or selection
+        return fit_without_solver_errors(task, selection) or selection
     longest, tasks = None, _tasks_by_piece_length(task)
     for index, here in enumerate(tasks):
         fits_shorter = partial(_fits_in_shorter_pieces, tasks[index + 1 :])
@@ -46,7 +46,7 @@ def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
     return longest
 
 
-def _fit_without_solver_errors(task: ModellingTask, selection: SelectedModel) -> SelectedModel | None:
+def fit_without_solver_errors(task: ModellingTask, selection: SelectedModel) -> SelectedModel | None:
     """Return the system, fitted to rows without solver errors; None if no solver reproduces the rows.
 
     Unnecessary parts are removed. No other programs are tried: a solver reproduces the rows only from the true law.

@@ -103,10 +103,11 @@ def laws_at_noise_level(task: ModellingTask, name: str) -> list[Law]:
 
 
 def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
-    """Return the best system of these candidates.
+    """Return the best system of these candidates; None if no system can be simulated.
 
-    The result is None in two cases: no system can be simulated, or there are so few rows that all stages can run on
-    whole trajectories."""
+    If there are so few rows that all stages can run on whole trajectories, a system is returned only if its residuals
+    are integration errors; only rows without noise can have such a system.
+    """
     short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))
     start = _fit_first(short, lists)
     if start is None:
@@ -114,13 +115,14 @@ def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -
     predictable = predictable_rows(start.model.fit, start.comparison, growth_rate(start.model.fit))
     rows = int(min(max(predictable, SETTINGS.shooting.lengths[1]), SETTINGS.shooting.piece))
     are_lawful = all(name in task.rate_law_variables for name, laws in task.laws.items() if laws)
-    if _count_rows(task) <= SETTINGS.selection.compared_rows and rows >= task.longest and not are_lawful:
+    is_small = _count_rows(task) <= SETTINGS.selection.compared_rows and rows >= task.longest and not are_lawful
+    if is_small and not task.is_nearly_clean:
         return None
     task = replace(task, piece=min(task.piece, rows))
     if task.is_nearly_clean:
         task = choose_piece_length(task, start.model.programs)
     selection = fit_jointly(task, lists, start.model.programs, are_laws=True)
-    if selection is None:
+    if selection is None or (is_small and not selection.comparison.score.is_exact(selection.model)):
         return None
     comparison, best = selection.comparison, selection.model
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.effort.work)

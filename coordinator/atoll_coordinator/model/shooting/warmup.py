@@ -8,6 +8,7 @@ import numpy as np
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import OdeSystem, system_of
+from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import ADD, CONSTANT, MULTIPLY, VARIABLE
 from atoll_core.expression.program import Program
 
@@ -17,17 +18,17 @@ TOLERANCES: Final = (1e-8, 1e-3)
 _ROWS: Final = 6
 
 
-def warm_up() -> None:
-    """Compile or load every kernel of a trajectory fit, by a very small fit with each table.
+def warm_up() -> list[FloatArray]:
+    """Compile or load every kernel of a trajectory fit, by a very small fit with each table; return the simulations.
 
     Nothing is done for interpreted kernels (``NUMBA_DISABLE_JIT``). The first call on a machine takes about ten
     seconds.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
-        return
+        return []
     measurements, system = _small_measurements(), _small_system()
-    for tolerance in TOLERANCES:
-        fit_in_stages(MultipleShooting(measurements, tolerance), system, (3, None), 2)
+    fits = [fit_in_stages(MultipleShooting(measurements, tolerance), system, (3, None), 2) for tolerance in TOLERANCES]
+    return [fit.simulated for fit in fits if fit is not None]
 
 
 def _small_system() -> OdeSystem:

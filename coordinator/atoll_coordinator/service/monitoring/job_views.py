@@ -1,6 +1,7 @@
 """Jobs as clients see them: views of live and ended jobs, their counters, and the drafts of results.
 
-Views are made when a client asks for them. Results of live jobs are composed from a `Draft` in the background.
+Views are made when a client asks for them. Results of live jobs are composed from a `Draft` in the background, and the
+equations of views are written there (`shown_equations`).
 """
 
 import contextlib
@@ -12,12 +13,12 @@ from typing import Any, Literal, Protocol, cast
 from pydantic import ValidationError
 
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result, select_shown_equation
-from atoll_coordinator.result.base import finite
+from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import UNTIMED
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.breakages import Breakages
+from atoll_coordinator.service.monitoring.shown_equations import FrontWritten, ShownEquations
 from atoll_coordinator.service.scheduling.job_queue import JobQueue
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.ending import Improvement, Why
@@ -27,7 +28,6 @@ from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core import VERSION
 from atoll_core.config import JobConfig
 from atoll_core.errors import StoreError
-from atoll_core.expression.text.infix import to_infix
 from atoll_core.wire.messages.clients import QueueDepth
 from atoll_core.wire.messages.views import FINAL_STATES, JobCounters, JobState, JobView, TaskView, VariableView
 from atoll_core.wire.messages.workers import AssignmentStatus
@@ -193,9 +193,7 @@ def job_view(
     job: Job, queue: JobQueue, now: float, waiting_reason: str | None, counters: JobCounters,
     stalls: tuple[str, ...],
 ) -> JobView:  # fmt: skip
-    """Return the view of a live job, or of a job that ends now.
-
-    Equations are not judged here, because this reads all rows of the data; they are judged in the result.
+    """Return the view of a live job, or of a job that ends now, without its equations.
 
     Args:
         job: The job.
@@ -208,8 +206,6 @@ def job_view(
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
-    prepared = job.prepared if job.result_text is None else None  # otherwise the result has the equations
-    variables = tuple(_variable_view(prepared, outcome) for outcome in outcomes) if prepared else ()
     return JobView(
         job=job.id,
         name=job.name,
@@ -225,7 +221,7 @@ def job_view(
         workers=len({worker for archipelago in job.open_archipelagos for worker in archipelago.workers}),
         point_evaluations=evaluations,
         point_evaluations_per_second=evaluations / seconds if seconds > 0.0 and evaluations else None,
-        variables=variables,
+        variables=(),
         priority=job.priority,
         ahead=queue.ahead_of(job.id),
         stalls=stalls,
@@ -308,29 +304,16 @@ def view_of_record(record: JobRecord, warning: str) -> JobView:
         )
 
 
-def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView:
-    target = prepared.dataset.problem(outcome.variable).target
-    target_error = prepared.config.budget.target_error
-    view = VariableView(
+def _variable_view(prepared: Prepared, outcome: VariableOutcome, shown: Mapping[str, Any]) -> VariableView:
+    """Return the view of a variable; `shown` are the fields about its equation."""
+    return VariableView(
         variable=outcome.variable,
-        lhs=target.lhs,
+        lhs=prepared.dataset.problem(outcome.variable).target.lhs,
         epoch=outcome.epoch,
         point_evaluations=sum(outcome.evaluations.values()),
         finished=outcome.why is not None,
         why=cast(Why | Literal["known"] | None, outcome.why),
-    )
-    shown = select_shown_equation(outcome, None, prepared.dataset, prepared.config)
-    if shown is None:
-        return view
-    normalized = finite(target.normalized(shown.error))
-    return view.model_copy(
-        update={
-            "error": finite(shown.error),
-            "normalized_error": normalized,
-            "complexity": len(shown.program),
-            "expression": to_infix(shown.program, prepared.dataset.names),
-            "converged": normalized is not None and normalized <= target.convergence_threshold(target_error),
-        }
+        **shown,
     )
 
 
@@ -345,6 +328,9 @@ class JobWorkers(Protocol):
 
     @property
     def counters(self) -> CounterRegistry: ...
+
+    @property
+    def equations(self) -> ShownEquations: ...
 
     def waiting_reason(self, job: Job) -> str | None: ...
 
@@ -414,6 +400,14 @@ class JobViews:
         job = self._jobs.get(job_id)
         return draft_of(job) if job is not None else self._store.result(job_id)
 
+    def add_written(self, written: FrontWritten) -> None:
+        """Keep the equation of a front that was written; an error is counted, and no equation is shown."""
+        job_id = written.front.job
+        if written.error is not None:
+            self._breakages.add("writing an equation", written.error)
+        ending = self._ending.get(job_id)
+        self._workers.equations.add_written(written, ending.job if ending is not None else self._jobs.get(job_id))
+
     def last_view(self, job: Job, now: float) -> JobView:
         """Return the view of a job that ends now."""
         view = self._live_view(job, now).model_copy(
@@ -452,4 +446,18 @@ class JobViews:
         view = job_view(job, self._queue, now, waiting_reason, self._workers.counters.counters(job), stalls)
         tasks = self._workers.task_views(job.id)
         at_tasks = sum((task.worker is not None) + task.helpers for task in tasks)
-        return view.model_copy(update={"tasks": tasks, "workers": max(view.workers, at_tasks)})
+        variables = self._variables(job) if job.result_text is None else ()  # otherwise the result has the equations
+        changes = {"tasks": tasks, "workers": max(view.workers, at_tasks), "variables": variables}
+        return view.model_copy(update=changes)
+
+    def _variables(self, job: Job) -> tuple[VariableView, ...]:
+        """Return the views of the equations of a live job.
+
+        Equations are not judged here, because this reads all rows of the data; they are judged in the result. The
+        background thread writes them.
+        """
+        prepared = job.prepared
+        if prepared is None:
+            return ()
+        equations = self._workers.equations
+        return tuple(_variable_view(prepared, one, equations.fields(job, prepared, one)) for one in outcomes_of(job))

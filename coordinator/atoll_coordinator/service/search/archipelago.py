@@ -89,6 +89,7 @@ class Archipelago:
         self._schedule = Schedule(next=0, last=0)
         self._gathering: Gathering | None = None
         self._snapshots: dict[str, tuple[int, ...]] = {}
+        self._islands_of: dict[str, tuple[int, ...]] = {}  # of the present placement, by worker
         self._wants_barrier = False
         self._since_plan = PLAN_COMMITS
         self._durable_at = 0.0
@@ -104,11 +105,11 @@ class Archipelago:
     @property
     def workers(self) -> tuple[str, ...]:
         """The workers that have islands of the archipelago, sorted; none without a placement."""
-        return tuple(sorted(set(self.placement.workers))) if self.placement is not None else ()
+        return tuple(self._islands_of)
 
     def islands_of(self, worker: str) -> tuple[int, ...]:
         """Return the islands that `worker` computes now."""
-        return self.placement.islands_of(worker) if self.placement is not None else ()
+        return self._islands_of.get(worker, ())
 
     def island_views(self) -> list[IslandView]:
         """Return worker and epoch of each island; none before the first placement."""
@@ -137,6 +138,11 @@ class Archipelago:
         return self._gathering.size if self._gathering is not None else None
 
     @property
+    def has_pulls(self) -> bool:
+        """Whether states of the checkpoint that is being gathered are missing and are not being pulled."""
+        return self._gathering is not None and bool(self._gathering.unasked)
+
+    @property
     def is_planned(self) -> bool:
         """Whether another placement has been requested."""
         return self._wants_barrier or self._schedule.holds
@@ -158,6 +164,7 @@ class Archipelago:
     def place(self, placement: Placement, now: float) -> None:
         """Begin a term, at the last checkpoint that is durable."""
         self.placement, self.placed_at = placement, now
+        self._islands_of = {worker: placement.islands_of(worker) for worker in sorted(set(placement.workers))}
         self._schedule, self._gathering = placement.schedule, None
         self._snapshots.clear()
         self._wants_barrier = False
@@ -169,6 +176,7 @@ class Archipelago:
     def unplace(self) -> None:
         """End the placement: no worker computes the archipelago after this."""
         self.placement, self._gathering = None, None
+        self._islands_of = {}
 
     def request_barrier(self) -> None:
         """Let all islands wait at the next possible checkpoint; without effect if this was requested before."""
@@ -195,7 +203,7 @@ class Archipelago:
         if report.epoch < self.durable:
             return False
         islands = [island_report.island for island_report in report.islands]
-        if len(set(islands)) < len(islands) or not set(islands) <= set(self.placement.islands_of(worker)):
+        if len(set(islands)) < len(islands) or not set(islands) <= set(self.islands_of(worker)):
             raise RemoteProtocolError(f"worker {worker} reported islands {islands}, which are not placed there")
         for island_report in report.islands:
             for addition in (*island_report.additions, *island_report.runners_up):
@@ -212,7 +220,7 @@ class Archipelago:
         """
         if self.placement is None:
             return None
-        self._update_latest(self.placement.islands_of(worker), assignment_status.reported - 1)
+        self._update_latest(self.islands_of(worker), assignment_status.reported - 1)
         self._snapshots[worker] = assignment_status.snapshots
         if self.cut is None and self._is_earlier(assignment_status.hit, self._hit):
             self._hit = assignment_status.hit
@@ -234,7 +242,7 @@ class Archipelago:
         placement = self.placement
         if placement is None or self.cut is not None or assignment_status.term != placement.term:
             return None
-        first = self.collector.first_missing(placement.islands_of(worker), assignment_status.reported)
+        first = self.collector.first_missing(self.islands_of(worker), assignment_status.reported)
         if first is None:
             return None
         last = min(assignment_status.reported, first + MOST_PULLED_EPOCHS)

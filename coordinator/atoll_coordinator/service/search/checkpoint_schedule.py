@@ -151,11 +151,16 @@ class Gathering:
         """The states that have arrived, by island."""
         return {island: state for assembly in self._assemblies.values() for island, state in assembly.states.items()}
 
+    @property
+    def unasked(self) -> list[str]:
+        """The workers from which states are missing and are not being pulled."""
+        return [
+            name for name, assembly in self._assemblies.items() if name not in self._asked and not assembly.is_complete
+        ]
+
     def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
         """Return at most `most` pulls, each with its worker; they count as sent."""
-        waiting = [
-            name for name, assembly in self._assemblies.items() if name not in self._asked and not assembly.is_complete
-        ][: max(0, most)]
+        waiting = self.unasked[: max(0, most)]
         self._asked.update(waiting)
         placed = self._placement
         return [

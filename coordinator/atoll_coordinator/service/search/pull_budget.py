@@ -27,20 +27,24 @@ class PullBudget:
             ArchipelagoKey, int
         ] = {}  # bytes of each checkpoint, in the order in which checkpoints were begun
         self._written: dict[ArchipelagoKey, int] = {}
-        self.is_short = False
-        """Whether a checkpoint waits until other checkpoints are written."""
+        self._waiting: dict[ArchipelagoKey, None] = {}
 
     @property
     def held_bytes(self) -> int:
         """Bytes of all states in memory."""
         return sum(self._gathered.values()) + sum(self._written.values())
 
+    @property
+    def waiting(self) -> tuple[ArchipelagoKey, ...]:
+        """The archipelagos whose pulls wait until other pulls have ended, or other checkpoints are written."""
+        return tuple(self._waiting)
+
     def begin_round(self, archipelagos: Mapping[ArchipelagoKey, Archipelago]) -> None:
         """Forget checkpoints whose archipelago is no longer open, or has lost its placement."""
         for key in list(self._gathered):
             if key not in archipelagos or archipelagos[key].gathered_bytes is None:
                 del self._gathered[key]
-        self.is_short = False
+        self._waiting.clear()
 
     def next_pulls(self, archipelago: Archipelago) -> list[tuple[str, PullStates]]:
         """Return the pulls of states that are due and for which there is memory, each with its worker."""
@@ -48,8 +52,10 @@ class PullBudget:
         is_first = not self._written and next(iter(self._gathered), archipelago.key) == archipelago.key
         room = (MAX_BYTES - self.held_bytes) // CHUNK_SIZE - self._pulls
         length_limit = wanted if is_first else min(wanted, room)
-        self.is_short = self.is_short or length_limit < wanted
         pulls = archipelago.next_pulls(length_limit)
+        self._waiting.pop(archipelago.key, None)
+        if archipelago.has_pulls:
+            self._waiting[archipelago.key] = None
         if pulls:
             self._gathered.setdefault(archipelago.key, 0)
         self._pulls += len(pulls)

@@ -1,7 +1,7 @@
 """Background work: a separate thread works on large values, one after another, and posts outcomes to the loop.
 
-The thread writes checkpoints, checks tables, reads results of tasks, and composes results of jobs that are not refined.
-So the service's loop never handles more bytes at a time than the bytes of one message.
+The thread writes checkpoints, checks tables, reads results of tasks, composes results of jobs that are not refined, and
+writes the equations of views. So the service's loop never handles more bytes at a time than the bytes of one message.
 
 The thread changes the store, but no job: an outcome is posted to the loop, and only the loop changes jobs. The loop may
 have ended or deleted the job meanwhile, so each handler of an outcome must check this. Exceptions are part of outcomes,
@@ -19,6 +19,7 @@ from datetime import UTC, datetime
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.jobs.job import Fault
 from atoll_coordinator.service.monitoring.job_views import Draft
+from atoll_coordinator.service.monitoring.shown_equations import Front, FrontWritten
 from atoll_coordinator.service.search.archipelago import Checkpoint
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
@@ -128,7 +129,8 @@ class CheckpointWritten:
 
 Outcome = (
     TableChecked | PreparationBegun | JobPrepared | PreparationFailed | JobRefined | RefiningFailed | CheckpointWritten
-)
+    | FrontWritten
+)  # fmt: skip
 """Items posted to the loop and handled by `JobController.take_outcome`."""
 
 
@@ -213,6 +215,17 @@ class Background:
                 return ResultRead(unread, error=error)
 
         self._act(lambda: self._post(read()))
+
+    def write_front(self, front: Front) -> None:
+        """Write the shown equation of a front for views; `FrontWritten` is posted."""
+
+        def write() -> FrontWritten:
+            try:
+                return FrontWritten(front, front.write())
+            except Exception as error:  # the loop counts it
+                return FrontWritten(front, {}, error)
+
+        self._act(lambda: self._post(write()))
 
     def compose_result(self, draft: Draft) -> None:
         """Compose the result of a job, which judges equations on all rows; `ResultComposed` is posted."""

@@ -1,5 +1,7 @@
 """Messages to workers over the bus."""
 
+from collections.abc import Iterable
+
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.codec import encode
@@ -19,7 +21,13 @@ class WorkerChannel:
 
     def send(self, worker: str, body: ControlBody) -> None:
         """Send a message to one worker."""
-        self._bus.put(topics.control(self._cluster, worker), encode(Control(body=body)))
+        self.send_to((worker,), body)
+
+    def send_to(self, workers: Iterable[str], body: ControlBody) -> None:
+        """Send a message to some workers, one by one."""
+        payload = encode(Control(body=body))
+        for worker in workers:
+            self._bus.put(topics.control(self._cluster, worker), payload)
 
     def publish(self, body: ControlBody) -> None:
         """Send a message to all workers."""

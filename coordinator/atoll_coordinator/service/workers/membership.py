@@ -110,6 +110,12 @@ class Membership:
         """Time of the last check of leases, in seconds of the bus."""
         return self._checked_at or 0.0
 
+    def __len__(self) -> int:
+        return len(self._members)
+
+    def __bool__(self) -> bool:
+        return True
+
     def member(self, worker: str) -> RegisteredWorker | None:
         """Return a worker by name; None: it is unknown."""
         return self._members.get(worker)

@@ -9,6 +9,7 @@ barrier, because little has been computed. *Doubts.* The load of a worker is its
 islands or machines are not measured.
 """
 
+import math
 from collections import Counter
 from collections.abc import Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -37,6 +38,11 @@ the placement are computed again."""
 
 EXPECT_S: Final = 10.0
 """Seconds for which the first ready worker waits for the other expected workers."""
+
+MOST_PULLS: Final = 500
+"""Most pulls of migrants in an epoch of all archipelagos for which these are spread over as many workers as possible.
+A pull, its answer and its end take 0.1 ms of the router's threads (docs/scale.md), so 500 take 5 % of a core at one
+epoch a second."""
 
 DATASET_ROOM: Final = 3
 """Memory that a dataset needs on a worker, in multiples of its bytes: 50 MB took 130 MB (docs/scale.md)."""
@@ -85,6 +91,7 @@ class Placer:
         self._expected = expected_workers
         self._first_ready_at: float | None = None
         self._sizes: dict[str, int] = {}
+        self._all_islands: int | None = None
 
     def plan_placements(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> PlacementPlan:
         """Plan terms for archipelagos that have no workers or lost workers, or could use more; `now` in bus seconds.
@@ -100,6 +107,7 @@ class Placer:
         ]
         self._quarantine.reserve(wanted, guarded)
         self._sizes = {job.id: job.prepared.size for job in jobs if job.prepared is not None}
+        self._update_spread(wanted)
         plan = PlacementPlan()
         # While a checkpoint is being written, no term begins: the next term begins at this checkpoint.
         changing = [
@@ -202,7 +210,15 @@ class Placer:
         ready = self._quarantine.ready_for(archipelago.key)
         local = {worker for worker in ready if self._membership.has_dataset(worker, job)}
         roomy = [worker for worker in ready if worker in local or self._membership.has_room(worker, needed)]
-        return spread(archipelago.collector.limits.islands, load, roomy or ready, local) if ready else None
+        islands = archipelago.collector.limits.islands
+        return spread(islands, load, roomy or ready, local, self._all_islands) if ready else None
+
+    def _update_spread(self, wanted: Collection[Archipelago]) -> None:
+        """Decide whether archipelagos are on as many workers as possible, or on few because of their messages."""
+        workers = len(self._membership.ready())
+        sizes = [archipelago.collector.limits.islands for archipelago in wanted]
+        pulls = sum(_pulls(min(islands, workers)) for islands in sizes)
+        self._all_islands = sum(sizes) if pulls > MOST_PULLS else None
 
     def _is_young(self, archipelago: Archipelago, now: float) -> bool:
         """Return whether little has been computed since the archipelago was placed."""
@@ -211,15 +227,20 @@ class Placer:
     def _better_placement(self, archipelago: Archipelago, load: Mapping[str, int]) -> tuple[str, ...] | None:
         """Return a placement that lowers the largest load of the archipelago's workers; None: there is none.
 
-        Each such move lowers the sum of squares of all loads, so there are only finitely many moves.
+        Each such move lowers the number of workers with the largest of these loads or a larger load, so there are only
+        finitely many moves.
         """
-        own, others = _islands(archipelago), Counter(load)
+        own = _islands(archipelago)
+        most = max((load.get(worker, 0) for worker in own), default=0)
+        if min((load.get(worker, 0) for worker in self._membership.ready()), default=0) >= most - 1:
+            return None  # if each new worker had fewer than `most` islands, there would be no place for all of them
+        others = Counter(load)
         others.subtract(own)
-        workers = self._spread(archipelago, others) if own else None
+        workers = self._spread(archipelago, others)
         if workers is None:
             return None
         busiest = max(others[worker] + islands for worker, islands in Counter(workers).items())
-        return workers if busiest < max(load.get(worker, 0) for worker in own) else None
+        return workers if busiest < most else None
 
     def _update_expected(self, now: float) -> None:
         """Stop waiting for workers when all expected workers are ready, or the first has waited for `EXPECT_S`."""
@@ -233,22 +254,46 @@ class Placer:
 
 
 def spread(
-    islands: int, load: Mapping[str, int], workers: Sequence[str], preferred: Collection[str] = ()
+    islands: int, load: Mapping[str, int], workers: Sequence[str], preferred: Collection[str] = (),
+    all_islands: int | None = None,
 ) -> tuple[str, ...]:  # fmt: skip
-    """Return the worker of each island: workers in turn, the least loaded first.
+    """Return the worker of each island.
 
-    Loads that differ by at most one island before still do so afterwards, and each archipelago is on as many workers as
-    possible. Then the loss of a worker affects few islands of an archipelago, and each archipelago has its share of
-    every worker.
+    By default workers come in turn, the least loaded first. Loads that differ by at most one island before still do so
+    afterwards, and each archipelago is on as many workers as possible. Then the loss of a worker affects few islands of
+    an archipelago, and each archipelago has its share of every worker.
+
+    With `all_islands`, the archipelago is on few workers: on k workers, the largest number for which its k (k - 1)
+    pulls in an epoch are no more than its islands, or on more workers if the loads would become uneven otherwise. When
+    all archipelagos are placed, loads differ by at most one island.
 
     Args:
         islands: number of islands.
         load: number of islands of each worker; a missing worker has none.
         workers: Unique names of workers, at least one.
         preferred: Workers that come first among equally loaded workers.
+        all_islands: number of islands of all archipelagos that are or will be placed.
     """
-    order = sorted(workers, key=lambda worker: (load.get(worker, 0), worker not in preferred, worker))
-    return tuple(order[island % len(order)] for island in range(islands))
+
+    def rank(worker: str) -> tuple[int, bool, str]:
+        return (load.get(worker, 0), worker not in preferred, worker)
+
+    order = sorted(workers, key=rank)
+    if all_islands is None:
+        return tuple(order[island % len(order)] for island in range(islands))
+    few = max(count for count in range(1, islands + 1) if _pulls(count) <= islands)
+    counts = Counter[str]()
+    for worker in order:
+        room = all_islands // len(order) - load.get(worker, 0)
+        counts[worker] = max(0, min(math.ceil(islands / few), room, islands - counts.total()))
+    for _ in range(islands - counts.total()):
+        counts[min(order, key=lambda worker: (load.get(worker, 0) + counts[worker], rank(worker)))] += 1
+    return tuple(worker for worker in order for _ in range(counts[worker]))
+
+
+def _pulls(workers: int) -> int:
+    """Return how many pulls of migrants an archipelago causes in an epoch: each worker pulls from each other worker."""
+    return workers * (workers - 1)
 
 
 def _islands(archipelago: Archipelago) -> Counter[str]:

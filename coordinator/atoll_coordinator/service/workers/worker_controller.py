@@ -177,7 +177,19 @@ class WorkerController:
             commit = archipelago.update_assignment_status(worker, assignment_status)
             self.counters.set_waited(worker, assignment_status)
             if commit is not None:
-                self._channel.publish(commit)
+                self.tell(archipelago, commit)
+
+    def tell(self, archipelago: Archipelago, body: messages.Commit | messages.Close) -> None:
+        """Send a message to the workers of an archipelago.
+
+        One message to all workers is sent if these are at least half of all workers. Otherwise, with many archipelagos,
+        most messages would go to workers that ignore them.
+        """
+        workers = archipelago.workers
+        if 2 * len(workers) < len(self.membership):
+            self._channel.send_to(workers, body)
+        else:
+            self._channel.publish(body)
 
     def _let_leave(self, worker: str, now: float) -> None:
         """Place the islands of a leaving worker elsewhere; let it end when it has no islands and no task."""

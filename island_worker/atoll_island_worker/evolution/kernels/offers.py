@@ -5,7 +5,8 @@ from typing import Final
 import numpy as np
 
 from atoll_core.compilation.jit import inlined, kernel
-from atoll_core.expression.kernels.tape import forward
+from atoll_core.expression.kernels.tape import Int, forward
+from atoll_core.expression.operators import ADD, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
 from atoll_island_worker.evolution.kernels.fit import errors, fit, residual_of
 from atoll_island_worker.evolution.kernels.generation import INFINITY, REFITTING
 from atoll_island_worker.evolution.kernels.tape import canonical_tape, compile_tape
@@ -14,9 +15,16 @@ from atoll_island_worker.evolution.structures import Book, Fit, Floats, Hashes, 
 SIMPLE = 1e-4
 """A coefficient that differs from 1 or -1 by less than this is also tried as 1 or -1."""
 
+WITHOUT_SHIFT: Final = 1
+"""Bit of a variant: b is left out."""
+SIMPLE_COEFFICIENTS: Final = 2
+"""Bit of a variant: coefficients close to 1 or -1 are exactly that, see `SIMPLE`."""
+
 _SAME: Final = 1e-6
 """If the predicted losses of two individuals differ by no more than this share, they count as the same function."""
 
+_ZERO: Final = np.int64(0)
+_ONE: Final = np.int64(1)
 _PRIME = np.uint64(0x100000001B3)
 _BASIS = np.uint64(0xCBF29CE484222325)
 
@@ -140,6 +148,20 @@ def loss_of(result: Floats, options: Fit) -> float:
 
 
 @inlined
+def _coefficient(book: Book, k: Int, j: Int, variant: Int) -> float:
+    """Return coefficient a_j of program `k` in this variant, see `Book.variants`."""
+    a = book.scale[k, j]
+    is_simple = variant & SIMPLE_COEFFICIENTS > 0 and abs(abs(a) - 1.0) < SIMPLE
+    return (1.0 if a > 0.0 else -1.0) if is_simple else a
+
+
+@inlined
+def _shift(book: Book, k: Int, variant: Int) -> float:
+    """Return b of program `k` in this variant."""
+    return book.scale[k, 0] if variant & WITHOUT_SHIFT == 0 else 0.0
+
+
+@inlined
 def _measure_variants(count: int, rows: Rows, options: Fit, tape: Tape, work: Work, book: Book, k: int) -> None:
     """Write the loss of each variant of the coefficients in book.scale[k] to book.variants[k], see `Book.variants`."""
     for i in range(count):
@@ -152,10 +174,8 @@ def _measure_variants(count: int, rows: Rows, options: Fit, tape: Tape, work: Wo
     trial = work.kept_scale
     for variant in range(book.variants.shape[1]):
         for j in range(1, 1 + number):
-            a = book.scale[k, j]
-            is_simple = variant & 2 > 0 and abs(abs(a) - 1.0) < SIMPLE
-            trial[j] = (1.0 if a > 0.0 else -1.0) if is_simple else a
-        trial[0] = book.scale[k, 0] if variant & 1 == 0 else 0.0
+            trial[j] = _coefficient(book, k, j, variant)
+        trial[0] = _shift(book, k, variant)
         residual_of(number, rows, work, trial)
         errors(rows, work, work.trial)
         book.variants[k, variant] = loss_of(work.trial, options)
@@ -210,3 +230,70 @@ def refit_offers(
             counters[REFITTING] += rows.length
         count += 1
     return count
+
+
+@inlined
+def _append_node(tape: Tape, count: Int, op: Int, left: Int, right: Int, constant: float) -> Int:
+    """Append a node to the `count` nodes on `tape`; return the new number of nodes."""
+    tape.code[count] = op
+    tape.left[count] = left
+    tape.right[count] = right
+    tape.constants[count] = constant
+    return count + 1
+
+
+@inlined
+def _append_term(tape: Tape, count: Int, top: Int, node: Int, a: float) -> Int:
+    """Append the nodes of ``top + a * node`` (of ``a * node`` if `top` is negative); return the new number of nodes.
+
+    The output is the last node, except for a term with coefficient 1 and no `top`: then it is `node`.
+    """
+    size = abs(a) if top >= 0 else a
+    if size == -1.0:
+        count = _append_node(tape, count, NEGATE, node, _ZERO, 0.0)
+        node = count - 1
+    elif size != 1.0:
+        count = _append_node(tape, count, CONSTANT, _ZERO, _ZERO, size)
+        count = _append_node(tape, count, MULTIPLY, node, count - 1, 0.0)
+        node = count - 1
+    if top >= 0:
+        count = _append_node(tape, count, np.int64(ADD if a > 0.0 else SUBTRACT), top, node, 0.0)
+    return count
+
+
+@inlined
+def combine(tape: Tape, count: Int, book: Book, k: Int, variant: Int) -> Int:
+    """Append b + a_1 t_1 + ... to program `k`, whose `count` nodes are on `tape`; return the index of the output.
+
+    Zero coefficients and a zero b are left out. A positive term comes first if there is one, so that negative terms
+    become differences.
+    """
+    top: Int = -_ONE
+    for negative in range(2):
+        for j in range(book.number[k]):
+            a = _coefficient(book, k, j + 1, variant)
+            if a == 0.0 or (a < 0.0) != (negative == 1):
+                continue
+            appended = _append_term(tape, count, top, book.terms[k, j], a)
+            top = book.terms[k, j] if appended == count else appended - 1
+            count = appended
+    shift = _shift(book, k, variant)
+    if top < 0:
+        return _append_node(tape, count, CONSTANT, _ZERO, _ZERO, shift) - 1
+    if shift != 0.0:
+        count = _append_node(tape, count, CONSTANT, _ZERO, _ZERO, shift)
+        return _append_node(tape, count, ADD, top, count - 1, 0.0) - 1
+    return top
+
+
+@kernel
+def write_variant(book: Book, k: int, variant: int, scratch: Scratch) -> int:
+    """Write program `k` of `book` with its coefficients to `scratch.canonical`; return its number of nodes.
+
+    A negative `variant` leaves all coefficients out; others are as in `Book.variants`.
+    """
+    tape, count = scratch.tape, book.size[k]
+    for i in range(count):
+        _append_node(tape, i, book.code[k, i], book.left[k, i], book.right[k, i], book.constants[k, i])
+    output = count - 1 if variant < 0 else combine(tape, count, book, k, variant)
+    return canonical_tape(tape, output + 1, scratch.work, scratch.canonical)

@@ -153,7 +153,7 @@ def _append(tape: Tape, count: int, op: int, left: int, right: int, constant: fl
 
 
 @kernel
-def canonical_tape(source: Tape, length: int, work: Work, tape: Tape) -> int:
+def canonical_tape(source: Tape, length: Int, work: Work, tape: Tape) -> int:
     """Write the canonical form of `source` (`length` nodes) onto `tape`; return the number of nodes.
 
     Operators on constants become constants, and equal nodes become one. For this the operands of + and * are sorted,

@@ -18,7 +18,7 @@ from atoll_core.config import (
     SpaceConfig,
 )
 from atoll_core.data.dataset import Problem, Target
-from atoll_core.errors import RemoteProtocolError
+from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.expression.program import Program
 from atoll_core.expression.simplification import complexity
 from atoll_core.wire.codec import decode_arrays, encode_arrays
@@ -103,6 +103,26 @@ def test_an_island_written_and_read_between_epochs_goes_on_with_the_same_bits(pr
         ended = [advance(island) for island in islands]
         reshuffle(islands)
     assert tuple(ended) == run(config, epochs=3).reports[-2:]
+
+
+@pytest.mark.parametrize("is_predicted", [True, False])
+def test_an_island_written_and_read_before_its_immigrants_come_goes_on_with_the_same_bits(is_predicted):
+    config = config_of(islands=2, predictors=PredictorConfig(rows=8, enabled=is_predicted))
+    islands = [Island(PROBLEM, config, number) for number in range(2)]
+    for _ in range(3):
+        ended = [advance(island) for island in islands]
+        data = [island.to_bytes() for island in islands]
+        islands = [Island.from_bytes(one, PROBLEM, config, k) for k, one in enumerate(data)]
+        assert [island.to_bytes() for island in islands] == data
+        reshuffle(islands)
+    assert tuple(ended) == run(config, epochs=3).reports[-2:]
+
+
+def test_an_island_is_not_written_within_an_epoch():
+    island = Island(PROBLEM, CONFIG, 0)
+    island.advance(10)
+    with pytest.raises(LocalProtocolError):
+        island.to_bytes()
 
 
 NEAR = config_of(evolution=EvolutionConfig(islands=2, population=16, runners_up=3), generations=50)

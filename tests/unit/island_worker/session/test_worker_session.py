@@ -169,6 +169,24 @@ def test_a_pull_that_ends_without_migrants_is_repeated_at_a_tick(session: Sessio
     assert session.handle(Tick()) == []
 
 
+def test_a_pull_that_timed_out_is_repeated_at_once_while_an_island_waits(session: Session) -> None:
+    (first,) = asked(begun(session, "me", "peer"))
+    assert session.handle(PullEnded(first, None, has_timed_out=True)) == []
+    again = asked(session.handle(computed(key(0, 0), {}, 1)))
+    assert again == [SendPull("peer", pull(0, 1))]
+    assert session.handle(PullEnded(again[0], None, has_timed_out=True)) == again
+
+
+def test_one_pull_is_for_all_islands_here(session: Session) -> None:
+    (first,) = asked(begun(session, "me", "me", "peer", "peer"))
+    session.handle(PullEnded(first, None, has_timed_out=True))
+    again = asked(session.handle(computed(key(0, 0), {}, 2, 3)))
+    assert again == [SendPull("peer", pull(0, 2, 3, to=(0, 1)))]
+    assert asked(session.handle(computed(key(1, 0), {}, 2, 3))) == []
+    answer = migrants((2, 0, b"a"), (2, 1, b"b"), (3, 0, b"c"), (3, 1, b"d"))
+    assert tasks(list(session.handle(PullEnded(again[0], answer)))) == [key(0, 1), key(1, 1)]
+
+
 def test_the_rest_of_an_answer_is_asked_for_at_once(session: Session) -> None:
     (early,) = asked(begun(session, "me", "peer", "peer"))
     session.handle(computed(key(0, 0), {}, 1, 2))

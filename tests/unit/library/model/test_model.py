@@ -319,6 +319,15 @@ def test_candidates_are_models_with_the_rest_as_it_is() -> None:
     assert model.simulate([0.0, 0.1], TIMES).status == "finished"
 
 
+def test_expressions_of_sympy_need_sympy_and_nothing_else_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("atoll.display.notation.find_spec", lambda name: None)
+    model = Model(decay())
+    assert model.latex()
+    assert model.mathml()
+    with pytest.raises(UsageError, match=r"sympy, which is not installed; run: pip install 'atoll\[sympy\]'"):
+        model.to_sympy()
+
+
 def test_a_model_is_written_as_text_latex_mathml_and_html() -> None:
     model = Model(decay())
     assert "good: It fits & more." in model.summary()

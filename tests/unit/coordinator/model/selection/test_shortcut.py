@@ -3,11 +3,13 @@
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.inference.conclusion import conclude
+from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import FrontMember, Law
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection import proposals
@@ -15,9 +17,10 @@ from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.model_selection import select_model
 from atoll_coordinator.model.selection.shortcut import add_laws, select_laws
 from atoll_coordinator.model.selection.task import ModellingTask
-from atoll_core.config import PRESETS
+from atoll_core.config import PRESETS, JobConfig, SpaceConfig
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
+from tests.unit.coordinator.model.shooting.made import Known, pools, table
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, TERMS, monomials, prepared
 from tests.unit.coordinator.model.sparse.ring import RING, SUMS, TRUTHS, ring
 
@@ -54,6 +57,21 @@ def test_lorenz_by_a_solver_of_tolerance_1e_6_has_no_further_terms():
 def test_pieces_are_as_long_as_errors_of_the_size_of_the_noise_stay_small():
     lengths = [select_laws(add_laws(task_of(1000, noise, trajectories=2))).task.piece for noise in (0.002, 0.05)]
     assert lengths[0] > 1.3 * lengths[1]
+
+
+@pytest.mark.parametrize(("digits", "is_exact"), [(None, True), (5, False)])
+def test_of_few_rows_only_exact_residuals_make_laws_the_model(digits, is_exact, caplog):
+    known = Known(("x", "y"), lambda _, z: [1.1 * z[0] - 0.4 * z[0] * z[1], 0.1 * z[0] * z[1] - 0.4 * z[1]])
+    config = JobConfig(space=SpaceConfig(operators=("+", "-", "*", "/")))
+    measured = table(known, [(10.0, 5.0)], np.linspace(0.0, 30.0, 200))
+    if digits is not None:
+        measured = replace(measured, columns=measured.columns.round(digits))
+    preparation = prepare(measured, config)
+    with caplog.at_level("INFO"):
+        refined = refine_all(preparation, config, pools(preparation, x=("1.1*x - 0.4*x*y",), y=("0.1*x*y - 0.4*y",)))
+    assert ("the nearest candidates" in caplog.text) is not is_exact
+    assert refined.equations["x"].grade == "exact"
+    assert [len(refined.equations[name].constants) for name in ("x", "y")] == [2, 2]
 
 
 def test_without_a_law_at_the_noise_level_the_long_way_is_taken():

@@ -107,6 +107,18 @@ def test_a_held_out_trajectory_that_cannot_be_solved_leaves_the_table_as_it_is(f
     assert subtract_solver_errors(task, fit.fit) is not None
 
 
+def test_no_further_candidates_are_sought_once_a_solver_computes_the_rows(caplog):
+    """The equation of y with a term too many describes the rows better in nats; the law gives all digits."""
+    prepared = prepare(table(Computed(("x", "y"), predation), STARTS, TIMES), CONFIG)
+    pool = pools(prepared, x=(LAW[0],), y=(LAW[1], "0.1*x*y - 0.4*y - 0.003*x"))
+    with caplog.at_level("INFO"):
+        made = refine_all(prepared, CONFIG, pool)
+    assert [made.equations[name].grade for name in ("x", "y")] == ["exact", "exact"]
+    assert [len(made.equations[name].constants) for name in ("x", "y")] == [2, 2]
+    assert "rows computed by a known solver" in caplog.text
+    assert "sums by pursuit" not in caplog.text
+
+
 @pytest.mark.slow
 def test_terms_that_follow_a_solver_are_left_out_and_it_is_named():
     known = Computed(("x", "y"), predation)

@@ -66,9 +66,9 @@ def test_without_memory_the_checkpoint_that_was_begun_first_goes_on_alone(monkey
     coordinator, x, y = PullBudget(), archipelago("x", 2), archipelago("y", 2)
     pulls = coordinator.next_pulls(x)
     assert len(pulls) == 2
-    assert not coordinator.is_short
+    assert coordinator.waiting == ()
     assert coordinator.next_pulls(y) == []
-    assert coordinator.is_short
+    assert coordinator.waiting == (y.key,)
     for worker, pull in pulls:
         reply(coordinator, x, worker, pull)
     checkpoint = coordinator.take_complete_checkpoint(x)

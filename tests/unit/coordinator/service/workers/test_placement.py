@@ -43,6 +43,32 @@ def test_no_worker_has_two_islands_more_than_another(sizes: list[int], workers: 
         assert max(loads) - min(loads) <= 1
 
 
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=8), NAMES)
+def test_few_workers_have_an_archipelago_and_loads_are_even_when_all_are_placed(
+    sizes: list[int], workers: list[str]
+) -> None:
+    load = Counter[str]()
+    for islands in sizes:
+        placed = spread(islands, load, workers, all_islands=sum(sizes))
+        load.update(placed)
+        assert len(placed) == islands
+    loads = [load[worker] for worker in workers]
+    assert max(loads) - min(loads) <= 1
+
+
+def test_many_archipelagos_are_on_few_workers_each(placer_of: Callable[..., Placer]) -> None:
+    """Eight islands pull from few workers: 3 workers make 6 pulls in an epoch, and 8 workers would make 56."""
+    names = [f"w{number:02}" for number in range(32)]
+    placer = placer_of(members(*names))
+    many = [archipelago(islands=8, variable=f"v{number}") for number in range(32)]
+    workers = placed(placer, *many)
+    assert Counter(worker for one in workers for worker in one) == dict.fromkeys(names, 8)
+    pulls = [len(set(one)) * (len(set(one)) - 1) for one in workers]
+    assert sum(pulls) <= 1.25 * sum(map(len, workers))
+    (alone,) = placed(placer, archipelago(islands=8))
+    assert len(set(alone)) == 8
+
+
 def members(*names: str) -> Membership:
     membership = Membership()
     for name in names:

@@ -1,0 +1,290 @@
+"""The same job by the service and by other engines: digests, equations, and times beside each other, a worker killed.
+
+``python -m benchmarks.operations.engines`` solves one job by the service, Dask, MPI, loky, Ray, a pool of processes and
+threads, each with two workers and in a program of its own, first undisturbed, then with a worker killed on the way. An
+engine that is not installed is left out. Processor seconds are those of all processes of the program, until the last
+one has ended. MPI ends the whole program when one of its processes dies; so the task process of one of them is killed,
+as the system does when memory runs out. Threads have no other processes than these.
+
+Returns 1 when a digest or an equation differs, else 0.
+"""
+
+import contextlib
+import ctypes
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
+from typing import Any, Final
+
+import atoll
+from atoll.terminal.output import note, say, table
+from atoll_core.errors import AtollError
+from benchmarks.harness.command_line import OUT, option, positive, program, whole
+from benchmarks.harness.record import Record, load
+from benchmarks.harness.systems import trajectories
+from benchmarks.operations.differences import differences, masked
+
+WORKERS: Final = 2
+_SUBREAPER: Final = 36
+"""PR_SET_CHILD_SUBREAPER of Linux: processes whose parent has ended become children of this process."""
+
+Pids = Callable[[], Sequence[int]]
+"""Returns the processes of which one is killed."""
+
+
+@dataclass(frozen=True)
+class Took:
+    """One run: seconds from the call to its result, and processor seconds of all its processes from start to end."""
+
+    engine: str
+    is_struck: bool
+    seconds: float
+    processor: float
+    digest: str
+    equations: tuple[str, ...]
+    differing: int = 0
+
+
+# --------------------------------------------------------------------------------------------- one program, one engine
+
+
+@contextmanager
+def processes() -> Iterator[tuple[object, Pids]]:
+    """A pool of processes, made again when it is broken."""
+    made: list[ProcessPoolExecutor] = []
+
+    def make() -> ProcessPoolExecutor:
+        made.append(ProcessPoolExecutor(WORKERS))
+        return made[-1]
+
+    yield make, lambda: [*made[-1]._processes]
+
+
+@contextmanager
+def threads() -> Iterator[tuple[object, Pids]]:
+    """A pool of threads."""
+    with ThreadPoolExecutor(WORKERS) as executor:
+        yield executor, lambda: task_processes(os.getpid())
+
+
+@contextmanager
+def loky() -> Iterator[tuple[object, Pids]]:
+    """The reusable pool of loky."""
+    import loky as library
+
+    executor: Any = library.get_reusable_executor(max_workers=WORKERS)
+    yield executor, lambda: [*executor._processes]
+    library.get_reusable_executor(max_workers=WORKERS).shutdown(wait=True)
+
+
+@contextmanager
+def dask() -> Iterator[tuple[object, Pids]]:
+    """A Dask cluster on this machine."""
+    from distributed import Client, LocalCluster
+
+    with (
+        LocalCluster(n_workers=WORKERS, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client, lambda: [*client.run(os.getpid).values()]
+
+
+@contextmanager
+def mpi() -> Iterator[tuple[object, Pids]]:
+    """The other processes of this MPI program; one of their task processes is killed."""
+    from mpi4py.futures import MPIPoolExecutor
+
+    with MPIPoolExecutor() as executor:
+        yield executor, lambda: task_processes(*(pid for pid in siblings() if pid != os.getpid()))
+
+
+@contextmanager
+def ray() -> Iterator[tuple[object, Pids]]:
+    """A Ray cluster on this machine."""
+    import ray as library
+
+    library.init(num_cpus=WORKERS, include_dashboard=False, log_to_driver=False)
+    yield library, lambda: [pid for pid in below(os.getpid()) if b"ray::" in words_of(pid)]
+    library.shutdown()
+
+
+@contextmanager
+def service() -> Iterator[tuple[object, Pids]]:
+    """The local service."""
+    yield None, lambda: [pid for pid in below(os.getpid()) if is_worker(pid)]
+
+
+ENGINES: Final = {
+    "service": service, "processes": processes, "threads": threads, "loky": loky, "dask": dask, "mpi": mpi, "ray": ray,
+}  # fmt: skip
+PACKAGES: Final = {"loky": "loky", "dask": "distributed", "mpi": "mpi4py", "ray": "ray"}
+
+
+def parents() -> dict[int, int]:
+    """Return the parent of each process of this machine."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError, IndexError, ValueError):
+            found[int(folder.name)] = int((folder / "stat").read_text("utf-8").rpartition(")")[2].split()[1])
+    return found
+
+
+def below(root: int) -> list[int]:
+    """Return the processes below a process."""
+    known, found = parents(), {root}
+    while more := {pid for pid, parent in known.items() if parent in found and pid not in found}:
+        found |= more
+    return sorted(found - {root})
+
+
+def siblings() -> list[int]:
+    """Return the processes with the same parent as this one, itself included."""
+    known = parents()
+    return sorted(pid for pid, parent in known.items() if parent == known[os.getpid()])
+
+
+def words_of(pid: int) -> bytes:
+    """Return the command line of a process, b"" if it has ended."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    return b""
+
+
+def task_processes(*roots: int) -> list[int]:
+    """Return the task processes below some processes."""
+    return [pid for root in roots for pid in below(root) if b"atoll.tasks.process" in words_of(pid)]
+
+
+def is_worker(pid: int) -> bool:
+    """Tell whether a process is an island worker: forked by another process of this program."""
+    parent = parents().get(pid, 0)
+    return b"atoll_island_worker" in words_of(pid) and b"atoll_island_worker" in words_of(parent)
+
+
+def strike(pids: Pids, after: float, struck: list[int]) -> None:
+    """Kill one of the processes after some seconds, as soon as there is one."""
+    time.sleep(after)
+    while not struck:
+        for pid in pids()[:1]:
+            os.kill(pid, signal.SIGKILL)
+            struck.append(pid)
+        time.sleep(0.02)
+
+
+def solve_once(engine: str, after: float | None, seed: int, epochs: int) -> dict[str, Any]:
+    """Solve the job in this process; `after` seconds a worker is killed (None: none is)."""
+    sampled = trajectories("lotka_volterra", noise=0.05, duration=4.0)
+    data = [
+        {"t": times, **dict(zip(sampled.names, values.T, strict=True))}
+        for times, values in zip(sampled.times, sampled.values, strict=True)
+    ]
+    struck: list[int] = []
+    with ENGINES[engine]() as (executor, pids):
+        workers = WORKERS if executor is None else None
+        options: dict[str, Any] = {"seed": seed, "max_epochs": epochs, "workers": workers, "executor": executor}
+        if after is not None:
+            threading.Thread(target=strike, args=(pids, after, struck), daemon=True).start()
+        began = time.monotonic()
+        model = atoll.discover(data, progress=False, **options)
+        seconds = time.monotonic() - began
+    if after is not None and not struck:
+        raise AtollError(f"{engine} was done before a worker was killed; lower --after")
+    return {"seconds": seconds, "result": masked(json.loads(model.result.to_json())), "digest": model.result.digest}
+
+
+# ------------------------------------------------------------------------------------------------------- all of them
+
+
+def command_of(engine: str, options: Namespace, is_struck: bool) -> list[str]:
+    """Return the command that solves the job once."""
+    words = [__spec__.name, "--once", engine, "--seed", str(options.seed), "--epochs", str(options.epochs)]
+    words += ["--after", str(options.after or 3.0)] if is_struck else []
+    if engine != "mpi":
+        return [sys.executable, "-m", *words]
+    launcher = ["mpiexec", "--allow-run-as-root", "--oversubscribe", "--mca", "mpi_yield_when_idle", "1"]
+    return [*launcher, "-n", str(WORKERS + 1), sys.executable, "-m", "mpi4py.futures", "-m", *words]
+
+
+def run(engine: str, options: Namespace, is_struck: bool) -> tuple[Took, Any]:
+    """Solve the job by an engine in a program of its own; return what it took, and the result."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(command_of(engine, options, is_struck), stdout=subprocess.PIPE, check=False)
+    with contextlib.suppress(ChildProcessError):  # processes that end after their parents
+        while True:
+            os.wait()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode != 0:
+        raise AtollError(f"{engine} failed with exit code {done.returncode}")
+    made = json.loads(done.stdout.splitlines()[-1])
+    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    equations = tuple(equation["expression"] for equation in made["result"]["equations"])
+    return Took(engine, is_struck, made["seconds"], processor, made["digest"], equations), made["result"]
+
+
+def available(engine: str) -> bool:
+    """Tell whether an engine is installed here."""
+    return find_spec(PACKAGES.get(engine, "atoll")) is not None and (engine != "mpi" or which("mpiexec") is not None)
+
+
+def shown(took: Sequence[Took]) -> str:
+    """Return one line for each engine."""
+    rows = [
+        (
+            one.engine, "a worker killed" if one.is_struck else "", f"{one.seconds:.1f}", f"{one.processor:.1f}",
+            one.digest[:12], "equal" if not one.differing else f"{one.differing} places differ",
+        )
+        for one in took
+    ]  # fmt: skip
+    return table(("engine", "", "s", "processor s", "digest", "result beside the service's"), rows)
+
+
+@program(
+    "benchmarks.operations.engines",
+    __doc__,
+    option("--engines", metavar="NAME,NAME", default=",".join(ENGINES), help="engines (all that are installed)"),
+    option("--seed", type=int, default=5),
+    option("--epochs", type=whole, default=8, help="longest search (%(default)s)"),
+    option("--after", type=positive, help="seconds until a worker is killed (3)"),
+    option("--repeats", type=whole, default=1),
+    option("--once", choices=ENGINES, help="solve the job in this process and print the result"),
+    OUT,
+)
+def main(options: Namespace) -> int:
+    """Measure and print; return 1 when a result differs, else 0."""
+    if options.once:
+        say(json.dumps(solve_once(options.once, options.after, options.seed, options.epochs)))
+        return 0
+    ctypes.CDLL(None).prctl(_SUBREAPER, 1, 0, 0, 0)
+    names = [name for name in options.engines.split(",") if available(name)]
+    record, took, reference = Record("engines", options.words, options.out), [], None
+    for _ in range(options.repeats):
+        for name in names:
+            for is_struck in (False, True):
+                one, result = run(name, options, is_struck)
+                reference = result if reference is None else reference
+                places = len([*differences(result, reference)])
+                took.append(Took(**{**vars(one), "differing": places}))
+                record.add(took[-1])
+                note(f"  {name}{' struck' if is_struck else ''}: {one.seconds:.1f} s, {one.processor:.1f} processor s")
+    say(shown(took))
+    differing = sum(one.differing > 0 for one in took)
+    record.write(differing=differing)
+    say(f"\n{differing} of {len(took)} results differ from the first; load {load():.1f}")
+    return 1 if differing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

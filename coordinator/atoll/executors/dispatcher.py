@@ -1,0 +1,166 @@
+"""Submits calls to an executor: shared data once for each process, lost calls again.
+
+The driver's thread calls all methods. The executor's threads only put `Finished` into the driver's inbox. Any exception
+of a future means that the call was lost, because `tasks.perform` raises none: its worker was killed, or the executor
+could not send it. It is submitted again, up to `MAX_LOSSES` times. Calls are pure, so it does no harm if one is
+computed twice. A pool that is broken, as the pools of concurrent.futures are after the death of a worker, is replaced
+if the user gave a function that makes another one.
+"""
+
+import hashlib
+import itertools
+import queue
+from collections import Counter
+from collections.abc import Callable, Mapping
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from dataclasses import dataclass, replace
+from typing import Any, Final, Self
+
+from atoll.executors.executors import ExecutorError, adapted, workers_of
+from atoll.executors.tasks import MAX_LOSSES, Call, Done, FunctionFailed, Inbox, Missing, perform
+from atoll_core.task_frames import version
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finished:
+    """Put into the inbox: a future is done. `executor` is the executor that had the call."""
+
+    number: int
+    future: "Future[Any]"
+    executor: Executor
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """The result of a call, with the `tag` under which it was submitted; `sentence`: its function raised an error."""
+
+    tag: Any
+    value: Any = None
+    sentence: str = ""
+
+
+@dataclass(slots=True)
+class _OpenCall:
+    """A call without a result; `data` are its shared data, by digest."""
+
+    tag: Any
+    call: Call
+    data: Mapping[str, bytes]
+    future: "Future[Any] | None" = None
+    losses: int = 0
+
+
+class Dispatcher:
+    """The calls of one driver; a context manager.
+
+    `workers` is the number of calls that the executor runs at the same time. `inbox` gets a `Finished` for each future
+    that is done; the driver may put other events into it.
+    """
+
+    def __init__(self, executor: object, workers: int | None = None) -> None:
+        """Use an executor (see `executors.adapted`) with this number of workers; None: as many as it has."""
+        self._adapted = adapted(executor)
+        self._executor = self._adapted.executor
+        self.workers: Final = workers or workers_of(self._executor)
+        self.inbox: Final[Inbox] = queue.SimpleQueue()
+        self._numbers = itertools.count()
+        self._open: dict[int, _OpenCall] = {}
+        self._sent: Counter[str] = Counter()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.cancel()
+        if self._adapted.is_ours:
+            self._executor.shutdown(wait=False)
+
+    def submit(self, tag: object, function: str, arguments: tuple[Any, ...], *shared: bytes) -> None:
+        """Submit a call of a function of `tasks.FUNCTIONS`.
+
+        Args:
+            tag: comes back with the result.
+            function: its name.
+            arguments: its first arguments.
+            shared: data that many calls share, the last arguments of the function.
+        """
+        data = {hashlib.sha256(one).hexdigest(): one for one in shared}
+        call = Call(next(self._numbers), function, arguments, tuple(data), of=version())
+        self._open[call.number] = _OpenCall(tag, call, data)
+        # There are about as many processes as workers, so most of them get the data with their first call.
+        new = {digest: one for digest, one in data.items() if self._sent[digest] < self.workers}
+        self._sent.update(new.keys())
+        self._send(self._open[call.number], new)
+
+    def wait(self) -> Computed | None:
+        """Wait for the next finished future, and return as `take`; for drivers without other events."""
+        while True:
+            event = self.inbox.get()
+            if isinstance(event, Finished):
+                return self.take(event)
+
+    def take(self, finished: Finished) -> Computed | None:
+        """Return the result of a finished future; None: its call was submitted again, or is not needed any more.
+
+        Raises:
+            ExecutorError: the call was lost too often, or the executor is broken and cannot be replaced.
+        """
+        entry = self._open.get(finished.number)
+        if entry is None or entry.future is not finished.future:
+            return None
+        try:
+            outcome = finished.future.result()
+        except (Exception, CancelledError) as error:
+            self._lose(entry, finished.executor, error)
+            return None
+        if isinstance(outcome, Missing):
+            self._send(entry, {digest: entry.data[digest] for digest in outcome.digests})
+            return None
+        del self._open[finished.number]
+        if isinstance(outcome, FunctionFailed):
+            return Computed(entry.tag, sentence=outcome.sentence)
+        assert isinstance(outcome, Done)
+        return Computed(entry.tag, outcome.value)
+
+    def cancel(self, is_needed: Callable[[Any], bool] = lambda tag: False) -> None:
+        """Forget the calls whose tags are not needed; calls that have not begun are cancelled."""
+        for number, entry in [*self._open.items()]:
+            if not is_needed(entry.tag):
+                del self._open[number]
+                if entry.future is not None:
+                    entry.future.cancel()
+
+    def _send(self, entry: _OpenCall, data: Mapping[str, bytes]) -> None:
+        executor, number = self._executor, entry.call.number
+        try:
+            future = executor.submit(perform, replace(entry.call, data=data))
+        except BrokenExecutor as error:  # found by this call first
+            self._lose(entry, executor, error)
+            return
+        except RuntimeError as error:
+            raise ExecutorError(
+                f"the executor takes no tasks ({error}); give an executor that has not been shut down"
+            ) from error
+        entry.future = future
+        future.add_done_callback(lambda done: self.inbox.put(Finished(number, done, executor)))
+
+    def _lose(self, entry: _OpenCall, executor: Executor, error: BaseException) -> None:
+        """Submit a lost call again, to another executor if this one is broken."""
+        entry.losses += 1
+        if entry.losses > MAX_LOSSES:
+            raise ExecutorError(
+                f"the executor lost the same task {entry.losses} times ({type(error).__name__}: {error}); check that "
+                "its workers have the same version of Atoll as the caller, and enough memory"
+            ) from error
+        if isinstance(error, BrokenExecutor) and executor is self._executor:
+            self._renew(error)
+        self._send(entry, entry.data)
+
+    def _renew(self, error: BrokenExecutor) -> None:
+        if self._adapted.make is None:
+            raise ExecutorError(
+                f"a worker of the {type(self._executor).__name__} has died, and such an executor cannot be used after "
+                "this; give a function that makes another one, such as executor=lambda: ProcessPoolExecutor(4), or use "
+                "loky, Dask or the service"
+            ) from error
+        self._executor = self._adapted.make()

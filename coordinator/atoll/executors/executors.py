@@ -1,0 +1,118 @@
+"""Adapts the executors of other libraries. No other module has code about a particular library.
+
+Most libraries have a class with the interface of `concurrent.futures.Executor`. This module finds the number of workers
+of such an executor, and makes a new executor when a pool is broken. Ray has another interface; `RayExecutor` adapts it.
+"""
+
+import os
+import sys
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from functools import partial
+from types import ModuleType
+from typing import Any, Final, ParamSpec, TypeVar
+
+from atoll_core.errors import AtollError, UsageError
+from atoll_core.machine import usable_cores
+from atoll_core.quoting import shown
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+EXPECTED: Final = (
+    "executor must be an executor with the interface of concurrent.futures, a function that returns one, a "
+    "distributed.Client, or the module ray"
+)
+
+
+class ExecutorError(AtollError):
+    """Raised when an executor takes no tasks, or loses them again and again."""
+
+
+class InlineExecutor(Executor):
+    """Computes each task at once, in the thread that submits it."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
+        """Return a future that is done."""
+        future: Future[T] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class RayExecutor(Executor):
+    """Runs tasks on a Ray cluster, to which the module ``ray`` is connected."""
+
+    def __init__(self, ray: ModuleType) -> None:
+        """`ray` is the module; raises UsageError before ``ray.init``."""
+        self._ray: Any = ray
+        if not self._ray.is_initialized():
+            raise UsageError("ray is not connected to a cluster; call ray.init() before")
+        self._remote: dict[object, Any] = {}
+        self._max_workers = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
+        """Return the future of a call; Ray runs the call again if its worker dies."""
+        if fn not in self._remote:
+            self._remote[fn] = self._ray.remote(fn)
+        future: Future[T] = self._remote[fn].remote(*args, **kwargs).future()
+        return future
+
+
+@dataclass(frozen=True, slots=True)
+class Adapted:
+    """An executor; `make` makes another one if it is broken (None: this is impossible).
+
+    `is_ours`: it is shut down after use. The executors of users are not.
+    """
+
+    executor: Executor
+    make: Callable[[], Executor] | None = None
+    is_ours: bool = False
+
+
+def adapted(given: object) -> Adapted:
+    """Return an executor for what the user gave.
+
+    Args:
+        given: an executor, a function that returns an executor, a ``distributed.Client``, or the module ``ray``.
+
+    Raises:
+        UsageError: `given` is none of these.
+    """
+    if isinstance(given, ModuleType) and given.__name__ == "ray":
+        return Adapted(RayExecutor(given))
+    if _is_a(given, "distributed.client", "Client"):
+        return Adapted(given.get_executor(pure=False))  # type: ignore[attr-defined]
+    if isinstance(given, Executor):
+        return Adapted(given, _maker_of_loky(given))
+    if callable(given):
+        made = given()
+        if isinstance(made, Executor):
+            return Adapted(made, given, is_ours=_maker_of_loky(made) is None)  # loky's is for reuse
+    raise UsageError(f"{EXPECTED}; {shown(given)} was given")
+
+
+def _is_a(given: object, module: str, name: str) -> bool:
+    """Return whether an object is of a class, without importing its module."""
+    return any((kind.__module__, kind.__name__) == (module, name) for kind in type(given).__mro__)
+
+
+def _maker_of_loky(executor: Any) -> Callable[[], Executor] | None:
+    """Return the function that makes another reusable executor of loky; None: this is another executor."""
+    if not _is_a(executor, "loky.reusable_executor", "_ReusablePoolExecutor"):
+        return None
+    make = sys.modules["loky"].get_reusable_executor
+    return partial(make, max_workers=executor._max_workers, timeout=executor._timeout)
+
+
+def workers_of(executor: Any) -> int:
+    """Return the number of tasks that an executor runs at the same time; if it is unknown, the number of cores here."""
+    client = getattr(executor, "_client", None)
+    if client is not None:  # Dask
+        return max(1, int(sum(client.nthreads().values())))
+    number = getattr(executor, "_max_workers", None)  # concurrent.futures, loky, mpi4py
+    return number if isinstance(number, int) and number > 0 else usable_cores(os.environ)[0]

@@ -1,0 +1,188 @@
+"""The functions that run on the workers of an executor. All are pure, so a lost task can be computed again anywhere.
+
+How it works. `perform` gets a `Call`: the name of a function, its arguments, and the digests of shared data. A process
+keeps the last shared data by digest; if data are missing, `perform` returns `Missing`, and the driver sends the call
+again with them. So each process gets a dataset once, from any executor, without a file system that all machines see.
+
+All work is done in a task process (`TaskProcess`), as on a worker of the service: a fresh interpreter with the same
+settings of linear algebra, so that the bits do not depend on what the executor's process has loaded before. The task
+process is the one that the system ends if memory runs out. Then it is started again, and the executor notices nothing.
+It ends with the executor's process, or after two minutes without a task.
+
+Doubtful: an executor that starts another process for each task would also start a task process for each task.
+"""
+
+import functools
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from atoll_core import task_frames as frames
+from atoll_core.errors import AtollError, DataError
+from atoll_core.task_frames import TaskBatch, version
+from atoll_island_worker.downloads import ByteCache
+
+if TYPE_CHECKING:
+    from atoll.executors.driver import SubmittedTable
+    from atoll_island_worker.tasks.task_process import TaskProcess
+
+Inbox = queue.SimpleQueue[object]
+
+MAX_LOSSES: Final = 5
+"""Number of lost workers or processes after which a task fails, as on the service."""
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A call of a function of this module.
+
+    `number` is unique for its driver, so that no executor takes two calls for the same. `shared` are digests of shared
+    data; `data` are the shared data that are sent along, by digest. `of` is the version of the caller.
+    """
+
+    number: int
+    function: str
+    arguments: tuple[Any, ...]
+    shared: tuple[str, ...] = ()
+    data: Mapping[str, bytes] = field(default_factory=dict)
+    of: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """The result of a call."""
+
+    value: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """The process has not got the shared data with these digests."""
+
+    digests: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class FunctionFailed:
+    """The function raised an error."""
+
+    sentence: str
+
+
+_shared: Final = ByteCache()
+_lock: Final = threading.Lock()
+
+
+def perform(call: Call) -> Done | Missing | FunctionFailed:
+    """Return the outcome of a call. No exception is raised, so an exception of a future is always a lost task."""
+    if call.of != version():
+        return FunctionFailed(f"a worker of the executor has version {version()}, but the caller has {call.of}")
+    with _lock:
+        for digest, data in call.data.items():
+            _shared.add(digest, data)
+        shared = [call.data.get(digest, _shared.get(digest)) for digest in call.shared]
+    missing = frozenset(digest for digest, data in zip(call.shared, shared, strict=True) if data is None)
+    if missing:
+        return Missing(missing)
+    try:
+        return Done(FUNCTIONS[call.function](*call.arguments, *shared))
+    except Exception as error:
+        return FunctionFailed(str(error) if isinstance(error, AtollError) else f"{type(error).__name__}: {error}")
+
+
+# ---------------------------------------------------------------------------------------------------------- functions
+
+
+def compute_batch(function: str, item: bytes, context: bytes) -> bytes:
+    """Return the result of a batch, see `atoll_coordinator.model.batches`; epochs of islands are batches, too."""
+    inbox: Inbox = queue.SimpleQueue()
+    with borrowed_process(inbox) as process:
+        for _ in range(MAX_LOSSES):
+            process.send(TaskBatch(0, function, "", context, item))
+            match _answer(inbox, frames.BatchComputed):
+                case frames.BatchComputed(result=result) if result is not None:
+                    return result
+                case frames.BatchComputed():
+                    break
+    raise AtollError("a batch could not be computed")
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """The result of a job as JSON, or the sentence why it failed; `is_of_data`: the data caused the error."""
+
+    text: str = ""
+    sentence: str = ""
+    is_of_data: bool = False
+
+
+def solve_table(submitted: "SubmittedTable") -> Solved:
+    """Solve a whole job in this process and its task process."""
+    from atoll.executors.driver import solve
+    from atoll.executors.executors import InlineExecutor
+
+    try:
+        return Solved(solve(submitted, InlineExecutor(), 1))
+    except AtollError as error:
+        return Solved(sentence=str(error), is_of_data=isinstance(error, DataError))
+
+
+FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
+    "batch": compute_batch, "table": solve_table,
+}  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------------ task processes
+
+_IDLE_CHECK_S: Final = 10.0
+_free: Final[list["TaskProcess"]] = []
+"""Task processes without a task; each thread that computes takes one."""
+
+
+@contextmanager
+def borrowed_process(inbox: Inbox) -> "Iterator[TaskProcess]":
+    """Context manager: a task process, which puts its messages into `inbox`. After an error it is ended."""
+    from atoll_island_worker.tasks.task_process import TaskProcess
+
+    _end_idle_processes(os.getpid())
+    try:
+        process = _free.pop()
+    except IndexError:
+        process = TaskProcess()
+    process.attach(inbox.put)
+    try:
+        yield process
+    except BaseException:
+        process.stop()
+        raise
+    _free.append(process)
+
+
+def _answer(inbox: Inbox, kind: type[object]) -> object:
+    """Return the next message of a kind, or the end of the process."""
+    while True:
+        posted = inbox.get()
+        if isinstance(posted, frames.ProcessMessage) and isinstance(posted.message, (kind, frames.Ended)):
+            return posted.message
+
+
+@functools.cache
+def _end_idle_processes(pid: int) -> None:
+    """Start the thread that ends task processes after a long time without a task; once for each process `pid`."""
+
+    def watch() -> None:
+        while True:
+            time.sleep(_IDLE_CHECK_S)
+            for process in [*_free]:
+                process.stop_if_idle()
+
+    threading.Thread(target=watch, name="ending idle task processes", daemon=True).start()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_free.clear)  # they belong to the parent

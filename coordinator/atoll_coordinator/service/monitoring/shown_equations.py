@@ -1,0 +1,87 @@
+"""The equations that views of live jobs show, written for people by the background thread.
+
+To write the equation of a new front takes 0.1 to 0.25 s: the program is rewritten in the shortest form. The loop asks
+for it when a client looks at the job, and meanwhile shows the equation of an earlier front. Only one front is written
+at a time, and only the last front of each variable, so that other work of the background thread waits for one
+equation at most.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+from weakref import WeakKeyDictionary
+
+from atoll_coordinator.model.result.building import VariableOutcome, select_shown_equation
+from atoll_coordinator.result.base import finite
+from atoll_coordinator.service.jobs.job import Job
+from atoll_coordinator.tasks.preparing import Prepared
+from atoll_core.expression.text.infix import to_infix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Front:
+    """A front whose equation is to be written. Nothing in it changes, so another thread may use it."""
+
+    job: str
+    prepared: Prepared
+    outcome: VariableOutcome
+
+    def write(self) -> Mapping[str, Any]:
+        """Return the fields of a `VariableView` about the shown equation; none if no equation can be shown."""
+        prepared, outcome = self.prepared, self.outcome
+        shown = select_shown_equation(outcome, None, prepared.dataset, prepared.config)
+        if shown is None:
+            return {}
+        target = prepared.dataset.problem(outcome.variable).target
+        normalized = finite(target.normalized(shown.error))
+        limit = target.convergence_threshold(prepared.config.budget.target_error)
+        return {
+            "error": finite(shown.error),
+            "normalized_error": normalized,
+            "complexity": len(shown.program),
+            "expression": to_infix(shown.program, prepared.dataset.names),
+            "converged": normalized is not None and normalized <= limit,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrontWritten:
+    """The fields about the shown equation of a front; `error`: the error of writing it, then there are no fields."""
+
+    front: Front
+    fields: Mapping[str, Any]
+    error: Exception | None = None
+
+
+class ShownEquations:
+    """The last equation that was written of each variable of each live job. Only the loop calls its methods."""
+
+    def __init__(self, write: Callable[[Front], object]) -> None:
+        """`write` starts to write a front in the background; `add_written` follows."""
+        self._write: Final = write
+        self._written: WeakKeyDictionary[Job, dict[str, FrontWritten]] = WeakKeyDictionary()
+        self._wanted: dict[tuple[str, str], Front] = {}
+        self._is_writing = False
+
+    def fields(self, job: Job, prepared: Prepared, outcome: VariableOutcome) -> Mapping[str, Any]:
+        """Return the fields about the equation of the last front that was written; none: no front was written yet.
+
+        If the present front is another one, it is written next.
+        """
+        written = self._written.get(job, {}).get(outcome.variable)
+        if outcome.front and (written is None or written.front.outcome.front != outcome.front):
+            self._wanted[job.id, outcome.variable] = Front(job.id, prepared, outcome)
+            self._begin()
+        return written.fields if written is not None else {}
+
+    def add_written(self, written: FrontWritten, job: Job | None) -> None:
+        """Keep the fields for the views of a job (None: it has ended), and begin with the next front."""
+        if job is not None:
+            self._written.setdefault(job, {})[written.front.outcome.variable] = written
+        self._is_writing = False
+        self._begin()
+
+    def _begin(self) -> None:
+        if self._wanted and not self._is_writing:
+            self._is_writing = True
+            self._write(self._wanted.pop(next(iter(self._wanted))))

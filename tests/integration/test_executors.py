@@ -1,0 +1,292 @@
+"""Jobs on executors of other libraries: the whole result is that of the service, also when workers are killed."""
+
+import functools
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import atoll
+from atoll.api.campaign import AHEAD
+from atoll.client.follower import Display
+from atoll.executors.executors import ExecutorError, InlineExecutor
+from atoll_core.errors import AtollError, DataError, UsageError
+from atoll_core.wire.messages.views import JobView, Workforce
+from benchmarks.harness.systems import trajectories
+from benchmarks.operations.differences import differences, masked
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forks in processes with threads
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "lotka_volterra.csv"
+
+
+def logistic() -> list[dict[str, Any]]:
+    """Return two short trajectories with noise: several epochs, runners-up, and a choice between candidates."""
+    random, times = np.random.default_rng(1), np.linspace(0.0, 6.0, 60)
+    curves = [4.0 / (1.0 + (4.0 / begin - 1.0) * np.exp(-1.1 * times)) for begin in (0.3, 0.8)]
+    return [{"t": times, "x": curve + 0.05 * random.standard_normal(times.size)} for curve in curves]
+
+
+def competition() -> list[dict[str, Any]]:
+    """Return trajectories of two states with noise, whose refining takes seconds and is given away in batches."""
+    sampled = trajectories("lotka_volterra", noise=0.05, duration=4.0)
+    return [
+        {"t": times, **dict(zip(sampled.names, values.T, strict=True))}
+        for times, values in zip(sampled.times, sampled.values, strict=True)
+    ]
+
+
+JOBS: dict[str, tuple[object, dict[str, Any]]] = {
+    "example": (EXAMPLE, {"seed": 3}),
+    "noisy": (logistic(), {"seed": 5, "max_epochs": 4, "islands": 3}),
+    "two noisy states": (competition(), {"seed": 5, "max_epochs": 4, "islands": 3}),
+}
+
+
+@pytest.fixture(autouse=True)
+def _help_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give batches to the executor from the beginning, also for jobs that are refined within a second."""
+    monkeypatch.setattr("atoll.executors.driver.HELP_AFTER_S", 0.0)
+
+
+def result_of(model: atoll.Model) -> Any:
+    return masked(json.loads(model.result.to_json()))
+
+
+@functools.cache
+def of_service(job: str) -> Any:
+    """Return the result of a job by the service."""
+    data, options = JOBS[job]
+    return result_of(atoll.discover(data, workers=2, **options))
+
+
+def differing(result: Any, job: str) -> list[str]:
+    return [one.shown(200) for one in differences(result, of_service(job))]
+
+
+def on(executor: object, job: str, **more: Any) -> Any:
+    data, options = JOBS[job]
+    return result_of(atoll.discover(data, executor=executor, **options, **more))
+
+
+def loky_pool() -> Executor:
+    loky = pytest.importorskip("loky")
+    executor: Executor = loky.get_reusable_executor(max_workers=2)
+    return executor
+
+
+def dask_pool() -> Executor:
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    executor: Executor = distributed.Client(cluster, set_as_default=False).get_executor()
+    return executor
+
+
+POOLS: dict[str, Callable[[], Executor]] = {
+    "processes": lambda: ProcessPoolExecutor(2),
+    "threads": lambda: ThreadPoolExecutor(3),
+    "inline": InlineExecutor,
+    "loky": loky_pool,
+}
+
+
+@pytest.mark.parametrize("job", ["example", "noisy"])
+@pytest.mark.parametrize("pool", ["threads", *(pytest.param(name, marks=pytest.mark.slow) for name in ("inline",))])
+def test_the_result_is_the_one_of_the_service(pool: str, job: str) -> None:
+    with POOLS[pool]() as executor:
+        assert differing(on(executor, job), job) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pool", POOLS)
+def test_the_result_of_two_noisy_states_is_the_one_of_the_service(pool: str) -> None:
+    with POOLS[pool]() as executor:
+        assert differing(on(executor, "two noisy states"), "two noisy states") == []
+
+
+@pytest.mark.slow
+def test_dask_gives_the_result_of_the_service_also_when_a_worker_is_killed() -> None:
+    executor: Any = dask_pool()
+    client = executor._client
+
+    class Killing(Display):
+        """Kills a worker process of the cluster when the search has begun."""
+
+        killed = 0
+
+        def show(self, view: JobView, workforce: Workforce, now: float) -> None:
+            if not self.killed and view.state == "running":
+                self.killed = next(iter(client.run(os.getpid).values()))
+                os.kill(self.killed, signal.SIGKILL)
+
+    try:
+        assert differing(on(client, "noisy"), "noisy") == []
+        killing = Killing()
+        data, options = JOBS["two noisy states"]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("atoll.api.discover._display", lambda progress: killing)
+            model = atoll.discover(data, executor=executor, **options)
+        assert killing.killed
+        assert differing(result_of(model), "two noisy states") == []
+    finally:
+        client.shutdown()
+
+
+class Striking(ProcessPoolExecutor):
+    """Kills a worker process soon after the calls with these numbers were submitted."""
+
+    def __init__(self, workers: int, *struck: int) -> None:
+        super().__init__(workers)
+        self._struck = struck
+        self._submitted = 0
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        future: Future[Any] = super().submit(fn, *args, **kwargs)
+        self._submitted += 1
+        if self._submitted in self._struck:
+            os.kill(next(iter(self._processes)), signal.SIGKILL)
+        return future
+
+
+def test_a_killed_process_of_a_pool_changes_nothing_if_the_pool_can_be_made_again() -> None:
+    made: list[Striking] = []
+
+    def make() -> Striking:
+        made.append(Striking(2, *((3,) if len(made) < 2 else ())))
+        return made[-1]
+
+    assert differing(on(make, "noisy"), "noisy") == []
+    assert len(made) == 3
+
+
+def test_a_pool_that_is_broken_and_cannot_be_made_again_is_an_error() -> None:
+    with Striking(2, 3) as executor, pytest.raises(ExecutorError, match="ProcessPoolExecutor"):
+        on(executor, "noisy")
+
+
+@pytest.mark.slow
+def test_a_killed_process_of_loky_changes_nothing() -> None:
+    executor: Any = loky_pool()
+    submit, submitted = executor.submit, []
+
+    def striking(fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        future: Future[Any] = submit(fn, *args, **kwargs)
+        submitted.append(args)
+        if len(submitted) == 3:
+            os.kill(next(iter(executor._processes)), signal.SIGKILL)
+        return future
+
+    executor.submit = striking
+    assert differing(on(executor, "two noisy states"), "two noisy states") == []
+    assert len(submitted) >= 3
+
+
+# -------------------------------------------------------------------------------------------------------- many tables
+
+
+def decays(count: int) -> Iterator[tuple[str, object]]:
+    for number in range(count):
+        t = np.linspace(0.0, 4.0, 60)
+        yield f"decay {number}", {"t": t, "x": (1.0 + number) * np.exp(-0.5 * (number + 1) * t)}
+
+
+BAD: dict[str, object] = {"no file": "no/such/file.csv", "one row": {"t": [0.0], "x": [1.0]}}
+
+
+@pytest.mark.parametrize("executor", [lambda: ThreadPoolExecutor(2), None], ids=["threads", "service"])
+def test_many_tables_come_as_they_are_ready_and_those_that_fail_as_errors(
+    executor: Callable[[], Executor] | None,
+) -> None:
+    tables = {**dict(decays(4)), **BAD}
+    made = None if executor is None else executor()
+    found = dict(atoll.discover_many(tables, executor=made, workers=2, max_epochs=2))
+    assert found.keys() == tables.keys()
+    for name, data in decays(4):
+        model = found[name]
+        assert isinstance(model, atoll.Model)
+        alone = atoll.discover(data, workers=2, max_epochs=2)
+        assert [one.shown(200) for one in differences(result_of(model), result_of(alone))] == []
+    assert isinstance(found["one row"], DataError)
+    assert isinstance(found["no file"], AtollError)
+
+
+def test_few_tables_are_solved_by_all_workers_and_fail_alone() -> None:
+    tables = {**dict(decays(1)), **BAD}
+    with ThreadPoolExecutor(8) as executor:
+        found = dict(atoll.discover_many(tables, executor=executor, max_epochs=2))
+    assert found.keys() == tables.keys()
+    assert isinstance(found["decay 0"], atoll.Model)
+    assert isinstance(found["one row"], DataError)
+
+
+@pytest.mark.slow
+def test_tables_are_read_only_as_far_as_they_are_needed() -> None:
+    read: list[str] = []
+
+    def tables() -> Iterator[tuple[str, object]]:
+        for name, data in decays(1000):
+            read.append(name)
+            yield name, data
+
+    with ThreadPoolExecutor(1) as executor:
+        campaign = atoll.discover_many(tables(), executor=executor, max_epochs=1)
+        for number in range(1, 4):
+            next(campaign)
+            assert len(read) <= number + AHEAD + 1
+        campaign.close()  # type: ignore[attr-defined]
+
+
+def test_wrong_options_and_tables_are_refused() -> None:
+    with ThreadPoolExecutor(1) as executor:
+        with pytest.raises(UsageError, match="max_sise"):
+            atoll.discover_many({}, executor=executor, max_sise=3)
+        with pytest.raises(UsageError, match="connect"):
+            atoll.discover(EXAMPLE, executor=executor, connect="tcp/host:1")
+        with pytest.raises(UsageError, match="pair"):
+            next(atoll.discover_many([3], executor=executor))
+
+
+# ---------------------------------------------------------------------------------------------------- ends by the clock
+
+
+ENDLESS: dict[str, Any] = {"max_epochs": 10**6, "target_error": 1e-300}
+"""Options of a search that goes on for more than 60 epochs."""
+
+
+@pytest.mark.slow
+def test_a_time_limit_keeps_the_equations_found_until_then() -> None:
+    with ThreadPoolExecutor(2) as executor:
+        model = atoll.discover(EXAMPLE, executor=executor, max_time=5.0, **ENDLESS)
+    assert {equation.why for equation in model.equations} == {"max-time"}
+
+
+def test_ctrl_c_keeps_the_equations_found_until_then() -> None:
+    class Interrupting(ThreadPoolExecutor):
+        """Interrupts the caller at its tenth call, after several epochs."""
+
+        submitted = 0
+
+        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+            self.submitted += 1
+            if self.submitted == 10:
+                raise KeyboardInterrupt
+            return super().submit(fn, *args, **kwargs)
+
+    with Interrupting(2) as executor:
+        model = atoll.discover(EXAMPLE, executor=executor, **ENDLESS)
+    assert {equation.why for equation in model.equations} == {"cancelled"}
+    assert max(equation.epoch for equation in model.equations) > 0
+
+
+def test_ctrl_c_before_there_is_an_equation_is_raised() -> None:
+    class Interrupting(ThreadPoolExecutor):
+        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+            raise KeyboardInterrupt
+
+    with Interrupting(2) as executor, pytest.raises(KeyboardInterrupt):
+        next(atoll.discover_many(decays(3), executor=executor))
