@@ -36,7 +36,7 @@ class ScatteredBatches:
             return [CANCELLED for _ in items]
         order = [place for place in range(len(items)) for _ in range(self._draw.choice((1, 1, 2)))]
         self._draw.shuffle(order)
-        with ThreadPoolExecutor(self.workers) as threads:
+        with ThreadPoolExecutor(max(self.workers, 1)) as threads:
             run = (self._executor or threads).submit
             futures = [(place, run(compute, function, context, items[place])) for place in order]
             made: dict[int, bytes] = {}

@@ -2,7 +2,8 @@
 
 ``python -m benchmarks.many run --systems yeast lorenz96-40 --seeds 1000-1004 --out FILE.jsonl`` searches each system
 with each seed and judges every equation; ``--resume FILE.jsonl`` goes on; ``show FILE.jsonl`` prints the table again.
-``laws`` in place of ``run`` judges the laws that regression finds, and searches nothing.
+``laws`` in place of ``run`` judges the laws that regression finds, and searches nothing. ``prepare`` measures how long
+preparing takes, also on simulated workers.
 ``--dysts DIR`` adds flows of the files that ``python -m benchmarks.dysts make`` has written there, by their names.
 """
 
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.harness.command_line import option, program, seeds_of, verb, verbs, whole, workers
-from benchmarks.many import laws
+from benchmarks.many import laws, preparing
 from benchmarks.many.campaign import run, show
 from benchmarks.many.systems import SYSTEMS
 
@@ -36,12 +37,13 @@ LINES: Final = (
     verbs(
         verb("run", "search and judge", *SEARCHED, workers(), *LINES),
         verb("laws", "judge the laws by regression alone", *SEARCHED),
+        verb("prepare", "measure preparing on simulated workers", *SEARCHED),
         verb("show", "print the table of a file", option("file", type=Path, metavar="FILE")),
     ),
 )
 def main(options: Namespace) -> None:
     """Do what the options ask for."""
-    ways = {"run": run, "laws": laws.run, "show": show}
+    ways = {"run": run, "laws": laws.run, "prepare": preparing.run, "show": show}
     ways[options.verb](options)
 
 

@@ -79,7 +79,7 @@ def _prepare(inputs: Sequence[bytes], seconds: float | None, team: "Batches") ->
     from atoll_coordinator.tasks.preparing import prepare
 
     table, specification = inputs
-    return prepare(table, specification)
+    return prepare(table, specification, batches=team)
 
 
 def _refine(inputs: Sequence[bytes], seconds: float | None, team: "Batches") -> bytes:

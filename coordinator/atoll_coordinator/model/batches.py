@@ -174,7 +174,7 @@ class Spread:
 
     def map(
         self, function: BatchFunction[Context, Item, Outcome], context: Callable[[], Context], items: Sequence[Item],
-        size: int = 1, parts: Callable[[], Any] | None = None,
+        size: int = 1, parts: Callable[[], Any] | None = None, *, is_long: bool = False,
     ) -> list[Outcome | None]:  # fmt: skip
         """Return the results of items. Workers compute them in batches; without workers, this process computes them.
 
@@ -184,11 +184,13 @@ class Spread:
             items: the items; with workers, even a single item is sent.
             size: most items of a batch.
             parts: returns the parts of the context that are sent; by default the context itself.
+            is_long: whether the items take seconds. Then batches are offered even if no worker pulls them at the
+                beginning, since a worker may come during the call.
 
         Returns:
             None for items that no worker has computed before the deadline.
         """
-        if not self.is_shared or not items:
+        if not (self.is_shared or (is_long and self._batches is not None)) or not items:
             built = context()
             return list(self.map_threads(lambda item: function.compute(built, item), items))
         return self.map_workers(function, encode_value((parts or context)(), function.context), items, size)

@@ -4,6 +4,7 @@ import hashlib
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.pools import LawsByGroup
@@ -13,6 +14,9 @@ from atoll_core.errors import DataError, RemoteProtocolError, UsageError
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.codec import dataset_to_bytes
 from atoll_core.wire.values import decode_value, encode_value
+
+if TYPE_CHECKING:
+    from atoll_coordinator.model.batches import Batches
 
 _LOG = logging.getLogger(__name__)
 
@@ -85,18 +89,27 @@ def prepare_table(table: bytes, config: JobConfig) -> Preparation:
     return prepare(Table.from_bytes(table), config)
 
 
-def prepare(table: bytes, specification: bytes, preparer: Preparer = prepare_table) -> bytes:
-    """Return the encoded `PreparationOutcome` of a table under a job's configuration as JSON."""
+def prepare(
+    table: bytes, specification: bytes, preparer: Preparer = prepare_table, batches: "Batches | None" = None
+) -> bytes:
+    """Return the encoded `PreparationOutcome` of a table under a job's configuration as JSON.
+
+    `batches` computes searches of laws on other workers, too. The result does not depend on it.
+    """
     config = JobConfig.model_validate_json(specification)
     try:
-        prepared, data = prepare_job(table, config, preparer)
+        prepared, data = prepare_job(table, config, preparer, batches)
     except (DataError, UsageError, RemoteProtocolError) as error:
         return encode_value(PreparationOutcome(sentence=str(error)))
     return encode_value(PreparationOutcome(encode_value(prepared), data))
 
 
-def prepare_job(table: bytes, config: JobConfig, preparer: Preparer = prepare_table) -> tuple[Prepared, bytes]:
+def prepare_job(
+    table: bytes, config: JobConfig, preparer: Preparer = prepare_table, batches: "Batches | None" = None
+) -> tuple[Prepared, bytes]:
     """Return the prepared job and the bytes of its dataset; raises the errors of `prepare_table`."""
+    from atoll_coordinator.model.batches import spreading
+    from atoll_coordinator.model.deadline import Deadline
     from atoll_coordinator.model.result.known_equations import known_entries, warn_of_missing_values
     from atoll_coordinator.model.sparse.laws import (  # loads kernels
         find_laws_among_many,
@@ -112,6 +125,7 @@ def prepare_job(table: bytes, config: JobConfig, preparer: Preparer = prepare_ta
     known = known_entries(preparation.dataset, resolved)
     preparation = warn_of_missing_values(preparation, resolved)
     resolved = with_units(resolved, preparation.source)
-    laws = find_laws_among_many(preparation, resolved)
-    settled = settled_variables(preparation, resolved, laws)
+    with spreading(batches, batches.threads if batches else 1, Deadline()) as spread:
+        laws = find_laws_among_many(preparation, resolved, spread)
+        settled = settled_variables(preparation, resolved, laws, spread)
     return Prepared(preparation, resolved, blob, len(data), known, settled, laws), data

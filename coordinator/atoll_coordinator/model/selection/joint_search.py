@@ -18,7 +18,7 @@ from itertools import combinations, product
 import numpy as np
 
 from atoll_coordinator.model.description_length import is_function
-from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.comparison import STAGES, ModelComparison
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
@@ -99,6 +99,8 @@ def find_starting_system(
 ) -> FittedModel | None:
     """Return the best of a few systems made of the first programs of the lists; None if no system can be simulated.
 
+    If rows are nearly without noise, all systems are fitted to short segments first, and only the best ones to longer
+    segments. Noise hides the differences between systems in short segments.
     Systems whose key is in `fitted` are not fitted again; the keys of the other systems are added to it.
     """
     first = [programs[0] for programs in lists]
@@ -115,7 +117,12 @@ def find_starting_system(
         keys = [b"".join(program.to_bytes() for program in system) for system in systems]
         systems = [system for system, key in zip(systems, keys, strict=True) if key not in fitted]
         fitted.update(keys)
-    models = comparison.fit_all(systems)
+    finalists: Sequence[Sequence[Program]] = systems
+    noise = comparison.estimator.measurements.relative_noise
+    if comparison.score.errors is None and noise.max() < SETTINGS.selection.least_noise:
+        in_segments = comparison.fit_all(systems, lengths=STAGES[:1])
+        finalists = [model.programs for model in in_segments[: SETTINGS.effort.rounds[1][1]]]
+    models = comparison.fit_all(finalists)
     if systems and not models and comparison.estimator.deadline.is_over:
         return comparison.fit_model(first)  # without a step, since the time is over
     return models[0] if models else None

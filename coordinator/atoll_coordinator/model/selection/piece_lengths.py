@@ -175,6 +175,8 @@ def choose_piece_length(task: ModellingTask, programs: Sequence[Program]) -> Mod
         here = tasks.setdefault(piece, replace(task, piece=piece))
         comparison = here.comparison
         model = comparison.fit_model(programs)
+        if model is not None and comparison.score.is_exact(model):
+            return here  # shorter pieces would only add initial states
         if model is not None:
             lengths[piece] = _description_length(comparison, model) / comparison.estimator.measurements.rows
     best = min(lengths, key=lambda piece: (lengths[piece], -piece), default=task.piece)

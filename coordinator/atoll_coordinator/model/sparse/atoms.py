@@ -9,11 +9,11 @@ square of a variable. They can miss a function that varies only in a small part 
 Letters: K terms, R rows, V variables.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import combinations, combinations_with_replacement
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 
@@ -165,7 +165,8 @@ class Function:
     """A function of an argument u (R,) and an inner constant.
 
     `slope` is the derivative by the constant, None if there is no constant. `constants` returns start values of the
-    constant for an argument u with a given root mean square.
+    constant for an argument u with a given root mean square. `name` is its key in `FUNCTIONS`; functions that only
+    differ in the start values have the same name.
     """
 
     value: Callable[[FloatArray, float], FloatArray]
@@ -173,6 +174,7 @@ class Function:
     slope: Callable[[FloatArray, float], FloatArray] | None = None
     constants: Callable[[float], Sequence[float]] = lambda _: (1.0,)
     has_pole: bool = False
+    name: str = ""
 
 
 def _make_scaled_function(code: int, rates: Sequence[float], value: Callable[[FloatArray], FloatArray],
@@ -183,28 +185,31 @@ def _make_scaled_function(code: int, rates: Sequence[float], value: Callable[[Fl
         lambda u, c: (code, scaled(u, c)),
         lambda u, c: u * slope(c * u),
         lambda size: [rate / size for rate in rates],
+        name=f"{code} of a multiple",
     )
 
 
 def _make_plain_function(code: int, value: Callable[[FloatArray], FloatArray]) -> Function:
-    return Function(lambda u, _: value(u), lambda u, _: (code, u))
+    return Function(lambda u, _: value(u), lambda u, _: (code, u), name=f"{code}")
 
 
-_OVER: Final = Function(lambda u, _: 1.0 / u, lambda u, _: (DIVIDE, 1.0, u), has_pole=True)
+_OVER: Final = Function(lambda u, _: 1.0 / u, lambda u, _: (DIVIDE, 1.0, u), has_pole=True, name="inverse")
 _OVER_SUM: Final = Function(
     lambda u, c: 1.0 / (u + c),
     lambda u, c: (DIVIDE, 1.0, (ADD, u, c)),
     lambda u, c: -1.0 / (u + c) ** 2,
     has_pole=True,
+    name="inverse of a sum",
 )
 _POWER: Final = Function(
-    lambda u, c: u**c, lambda u, c: (POW, u, c), lambda u, c: u**c * np.log(u), lambda _: _EXPONENTS
+    lambda u, c: u**c, lambda u, c: (POW, u, c), lambda u, c: u**c * np.log(u), lambda _: _EXPONENTS, name="power"
 )
-_SIGN: Final = Function(lambda u, _: np.sign(u), lambda u, _: (DIVIDE, u, (ABS, u)))
+_SIGN: Final = Function(lambda u, _: np.sign(u), lambda u, _: (DIVIDE, u, (ABS, u)), name="sign")
 _KINK: Final = Function(
     lambda u, c: np.abs(u - c),
     lambda u, c: (ABS, (ADD, u, -c)),
     lambda u, c: np.sign(c - u),
+    name="kink",
 )
 _EXP: Final = _make_scaled_function(EXP, _BOTH_SIGNS, np.exp, np.exp)
 _OF_ANY: Final = {
@@ -218,6 +223,14 @@ _OF_SQUARES: Final = {EXP: _EXP}
 _WAVES: Final = {SIN: _make_plain_function(SIN, np.sin), COS: _make_plain_function(COS, np.cos)}
 _ABS: Final = _make_plain_function(ABS, np.abs)
 _OF_POSITIVE: Final = {LOG: _make_plain_function(LOG, np.log), SQRT: _make_plain_function(SQRT, np.sqrt), POW: _POWER}
+
+FUNCTIONS: Final = {
+    function.name: function
+    for function in (
+        _OVER, _OVER_SUM, _SIGN, _KINK, _ABS, *_OF_ANY.values(), *_WAVES.values(), *_OF_POSITIVE.values()
+    )
+}  # fmt: skip
+"""All functions by name."""
 
 
 # --------------------------------------------------------------------------------------------- shapes and atoms
@@ -251,21 +264,21 @@ class Shape:
 
     def value(self, constant: float) -> FloatArray:
         """Return the values (R,). All values are NaN if a pole lies between the rows."""
-        if self.function is None or self.u is None:
-            return self.product
+        return self.product if self.function is None else np.asarray(self.product * self.function_values(constant))
+
+    def function_values(self, constant: float) -> FloatArray:
+        """Return the values (R,) of the function, which must exist. All values are NaN if a pole lies between the
+        rows."""
+        assert self.function is not None
+        assert self.u is not None
         values = self.function.value(self.u, constant)
         if self.function.has_pole and (values > 0.0).any() and (values < 0.0).any():
             return np.full_like(values, np.nan)
-        return np.asarray(self.product * values)
+        return values
 
     def over(self, inputs: FloatArray) -> "Shape":
         """Return the same shape on other rows of the variables, `inputs` (V, R)."""
-        product = values_of_products([self.factors], inputs)[0]
-        if self.function is None:
-            return Shape(self.factors, product)
-        builder = ProgramBuilder()
-        u = values_of(builder.program(builder.build(self.argument)), inputs)
-        return replace(self, product=product, u=u)
+        return shape_over(inputs, self.factors, self.function, self.argument)
 
     def expression(self, constant: float) -> Expression:
         """Return the product with this inner constant."""
@@ -283,6 +296,15 @@ class Shape:
         `rows`."""
         structure, constants = _structure_and_constants(self.expression(1.5))
         return structure + constants * constant_nats_of(rows)
+
+
+def shape_over(inputs: FloatArray, factors: Product, function: Function | None, argument: Expression) -> Shape:
+    """Return a shape with its values on some rows of the variables, `inputs` (V, R)."""
+    product = values_of_products([factors], inputs)[0]
+    if function is None:
+        return Shape(factors, product)
+    builder = ProgramBuilder()
+    return Shape(factors, product, function, argument, values_of(builder.program(builder.build(argument)), inputs))
 
 
 @lru_cache(maxsize=20_000)
@@ -324,6 +346,30 @@ class Atom:
     def depends_on(self, variable: int) -> bool:
         """Tell whether a variable (index) is a factor or occurs in the argument of the function."""
         return variable in self.shape.factors or _contains_variable(self.shape.argument, variable)
+
+
+@dataclass(frozen=True)
+class Term:
+    """An atom without values: its factors, the name of its function (None: no function) and its argument, and its inner
+    constant. It can be sent to other machines."""
+
+    factors: Product
+    function: str | None
+    argument: Hashable
+    constant: float
+
+    @classmethod
+    def of(cls, atom: Atom) -> "Term":
+        """Return an atom without its values."""
+        shape = atom.shape
+        return cls(
+            shape.factors, None if shape.function is None else shape.function.name, shape.argument, atom.constant
+        )
+
+    def over(self, inputs: FloatArray) -> Atom:
+        """Return the atom with its values on some rows of the variables, `inputs` (V, R)."""
+        function = None if self.function is None else FUNCTIONS[self.function]
+        return Atom(shape_over(inputs, self.factors, function, cast(Expression, self.argument)), self.constant)
 
 
 def _contains_variable(expression: object, variable: int) -> bool:

@@ -80,20 +80,22 @@ def find_all_laws(
         spread: computes in threads or on workers; None: one after another.
     """
     by_variable: dict[str, tuple[Law, ...]] = {}
-    among_many = find_laws_among_many(preparation, config) if among_many is None else among_many
+    spread = spread or Spread()
+    among_many = find_laws_among_many(preparation, config, spread) if among_many is None else among_many
     for part, known in zip(_parts(preparation), among_many, strict=True):
-        for name, laws in _find_laws_of_part(part, config, others, known, spread or Spread()).items():
+        for name, laws in _find_laws_of_part(part, config, others, known, spread).items():
             by_variable[name] = by_variable.get(name, ()) + laws
     return by_variable
 
 
-def find_laws_among_many(preparation: Preparation, config: JobConfig) -> LawsByGroup:
+def find_laws_among_many(preparation: Preparation, config: JobConfig, spread: Spread | None = None) -> LawsByGroup:
     """Return the laws among many variables, by group of trajectories; empty mappings for few variables.
 
-    These laws are not compared with other programs. Finding them is most of the work of `find_all_laws`. It is done
-    when a job is prepared, and the result is passed on to refining.
+    `spread` computes equations in threads or on workers; None: one after another. These laws are not compared with
+    other programs. Finding them is most of the work of `find_all_laws`. It is done when a job is prepared, and the
+    result is passed on to refining.
     """
-    return [_find_laws_among_many(part, config) for part in _parts(preparation)]
+    return [_find_laws_among_many(part, config, spread or Spread()) for part in _parts(preparation)]
 
 
 def _parts(preparation: Preparation) -> Sequence[Preparation]:
@@ -134,29 +136,33 @@ def _spaces(dataset: Dataset, config: JobConfig) -> dict[str, tuple[tuple[int, .
     }
 
 
-def settled_variables(preparation: Preparation, config: JobConfig, among_many: LawsByGroup) -> frozenset[str]:
+def settled_variables(
+    preparation: Preparation, config: JobConfig, among_many: LawsByGroup, spread: Spread | None = None
+) -> frozenset[str]:
     """Return the variables whose laws are so certain that no long search is needed.
 
     The residuals of these laws are like noise, and the laws were fitted to more rows than systems are compared on. With
     many variables, each equation is settled independently. With few variables, either all equations are settled or no
     equation is, since a search with few variables is short. The result is empty if the user has set an end of the
-    search, or guesses. `among_many` is the result of `find_laws_among_many`.
+    search, or guesses. `among_many` is the result of `find_laws_among_many`; `spread` computes in threads or on
+    workers, None: one after another.
     """
     budget = config.budget
     is_asked = budget.target_error is not None or budget.stagnation is not None or bool(config.prior.guesses)
     if preparation.recording is None or is_asked:
         return frozenset()
     parts = zip(_parts(preparation), among_many, strict=True)
-    return frozenset.intersection(*(_settled_variables(part, config, laws) for part, laws in parts))
+    spread = spread or Spread()
+    return frozenset.intersection(*(_settled_variables(part, config, laws, spread) for part, laws in parts))
 
 
 def _settled_variables(
-    part: Preparation, config: JobConfig, among_many: Mapping[str, tuple[Law, ...]]
+    part: Preparation, config: JobConfig, among_many: Mapping[str, tuple[Law, ...]], spread: Spread
 ) -> frozenset[str]:
     assert part.recording is not None
     rows = sum(len(trajectory.times) for trajectory in part.recording.trajectories if not trajectory.held_out)
     settled = set()
-    for name, laws in _find_laws_of_part(part, config, {}, among_many, Spread()).items():
+    for name, laws in _find_laws_of_part(part, config, {}, among_many, spread).items():
         if _is_settled(laws, rows, config.space.max_size):
             settled.add(name)
         elif not _are_many(len(part.dataset.names)):
@@ -345,7 +351,7 @@ def _find_laws_with_noise(
 # ---------------------------------------------------------------------------------------------- many variables
 
 
-def _find_laws_among_many(part: Preparation, config: JobConfig) -> dict[str, tuple[Law, ...]]:
+def _find_laws_among_many(part: Preparation, config: JobConfig, spread: Spread) -> dict[str, tuple[Law, ...]]:
     """Return the laws of the states of one group: they are fitted to derivatives if there is no noise, and to short
     windows if there is noise."""
     dataset, recording = part.dataset, part.recording
@@ -354,14 +360,17 @@ def _find_laws_among_many(part: Preparation, config: JobConfig) -> dict[str, tup
     is_interpolated = _is_interpolated(recording)
     if recording.order == 2 and not is_interpolated:
         return {}
-    build = rate_rows if is_interpolated else window_rows
+    spaces = {name: space for name, space in _spaces(dataset, config).items() if _makes_sums(*space)}
     equations: dict[str, UnknownEquation] = {}
-    for name, space in _spaces(dataset, config).items():
-        rows = build(recording, dataset.names, name) if _makes_sums(*space) else None
-        if rows is not None:
-            columns = screen_columns(rows, space[0]) if isinstance(rows, RateRows) else space[0]
-            equations[name] = UnknownEquation(rows, columns, space[1])
-    return find_short_laws(equations)
+    if is_interpolated:
+        for name, (columns, operators) in spaces.items():
+            rows = rate_rows(recording, dataset.names, name)
+            if rows is not None:
+                equations[name] = UnknownEquation(rows, screen_columns(rows, columns), operators)
+    else:
+        for name, windows in window_rows(recording, dataset.names, list(spaces)).items():
+            equations[name] = UnknownEquation(windows, *spaces[name])
+    return find_short_laws(equations, spread)
 
 
 # -------------------------------------------------------------------------------------------- dozens of variables

@@ -14,7 +14,8 @@ Letters: A atoms, K terms, N rows of a regression, W windows of L rows, R rows o
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -22,22 +23,26 @@ import numpy as np
 from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, predict_left_out
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.sparse.atoms import (
     Atom,
     Product,
+    Term,
     polynomial_libraries,
     product_atoms,
     products_with_functions,
 )
-from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum, make_grid, rank_further_terms
+from atoll_coordinator.model.sparse.pursuit import fit_inner_constants, fit_sum, rank_functions
 from atoll_coordinator.model.sparse.regression import SparseRegression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
     CAUCHY,
     NORMAL_DEVIATION,
     Assessment,
     MeasuredRows,
+    OfTerms,
+    RateRows,
     RegressionRows,
     WeakRows,
     measured_rows_of,
@@ -88,6 +93,16 @@ class ShortWindows(WeakRows):
         return np.asarray(-window_integrals(self.first, self.slope - self.coarse[1], target)[0])
 
     @cached_property
+    def _quadrature(self) -> FloatArray:
+        """The weights (W, L) of the differences between integrals by cubic and by linear interpolation."""
+        return self.bump - self.coarse[0]
+
+    @cached_property
+    def _values_of(self) -> OfTerms[FloatArray]:
+        """The values (R,) of a term."""
+        return OfTerms(lambda atom: atom.values)
+
+    @cached_property
     def side_errors(self) -> FloatArray:
         """The standard errors (W,) of the left sides, with errors of the integration."""
         return np.sqrt(np.maximum(self._own + self.widen(self._target_quadrature) ** 2, 1e-300))
@@ -98,8 +113,8 @@ class ShortWindows(WeakRows):
         In some windows a function changes too fast for the integration. So large residuals have less weight (Cauchy),
         and the excess follows from the median.
         """
-        values = sum(c * atom.values for c, atom in zip(coefficients, atoms, strict=True))
-        difference = window_integrals(self.first, self.bump - self.coarse[0], np.asarray(values)[None])[0]
+        values = sum(c * self._values_of(atom) for c, atom in zip(coefficients, atoms, strict=True))
+        difference = window_integrals(self.first, self._quadrature, np.asarray(values)[None])[0]
         quadrature = self.widen(self._target_quadrature - difference)
         variances = np.maximum(self.variances(atoms, coefficients), 1e-300) + quadrature**2
         squares = residuals**2 / variances
@@ -119,12 +134,13 @@ class ShortWindows(WeakRows):
         return largest
 
 
-def window_rows(recording: Recording, names: Sequence[str], variable: str) -> ShortWindows | None:
-    """Return short windows for the equation of `variable`, a state; `names` (V,) are symbols of states and inputs.
+def window_rows(recording: Recording, names: Sequence[str], variables: Sequence[str]) -> dict[str, ShortWindows]:
+    """Return short windows for the equations of `variables`, which are states; `names` (V,) are symbols of states and
+    inputs.
 
     Windows are as long as possible, but in enough windows linear interpolation between rows must give the same result
     as cubic interpolation, within the noise. To estimate the noise, rows are predicted from their neighbours. The
-    result is None if trajectories are too short for windows.
+    result is empty if trajectories are too short for windows.
     """
     measured = measured_rows_of(recording, names)
     noise = measured.noise.copy()
@@ -135,14 +151,17 @@ def window_rows(recording: Recording, names: Sequence[str], variable: str) -> Sh
         ]
         noise[place] = estimate_value_noise(*predict_left_out(signals))
     measured = replace(measured, smoothed=measured.values, noise=noise)
-    target = names.index(recording.state_symbols[recording.states.index(variable)])
-    rows, half = None, (_CUBIC + 1) // 2
+    longest, half = None, (_CUBIC + 1) // 2
     widest = max(end - start for start, end in measured.ranges) // SETTINGS.sparse.windows_in_width
-    while half <= widest and (wider := _short_windows(measured, target, half)) is not None:
-        if rows is not None and not _is_resolved(wider):
+    while half <= widest and (wider := _short_windows(measured, 0, half)) is not None:
+        if longest is not None and not _is_resolved(wider):
             break
-        rows, half = wider, math.ceil(half * _WIDER)
-    return rows
+        longest, half = half, math.ceil(half * _WIDER)
+    targets = {
+        variable: names.index(recording.state_symbols[recording.states.index(variable)]) for variable in variables
+    }
+    rows = {} if longest is None else {name: _short_windows(measured, at, longest) for name, at in targets.items()}
+    return {name: windows for name, windows in rows.items() if windows is not None}
 
 
 def _is_resolved(rows: ShortWindows) -> bool:
@@ -219,24 +238,151 @@ class UnknownEquation:
         return found is not None and found.excess <= self.rows.largest_excess
 
 
-def find_short_laws(equations: Mapping[str, UnknownEquation]) -> dict[str, tuple[Law, ...]]:
-    """Return the law of each state; empty if no short sum has residuals as small as their errors."""
-    sums = {name: _short_sum(equation) for name, equation in equations.items()}
-    functions = {
-        name: [atom for atom in found.atoms if atom.shape.function is not None]
-        for name, found in sums.items()
-        if found is not None and equations[name].is_law(found)
+@dataclass(frozen=True, eq=False)
+class _FoundSum:
+    """A sum without its regression: it can be sent to other machines. `is_law`: its residuals are like its errors."""
+
+    terms: tuple[Term, ...]
+    coefficients: tuple[float, ...]
+    nats: float
+    excess: float
+    is_law: bool
+
+    @classmethod
+    def of(cls, equation: UnknownEquation, found: Sum) -> "_FoundSum":
+        terms = tuple(map(Term.of, found.atoms))
+        return cls(terms, tuple(found.coefficients), found.nats, found.excess, equation.is_law(found))
+
+    def over(self, rows: RegressionRows) -> Sum:
+        """Return the sum of a regression that has only its terms. The weights of its rows are unknown."""
+        regression = SparseRegression(rows, [term.over(rows.inputs) for term in self.terms])
+        assessment = Assessment(np.full(len(rows.sides), np.nan), math.nan, self.excess)
+        return Sum(regression, tuple(range(len(self.terms))), [*self.coefficients], self.nats, assessment)
+
+
+@dataclass(frozen=True, eq=False)
+class _SentEquation:
+    """An unknown equation without the data that equations share, `shared` is the place of these data.
+
+    Derivatives have left sides and standard errors, `rates`; short windows have the variable `target` and a half width
+    `half`. In the second search, `found` is the sum of the first one, and `others` are functions of other laws.
+    """
+
+    number: int
+    shared: int
+    columns: tuple[int, ...]
+    operators: frozenset[int]
+    rates: tuple[FloatArray, FloatArray] | None
+    target: int
+    half: int
+    found: _FoundSum | None = None
+    others: tuple[Term, ...] = ()
+
+
+_Shared = tuple[MeasuredRows | FloatArray, ...]
+"""Measured rows of short windows, or the values (V, N) of the variables at derivatives, of one or more equations."""
+
+
+class _Equations:
+    """The unknown equations of a system by number, in this process or built from the data that were sent."""
+
+    def __init__(self, shared: _Shared, known: Sequence[UnknownEquation] = ()) -> None:
+        self._shared, self._known = shared, dict(enumerate(known))
+
+    def get(self, sent: _SentEquation) -> UnknownEquation:
+        """Return an equation; its rows are built once, so that they keep the values of terms."""
+        if sent.number not in self._known:
+            shared = self._shared[sent.shared]
+            rows: RegressionRows | None
+            if isinstance(shared, MeasuredRows):
+                rows = _short_windows(shared, sent.target, sent.half)
+            else:
+                assert sent.rates is not None
+                rows = RateRows(shared, *sent.rates)
+            assert rows is not None, "there are windows"
+            return self._known.setdefault(sent.number, UnknownEquation(rows, sent.columns, sent.operators))
+        return self._known[sent.number]
+
+
+def _sent(equations: Sequence[UnknownEquation]) -> tuple[_Shared, list[_SentEquation]]:
+    """Return the data that equations share, and the equations without them."""
+    shared: list[MeasuredRows | FloatArray] = []
+    sent = []
+    for number, equation in enumerate(equations):
+        rows, own = equation.rows, (tuple(equation.columns), frozenset(equation.operators))
+        if isinstance(rows, ShortWindows):
+            place = next((place for place, known in enumerate(shared) if known is rows.measured), len(shared))
+            shared += [rows.measured] if place == len(shared) else []
+            sent.append(_SentEquation(number, place, *own, None, rows.target, rows.bump.shape[1] // 2))
+        else:
+            places = (place for place, known in enumerate(shared) if _is_equal(known, rows.inputs))
+            place = next(places, len(shared))
+            shared += [rows.inputs] if place == len(shared) else []
+            sent.append(_SentEquation(number, place, *own, (rows.sides, rows.side_errors), 0, 0))
+    return tuple(shared), sent
+
+
+def _is_equal(known: MeasuredRows | FloatArray, inputs: FloatArray) -> bool:
+    return not isinstance(known, MeasuredRows) and np.array_equal(known, inputs)
+
+
+def _search_alone(equations: _Equations, sent: _SentEquation) -> _FoundSum | None:
+    """Return the shortest sum of an equation that is searched alone."""
+    equation = equations.get(sent)
+    found = _short_sum(equation)
+    return None if found is None else _FoundSum.of(equation, found)
+
+
+def _search_with_others(equations: _Equations, sent: _SentEquation) -> _FoundSum | None:
+    """Return the shortest sum with functions of other laws."""
+    equation = equations.get(sent)
+    before = None if sent.found is None else sent.found.over(equation.rows)
+    functions = [term.over(equation.rows.inputs) for term in sent.others]
+    found = _add_functions_of_other_laws(equation, before, functions)
+    return sent.found if found is None or found is before else _FoundSum.of(equation, found)
+
+
+_ALONE: Final[BatchFunction[_Equations, _SentEquation, _FoundSum | None]] = BatchFunction(
+    "laws among many variables", _Shared, _SentEquation, _FoundSum | None, _search_alone, _Equations
+)
+_WITH_OTHERS: Final[BatchFunction[_Equations, _SentEquation, _FoundSum | None]] = BatchFunction(
+    "laws with functions of other laws", _Shared, _SentEquation, _FoundSum | None, _search_with_others, _Equations
+)
+
+
+def find_short_laws(
+    equations: Mapping[str, UnknownEquation], spread: Spread | None = None
+) -> dict[str, tuple[Law, ...]]:
+    """Return the law of each state; empty if no short sum has residuals as small as their errors.
+
+    `spread` computes equations in threads or on workers; None: one after another.
+    """
+    spread, unknown = spread or Spread(), list(equations.values())
+    shared, sent = _sent(unknown)
+    context = partial(_Equations, shared, unknown)
+    sums = spread.map(_ALONE, context, sent, parts=lambda: shared, is_long=True)
+    functions = [
+        tuple(term for term in found.terms if term.function is not None) if found is not None and found.is_law else ()
+        for found in sums
+    ]
+    again = [
+        replace(one, found=found, others=tuple(chain(*functions[:number], *functions[number + 1 :])))
+        for number, (one, found) in enumerate(zip(sent, sums, strict=True))
+        if found is None or not (found.is_law and unknown[number].rows.is_precise)
+    ]
+    again = [one for one in again if one.others]
+    for one, found in zip(
+        again, spread.map(_WITH_OTHERS, context, again, parts=lambda: shared, is_long=True), strict=True
+    ):
+        sums[one.number] = found
+    return {
+        name: () if found is None or not found.is_law else (_law(found, equation.rows),)
+        for (name, equation), found in zip(equations.items(), sums, strict=True)
     }
-    laws: dict[str, tuple[Law, ...]] = {}
-    for name, equation in equations.items():
-        found = sums[name]
-        if not (equation.rows.is_precise and equation.is_law(found)):
-            others = [atom for other, atoms in functions.items() if other != name for atom in atoms]
-            found = _add_functions_of_other_laws(equation, found, others)
-        laws[name] = ()
-        if found is not None and equation.is_law(found):
-            laws[name] = (Law(found.program(), found.nats, found.excess, is_tested=True, is_of_rates=True),)
-    return laws
+
+
+def _law(found: _FoundSum, rows: RegressionRows) -> Law:
+    return Law(found.over(rows).program(), found.nats, found.excess, is_tested=True, is_of_rates=True)
 
 
 def _short_sum(equation: UnknownEquation) -> Sum | None:
@@ -280,11 +426,9 @@ def _add_functions(
         most = len(trusted.sides) / SETTINGS.sparse.rows_per_term
         fits: list[Sum] = []
         start_sums = [atoms for atoms in start_sums if len(atoms) <= most]
-        grids = (make_grid(trusted, [shape]) for shape in shapes)
-        for atoms, further in zip(
-            start_sums, rank_further_terms(trusted, start_sums, grids, SETTINGS.effort.beam), strict=True
-        ):
-            sums = filter(None, (fit_sum(trusted, [*atoms, atom]) for _, atom in further))
+        further_terms = rank_functions(trusted, start_sums, shapes, SETTINGS.effort.beam)
+        for atoms, further in zip(start_sums, further_terms, strict=True):
+            sums = filter(None, (fit_sum(trusted, [*atoms, atom]) for atom in further))
             fits += map(fit_inner_constants, sorted(sums, key=lambda fit: fit.nats)[:_KEPT])
         library, candidate = product_atoms(rows.inputs, sizes[-1][0]), None
         for fit in sorted(fits, key=lambda fit: fit.nats):

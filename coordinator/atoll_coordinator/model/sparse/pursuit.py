@@ -24,6 +24,7 @@ import numpy as np
 from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.least_squares import coefficients_of
 from atoll_coordinator.model.sparse.atoms import Atom, Shape, powers, products, products_with_functions
+from atoll_coordinator.model.sparse.kernels.elimination import explained_shares
 from atoll_coordinator.model.sparse.regression import SparseRegression, Sum
 from atoll_coordinator.model.sparse.rows import NORMAL_DEVIATION, RegressionRows
 from atoll_coordinator.model.thinning import thinned_places
@@ -118,8 +119,13 @@ class ResidualGains:
         left = values * weights
         for _ in range(2):  # the second time for rounding errors of the first
             left = left - basis @ (basis.T @ left)
-        self._squares, self._basis, self._left = weights**2, weights[:, None] * basis, weights * left
+        self.squares, self._basis, self._left = weights**2, weights[:, None] * basis, weights * left
         self._squared_residuals = max(float(left @ left), 1e-300)
+
+    @property
+    def vectors(self) -> FloatArray:
+        """The residuals, divided by their length, and an orthonormal basis of the terms; both weighted: (1 + K, N)."""
+        return np.vstack([self._left / math.sqrt(self._squared_residuals), self._basis.T])
 
     def gains(self, columns: FloatArray) -> FloatArray:
         """Return the share (A,) of the squared residuals that each of the columns (A, N) explains. The share is 0 if
@@ -137,7 +143,7 @@ class ResidualGains:
         """
         norms, along = self._norms(columns), columns @ self._basis
         products = columns @ self._left / norms
-        cosines = ((columns * self._squares) @ columns.T - along @ along.T) / np.outer(norms, norms)
+        cosines = ((columns * self.squares) @ columns.T - along @ along.T) / np.outer(norms, norms)
         free = 1.0 - cosines * cosines
         gains = (products[:, None] ** 2 + products**2 - 2.0 * np.outer(products, products) * cosines) / free
         return np.asarray(np.triu(np.where(free > _NEARLY_ALIKE, gains, 0.0), 1) / self._squared_residuals)
@@ -145,7 +151,7 @@ class ResidualGains:
     def _norms(self, columns: FloatArray) -> FloatArray:
         """Return the lengths (A,) of the parts of columns that are orthogonal to the terms. The length is infinite if
         the part is a rounding error."""
-        squares = columns**2 @ self._squares
+        squares = columns**2 @ self.squares
         orthogonal = squares - ((columns @ self._basis) ** 2).sum(axis=1)
         return np.asarray(np.sqrt(np.where(orthogonal > _SMALLEST_PART * squares, orthogonal, math.inf)))
 
@@ -164,19 +170,52 @@ def make_grid(rows: RegressionRows, shapes: Iterable[Shape]) -> Grid:
 
 
 def rank_further_terms(
-    rows: RegressionRows, sums: Sequence[Sequence[Atom]], grids: Iterable[Grid], count: int
+    rows: RegressionRows, sums: Sequence[Sequence[Atom]], grid: Grid, count: int
 ) -> Iterator[list[tuple[float, Atom]]]:
-    """Yield for each of the sums `sums` the `count` best further terms, as pairs (share of squared residuals
+    """Yield for each of the sums `sums` the `count` best further terms of a grid, as pairs (share of squared residuals
     explained, term)."""
-    all_gains = [ResidualGains(rows, atoms) for atoms in sums]
-    best: list[dict[Shape, tuple[float, Atom]]] = [{} for _ in sums]
-    for atoms, columns in grids:
-        for sum_gains, found in zip(all_gains if atoms else (), best, strict=False):
-            gains = sum_gains.gains(columns)
-            for place in np.argsort(-gains, kind="stable").tolist():
-                found.setdefault(atoms[place].shape, (float(gains[place]), atoms[place]))
-    for found in best:
+    atoms, columns = grid
+    for own in sums:
+        found: dict[Shape, tuple[float, Atom]] = {}
+        gains = ResidualGains(rows, own).gains(columns) if atoms else np.zeros(0)
+        for place in np.argsort(-gains, kind="stable").tolist():
+            found.setdefault(atoms[place].shape, (float(gains[place]), atoms[place]))
         yield sorted((pair for pair in found.values() if pair[0] > 0.0), key=lambda pair: -pair[0])[:count]
+
+
+def rank_functions(
+    rows: RegressionRows, sums: Sequence[Sequence[Atom]], shapes: Sequence[Shape], count: int
+) -> list[list[Atom]]:
+    """Return for each of the sums `sums` the `count` best further terms among products with functions, `shapes`, each
+    with the best of the start values of its inner constant.
+
+    The values of a function are computed once for all its products.
+    """
+    if not (shapes and sums):
+        return [[] for _ in sums]
+    all_gains = [ResidualGains(rows, atoms) for atoms in sums]
+    squares, vectors = np.array([one.squares for one in all_gains]), [one.vectors for one in all_gains]
+    counts, stacked = np.array([len(one) for one in vectors]), np.concatenate(vectors)
+    by_function: dict[tuple[int, int], list[int]] = {}
+    for place, shape in enumerate(shapes):
+        by_function.setdefault((id(shape.function), id(shape.u)), []).append(place)
+    shares, best = np.zeros((len(sums), len(shapes))), np.zeros((len(sums), len(shapes)))
+    for places in by_function.values():
+        constants = np.array(shapes[places[0]].constants())
+        if not len(constants):
+            continue
+        with np.errstate(all="ignore"):
+            functions = np.array([shapes[places[0]].function_values(constant) for constant in constants.tolist()])
+        factors = np.array([shapes[place].product for place in places])
+        gains = np.zeros((len(sums), *factors.shape[:1], *functions.shape[:1]))
+        explained_shares(
+            factors, functions, *rows.windows, squares, stacked, counts, _SMALLEST_PART, gains
+        )  # fmt: skip
+        shares[:, places], best[:, places] = gains.max(axis=2), constants[gains.argmax(axis=2)]
+    return [
+        [Atom(shapes[place], constant[place]) for place in np.argsort(-own, kind="stable")[:count] if own[place] > 0.0]
+        for own, constant in zip(shares, best.tolist(), strict=True)
+    ]
 
 
 # ------------------------------------------------------------------------------------- candidates for trajectories
@@ -288,7 +327,7 @@ class _Pursuit:
         """Return the best sums with one more term than the sums of the beam. If `has_pairs`, sums of any two terms are
         also tried."""
         width, grown = SETTINGS.effort.kept, list[tuple[float, tuple[Atom, ...]]]()
-        further = rank_further_terms(self._rows, [fit.atoms for fit in beam], [self._grid], width)
+        further = rank_further_terms(self._rows, [fit.atoms for fit in beam], self._grid, width)
         for fit, terms in zip(beam, further, strict=True):
             square = self._squared_residuals(fit)
             grown += [(square * (1.0 - share), (*fit.atoms, atom)) for share, atom in terms]

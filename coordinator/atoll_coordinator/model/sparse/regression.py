@@ -38,7 +38,12 @@ import numpy as np
 
 from atoll_coordinator.model.description_length import constant_nats_of, log
 from atoll_coordinator.model.sparse.atoms import Atom, program_of, sum_of
-from atoll_coordinator.model.sparse.kernels.elimination import DEPENDENT, eliminate, windowed_sums
+from atoll_coordinator.model.sparse.kernels.elimination import (
+    DEPENDENT,
+    eliminate,
+    find_shortest_with_each,
+    windowed_sums,
+)
 from atoll_coordinator.model.sparse.rows import Assessment, Errors, RegressionRows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
@@ -235,19 +240,25 @@ class SparseRegression:
         if whole is None or whole.assessment is None:
             return None
         weights = whole.assessment.weights
+        errors = self._errors(weights, whole.kept) if len(whole.kept) <= SETTINGS.effort.longest_sum else None
 
         def fewer(fit: Sum) -> Iterator[Sum | None]:
             for place in fit.kept if 1 < len(fit.kept) <= SETTINGS.effort.longest_sum else ():
-                yield self.refit([other for other in fit.kept if other != place], weights)
+                yield self.refit([other for other in fit.kept if other != place], weights, errors)
 
         return descend(whole, fewer)
 
-    def refit(self, places: Sequence[int], weights: FloatArray) -> Sum | None:
+    def refit(self, places: Sequence[int], weights: FloatArray, errors: Errors | None = None) -> Sum | None:
         """Return the sum of these terms after several fits, each with new weights. None if a residual has no
-        variance."""
+        variance.
+
+        `errors` are the covariances of the errors of these and other terms for the first weights; None: they are
+        computed.
+        """
         before, fit = math.inf, None
         for _ in range(self.rows.reweightings):
-            path = self._path(places, weights, self._errors(weights, places), steps=1)
+            path = self._path(places, weights, errors or self._errors(weights, places), steps=1)
+            errors = None
             fit = self._assess_sum(Sum(self, tuple(places), path.factors(0), math.inf))
             if fit.assessment is None:
                 return None
@@ -282,12 +293,28 @@ class SparseRegression:
             return min([*self.elimination_path(places, weights, errors)][::-1], key=lambda fit: fit.nats)
 
         def longer(fit: Sum) -> Iterator[Sum]:
-            longer_sum = shortest(best(sorted([*fit.kept, place])) for place in every if place not in fit.kept)
-            if longer_sum is not None:
-                yield self._assess_sum(longer_sum)
+            candidates = [place for place in every if place not in fit.kept]
+            if candidates:
+                lengths = self._lengths_with_each(fit.kept, candidates, weighted, errors)
+                place = min(zip(lengths, candidates, strict=True))[1]
+                yield self._assess_sum(best(sorted([*fit.kept, place])))
 
-        found = best(start)
+        found, weighted = best(start), (self._columns * weights, self.rows.sides * weights)
         return descend(self._assess_sum(found), longer, log(float(len(every)))) if is_extended else found
+
+    def _lengths_with_each(
+        self, kept: Sequence[int], candidates: Sequence[int], weighted: tuple[FloatArray, FloatArray],
+        errors: Errors | None,
+    ) -> list[float]:  # fmt: skip
+        """Return for each of the candidates the nats of the shortest sum in an elimination of the terms `kept` and the
+        candidate. `weighted` are the weighted columns (K, N) and sides (N,)."""
+        products, cross = (np.zeros((0, 0)), np.zeros(0)) if errors is None else errors
+        lengths = np.zeros(len(candidates))
+        find_shortest_with_each(
+            *weighted, products, cross, np.array(kept, np.int64), np.array(candidates, np.int64),
+            np.array(self._prices), float(self.rows.numbers), self.rows.least, lengths,
+        )  # fmt: skip
+        return lengths.tolist()
 
     def _assess_sum(self, fit: Sum) -> Sum:
         assessment = self._assess(fit)

@@ -21,10 +21,11 @@ Letters: K terms, N rows of a regression, W windows of L rows, R rows of all tra
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, TypeVar
+from typing import ClassVar, Generic, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -33,7 +34,11 @@ from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Recording, StateSmoothing, Trajectory
 from atoll_coordinator.model.description_length import log
 from atoll_coordinator.model.sparse.atoms import Atom, Product
-from atoll_coordinator.model.sparse.kernels.elimination import sum_error_products, windowed_sums
+from atoll_coordinator.model.sparse.kernels.elimination import (
+    spread_window_weights,
+    sum_error_products,
+    windowed_sums,
+)
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
@@ -120,6 +125,11 @@ class RegressionRows:
     def columns_of(self, values: FloatArray) -> FloatArray:
         """Return the columns (K, N) of terms with the `values` (K, R)."""
         return values
+
+    @property
+    def windows(self) -> tuple[Ints, FloatArray]:
+        """The first row (N,) of each window and the weights (N, L) of its rows; columns are sums over windows."""
+        return np.arange(len(self.sides)), np.ones((len(self.sides), 1))
 
     def gradients(self, atoms: Sequence[Atom]) -> FloatArray | None:
         """Return the derivatives (K, V, ...) of terms by the variables. None if the variables have no errors."""
@@ -310,6 +320,32 @@ def _noise(parts: Sequence[Trajectory], place: int, smoothing: StateSmoothing) -
 
 # ---------------------------------------------------------------------------------------------------- weak form
 
+Value = TypeVar("Value")
+
+
+class OfTerms(Generic[Value]):
+    """Values that were computed for terms: many regressions of one equation have the same terms.
+
+    Products are known by their factors; functions are known as long as the term exists. Threads may compute a value
+    twice, with equal results.
+    """
+
+    def __init__(self, compute: Callable[[Atom], Value]) -> None:
+        self._compute = compute
+        self._products: dict[Product, Value] = {}
+        self._functions: WeakKeyDictionary[Atom, Value] = WeakKeyDictionary()
+
+    def __call__(self, atom: Atom) -> Value:
+        """Return the value of a term."""
+        if atom.shape.function is not None:
+            value = self._functions.get(atom)
+            if value is None:
+                value = self._functions[atom] = self._compute(atom)
+            return value
+        if atom.shape.factors not in self._products:
+            self._products[atom.shape.factors] = self._compute(atom)
+        return self._products[atom.shape.factors]
+
 
 @dataclass(frozen=True, eq=False)
 class WeakRows(RegressionRows):
@@ -334,15 +370,32 @@ class WeakRows(RegressionRows):
 
     def columns(self, atoms: Sequence[Atom]) -> FloatArray:
         """Return the integrals (K, W) of the terms, corrected for noise in products of measured variables."""
-        degree = max((len(atom.shape.factors) for atom in atoms if atom.shape.function is None), default=0)
-        powers = _powers(self.measured.values, self.measured.noise, degree)
-        return self.columns_of(np.array([
-            _product(atom.shape.factors, powers) if atom.shape.function is None else atom.values for atom in atoms
-        ]))  # fmt: skip
+        return np.array([self._column_of(atom) for atom in atoms]).reshape(len(atoms), len(self.first))
 
     def columns_of(self, values: FloatArray) -> FloatArray:
         """Return the integrals (K, W) of functions with these `values` (K, R)."""
         return self._sums(self.bump, values)
+
+    @property
+    def windows(self) -> tuple[Ints, FloatArray]:
+        """The first row (W,) of each window and the weights (W, L) of its rows."""
+        return self.first, self.bump
+
+    @cached_property
+    def _column_of(self) -> OfTerms[FloatArray]:
+        """The integrals (W,) of a term."""
+
+        measured, first, bump = self.measured, self.first, self.bump
+
+        def column(atom: Atom) -> FloatArray:
+            factors = atom.shape.factors
+            if atom.shape.function is None:
+                values = _product(factors, _powers(measured.values, measured.noise, len(factors)))
+            else:
+                values = atom.values
+            return np.asarray(window_integrals(first, bump, values[None])[0])
+
+        return OfTerms(column)
 
     @cached_property
     def _thinned(self) -> Ints:
@@ -351,29 +404,56 @@ class WeakRows(RegressionRows):
 
     def gradients(self, atoms: Sequence[Atom]) -> FloatArray:
         """Return the derivatives (K, V, T) of terms by the variables on the thinned rows."""
-        return np.array([self._slopes([atom], [1.0], self._thinned) for atom in atoms])
+        gradients = np.zeros((len(atoms), len(self.inputs), len(self._thinned)))
+        for own, atom in zip(gradients, atoms, strict=True):
+            self._add_slopes(own, atom, 1.0, self._thinned_slopes_of(atom))
+        return gradients
 
-    def _slopes(self, atoms: Sequence[Atom], coefficients: Sequence[float], rows: Ints | slice) -> FloatArray:
-        """Return the derivatives (V, T) of a sum by the variables on some rows.
+    def _add_slopes(
+        self, slopes: FloatArray, atom: Atom, coefficient: float, by_variable: Mapping[int, FloatArray]
+    ) -> None:
+        """Add the derivatives of a term, times a coefficient, to `slopes` (V, T)."""
+        sizes = self.measured.noise
+        for variable, part in by_variable.items():
+            if atom.shape.function is None:
+                slopes[variable] += coefficient * part
+            else:
+                slopes[variable] += coefficient * part / (2.0 * sizes[variable])
 
-        Functions are differentiated by central differences. The step is one standard deviation of the errors: this step
-        also averages over the higher orders.
+    @cached_property
+    def _slopes_of(self) -> OfTerms[Mapping[int, FloatArray]]:
+        """The slopes of a term on all rows, see `_slopes_on`."""
+        return OfTerms(self._slopes_on(slice(None)))
+
+    @cached_property
+    def _thinned_slopes_of(self) -> OfTerms[Mapping[int, FloatArray]]:
+        """The slopes of a term on the thinned rows, see `_slopes_on`."""
+        if len(self._thinned) == len(self.measured.times):
+            return self._slopes_of
+        return OfTerms(self._slopes_on(self._thinned))
+
+    def _slopes_on(self, rows: Ints | slice) -> Callable[[Atom], Mapping[int, FloatArray]]:
+        """Return the function from a term to its slopes on some rows (T,), by variable: derivatives of a product, and
+        central differences of a function, not divided by the step.
+
+        The step is one standard deviation of the errors: this step also averages over the higher orders.
         """
         smoothed, noise = np.ascontiguousarray(self.measured.smoothed[:, rows]), self.measured.noise
-        degree = max((len(atom.shape.factors) for atom in atoms), default=0)
-        powers = _powers(smoothed, np.zeros(len(noise)), degree)
-        slopes = np.zeros_like(smoothed)
-        for atom, coefficient in zip(atoms, coefficients, strict=True):
+
+        def slopes(atom: Atom) -> Mapping[int, FloatArray]:
+            factors = atom.shape.factors
+            if atom.shape.function is None:
+                powers = _powers(smoothed, np.zeros(len(noise)), len(factors))
+                return {variable: _product(factors, powers, variable) for variable in sorted({*factors})}
+            found = {}
             for variable, size in enumerate(noise.tolist()):
-                if atom.shape.function is None:
-                    if variable in atom.shape.factors:
-                        slopes[variable] += coefficient * _product(atom.shape.factors, powers, variable)
-                elif size > 0.0 and atom.depends_on(variable):
+                if size > 0.0 and atom.depends_on(variable):
                     step = np.zeros((len(noise), 1))
                     step[variable] = size
                     with np.errstate(all="ignore"):
-                        above, below = atom.over(smoothed + step).values, atom.over(smoothed - step).values
-                    slopes[variable] += coefficient * (above - below) / (2.0 * size)
+                        found[variable] = atom.over(smoothed + step).values - atom.over(smoothed - step).values
+            return found
+
         return slopes
 
     def errors(self, gradients: FloatArray, weights: FloatArray) -> Errors:
@@ -392,10 +472,7 @@ class WeakRows(RegressionRows):
         `weights` (W,) are the weights of windows.
         """
         sums = np.zeros((2, len(self.measured.times)))
-        for place in range(self.bump.shape[1]):
-            part = weights * self.bump[:, place]
-            np.add.at(sums[0], self.first + place, part * self.bump[:, place])
-            np.add.at(sums[1], self.first + place, part * self.slope[:, place])
+        spread_window_weights(self.first, self.bump, self.slope, weights, sums[0], sums[1])
         share = len(self.measured.times) / len(self._thinned)
         return share * sums[0, self._thinned], share * sums[1, self._thinned]
 
@@ -405,14 +482,26 @@ class WeakRows(RegressionRows):
         The variance is of first order in the noise. Numbers are added in a fixed order, so that results are equal to
         the bit: these laws may end a search.
         """
-        slopes = self._slopes(atoms, coefficients, slice(None))
-        squares = self.measured.noise * self.measured.noise
-        own = squares[self.target]
-        variances = own * self._sums(self.slope * self.slope, np.ones((1, slopes.shape[1])))[0]
-        variances += 2.0 * own * self._sums(self.slope * self.bump, slopes[self.target : self.target + 1])[0]
-        for square, sums in zip(squares.tolist(), self._sums(self.bump * self.bump, slopes * slopes), strict=True):
+        slopes, used = np.zeros_like(self.inputs), set[int]()
+        for atom, coefficient in zip(atoms, coefficients, strict=True):
+            by_variable = self._slopes_of(atom)
+            self._add_slopes(slopes, atom, coefficient, by_variable)
+            used |= by_variable.keys()
+        sizes = self.measured.noise * self.measured.noise
+        own, squares, both = self._squared_weights
+        variances = sizes[self.target] * own
+        variances += 2.0 * sizes[self.target] * self._sums(both, slopes[self.target : self.target + 1])[0]
+        part = slopes[sorted(used)]
+        for square, sums in zip(sizes[sorted(used)].tolist(), self._sums(squares, part * part), strict=True):
             variances += square * sums
         return np.asarray(variances)
+
+    @cached_property
+    def _squared_weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The sums (W,) of the squared slopes of the test functions, and the weights (W, L) of squared values, and of
+        values times the slope."""
+        own = self._sums(self.slope * self.slope, np.ones((1, len(self.measured.times))))[0]
+        return own, self.bump * self.bump, self.slope * self.bump
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment | None:
         """Return the assessment by the log-likelihood of the residuals.

@@ -29,7 +29,7 @@ MOST_THREADS: Final = 2
 """Largest number of threads of a task. Outside kernels Python runs one thread at a time, so helpers, which are
 processes, use the other cores of a host."""
 
-HELPED: frozenset[TaskFunction] = frozenset({"refine", "profile"})
+HELPED: frozenset[TaskFunction] = frozenset({"prepare", "refine", "profile"})
 """Functions whose work comes in batches, with which other workers can help."""
 
 State = Literal["waiting", "leased", "running", "ended"]

@@ -47,6 +47,13 @@ def test_work_is_the_same_wherever_it_is_spread(workers: int, size: int) -> None
     assert Spread(ScatteredBatches(workers)).map(SQUARE, lambda: 2, [], size) == []
 
 
+def test_long_items_are_offered_before_there_is_a_worker() -> None:
+    batches = ScatteredBatches(0)
+    assert Spread(batches).map(SQUARE, lambda: 2, ITEMS, is_long=True) == [item**2 for item in ITEMS]
+    assert batches.calls == [("test: power", len(ITEMS))]
+    assert Spread().map(SQUARE, lambda: 2, ITEMS, is_long=True) == [item**2 for item in ITEMS]
+
+
 def test_threads_of_this_process_compute_the_same() -> None:
     with spreading(None, 2, Deadline()) as spread:
         assert not spread.is_shared

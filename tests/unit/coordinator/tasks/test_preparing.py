@@ -31,7 +31,7 @@ def test_laws_among_many_variables_are_sought_once_in_a_job_and_are_the_same_aft
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     sought, tasks, find = [], [], laws.find_short_laws
-    monkeypatch.setattr(laws, "find_short_laws", lambda equations: sought.extend(equations) or find(equations))
+    monkeypatch.setattr(laws, "find_short_laws", lambda equations, spread: sought.extend(equations) or find(equations))
     monkeypatch.setattr(pipeline, "select_model", lambda task: tasks.append(add_laws(task)))
     job, pools = outcome(), Searched("j", tuple(VariableOutcome(name, (), 1) for name in RING)).to_bytes()
     refine(job.encoded, pools, None, pipeline.refine_all)

@@ -7,6 +7,9 @@ from hypothesis import strategies as st
 
 from atoll_coordinator.model.description_length import constant_nats_of, structure_length
 from atoll_coordinator.model.sparse.atoms import (
+    FUNCTIONS,
+    Atom,
+    Term,
     polynomial_and_fourier_libraries,
     powers,
     product_of,
@@ -20,6 +23,7 @@ from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ADD, BY_NAME, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll_core.expression.program import constant_places
 from atoll_core.expression.text.parsing import from_infix
+from atoll_core.wire.values import decode_value, encode_value
 
 XYZ = ("x", "y", "z")
 
@@ -135,3 +139,19 @@ def test_a_sum_has_the_values_of_its_columns(terms, seed):
     columns = np.array([values_of(sum_of([term], [1.0]), inputs) for term in terms])
     assert values_of(program, inputs) == pytest.approx(coefficients @ columns, rel=1e-9, abs=1e-12)
     assert len(constant_places(program)) == len(terms)
+
+
+def test_a_term_that_was_sent_has_the_values_and_the_expression_of_its_atom():
+    inputs = np.random.default_rng(0).uniform(0.2, 2.0, (2, 30))
+    signed = np.vstack([inputs[0], inputs[1] - 1.0])
+    operators = {operator.code for operator in BY_NAME.values()}
+    met = set()
+    for rows in (inputs, signed):
+        for shape in [*powers(rows, [(), (0, 1)]), *products_with_functions(rows, (0, 1), operators)]:
+            atom = Atom(shape, shape.constants()[-1]).over(rows)
+            sent = decode_value(encode_value(Term.of(atom)), Term).over(rows)
+            assert np.array_equal(sent.values, atom.values, equal_nan=True)
+            assert sent.shape.expression(sent.constant) == atom.shape.expression(atom.constant)
+            assert sent.shape.has_constant == atom.shape.has_constant
+            met.add(sent.shape.function)
+    assert met == {None, *FUNCTIONS.values()}

@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
+from atoll_coordinator.model.batches import Spread
+from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.sparse.many_variables import UnknownEquation, find_short_laws, window_rows
 from atoll_coordinator.model.sparse.rows import RateRows
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import constant_places
 from atoll_core.expression.text.parsing import from_infix
+from atoll_core.wire.values import encode_value
+from tests.batches import ScatteredBatches
 from tests.unit.coordinator.model.sparse.enzyme import NAMES as STATES
 from tests.unit.coordinator.model.sparse.enzyme import field, prepared
 
@@ -70,7 +74,8 @@ def test_rows_known_as_well_as_the_trusted_ones_are_trusted():
 
 def equations(operators=OPERATORS):
     recording = prepared().recording
-    return {name: UnknownEquation(window_rows(recording, STATES, name), (0, 1), operators) for name in STATES}
+    rows = window_rows(recording, STATES, STATES)
+    return {name: UnknownEquation(rows[name], (0, 1), operators) for name in STATES}
 
 
 @pytest.mark.slow
@@ -84,6 +89,21 @@ def test_laws_with_a_flux_in_common_are_found_at_one_percent_of_noise():
         assert law.excess <= 1.25
         truth = np.array([field(0.0, state)[place] for state in states.T])
         assert values_of(law.program, states) == pytest.approx(truth, abs=0.1 * truth.std())
+
+
+@pytest.mark.parametrize("workers", [0, 1, 3])
+def test_laws_are_the_same_to_the_byte_wherever_equations_are_searched(workers):
+    noisy = equations()
+    exact = {
+        "u": UnknownEquation(rows_of("0.7*x1 - 0.3*x2/(0.5 + x2)", NAMES[:2], 200)[0], (0, 1), OPERATORS),
+        "v": UnknownEquation(rows_of("2*x2", NAMES[:2], 200)[0], (0, 1), OPERATORS),
+    }
+    for unknown in (noisy, exact):
+        batches = ScatteredBatches(workers)
+        laws, spread = find_short_laws(unknown), find_short_laws(unknown, Spread(batches))
+        assert laws["a" if unknown is noisy else "u"]
+        assert encode_value(spread, dict[str, tuple[Law, ...]]) == encode_value(laws, dict[str, tuple[Law, ...]])
+        assert {name for name, _ in batches.calls} >= {"laws among many variables"}
 
 
 def test_where_no_function_is_allowed_there_is_no_law_with_one():

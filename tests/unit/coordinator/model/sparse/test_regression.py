@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.sparse.atoms import product_atoms
-from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
+from atoll_coordinator.model.sparse.kernels.elimination import (
+    explained_shares,
+    find_shortest_with_each,
+    spread_window_weights,
+    sum_error_products,
+    windowed_sums,
+)
 from atoll_coordinator.model.sparse.regression import (
     SparseRegression,
     descend,
@@ -99,6 +105,72 @@ def test_sums_begin_at_the_first_row_of_a_window():
     values = np.array([[1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 1.0, 0.0]])
     windowed_sums(np.array([0, 2]), np.array([[1.0, 10.0], [1.0, 1.0]]), values, sums)
     assert sums.tolist() == [[21.0, 7.0], [0.0, 1.0]]
+
+
+def test_each_window_gives_its_weights_to_its_rows():
+    first, bump = np.array([0, 2]), np.array([[1.0, 2.0], [3.0, 4.0]])
+    squares, halves = np.zeros((2, 4))
+    spread_window_weights(first, bump, -bump, np.array([1.0, 10.0]), squares, halves)
+    assert squares.tolist() == [1.0, 4.0, 90.0, 160.0]
+    assert halves.tolist() == [-1.0, -4.0, -90.0, -160.0]
+
+
+def test_errors_of_columns_are_propagated_by_their_derivatives():
+    """Also with more columns than a block has, and with columns that do not depend on a variable."""
+    generator = np.random.default_rng(5)
+    gradients = generator.normal(size=(20, 3, 30)) * (generator.uniform(size=(20, 3, 1)) < 0.6)
+    variances, (squares, halves) = np.array([0.0, 2.0, 0.5]), generator.uniform(size=(2, 30))
+    products, cross = np.full((20, 20), np.nan), np.full(20, np.nan)
+    for target in range(3):
+        sum_error_products(gradients, variances, target, squares, halves, products, cross)
+        assert products == pytest.approx(np.einsum("kvn,mvn,v,n->km", gradients, gradients, variances, squares))
+        assert cross == pytest.approx(variances[target] * gradients[:, target] @ halves)
+
+
+@pytest.mark.parametrize("has_errors", [False, True])
+def test_one_more_term_is_the_best_sum_of_an_elimination_with_it(has_errors):
+    generator = np.random.default_rng(6)
+    columns = generator.normal(size=(7, 50))
+    side = columns[1] - 0.4 * columns[4] + 0.1 * generator.normal(size=50)
+    errors = (0.3 * np.eye(7), np.linspace(0.0, 0.1, 7)) if has_errors else (np.zeros((0, 0)), np.zeros(0))
+    kept, candidates, prices = np.array([1, 3]), np.array([0, 2, 4, 5, 6]), np.arange(1.0, 8.0)
+    nats = np.zeros(5)
+    find_shortest_with_each(columns, side, *errors, kept, candidates, prices, 50.0, 1e-9, nats)
+    for candidate, length in zip(candidates, nats, strict=True):
+        places = sorted([*kept, candidate])
+        own = (errors[0][np.ix_(places, places)], errors[1][places]) if has_errors else None
+        path = eliminate_columns(columns[places], side, own)
+        lengths = [
+            25.0 * np.log(path.squares[step]) + sum(prices[places[place]] for place in path.order[step:])
+            for step in range(3)
+        ]
+        assert length == pytest.approx(min(lengths))
+    assert candidates[np.argmin(nats)] == 4
+
+
+def test_a_further_term_explains_the_residuals_along_its_part_orthogonal_to_the_terms():
+    generator = np.random.default_rng(7)
+    factors, functions = generator.normal(size=(3, 40)), generator.normal(size=(2, 40))
+    functions[1, 7] = np.inf
+    first, weights = np.arange(0, 36, 3), generator.uniform(size=(12, 4))
+    counts, squares = np.array([3, 1]), generator.uniform(0.5, 2.0, (2, 12))
+    shares, vectors, expected = np.full((2, 3, 2), np.nan), [], np.zeros((2, 3, 2))
+    for s in range(2):
+        roots = np.sqrt(squares[s])
+        basis = np.linalg.qr(generator.normal(size=(12, counts[s] - 1)))[0]
+        rest = generator.normal(size=12)
+        rest -= basis @ (basis.T @ rest)
+        rest /= np.linalg.norm(rest)
+        vectors += [rest * roots, *(basis.T * roots)]
+        for p in range(3):
+            values = factors[p] * functions[0]
+            column = roots * np.array([weights[w] @ values[first[w] : first[w] + 4] for w in range(12)])
+            column -= basis @ (basis.T @ column)
+            expected[s, p, 0] = (column @ rest) ** 2 / (column @ column)
+    explained_shares(factors, functions, first, weights, squares, np.array(vectors), counts, 1e-13, shares)
+    assert shares == pytest.approx(expected)
+    explained_shares(factors, functions, first, weights, squares, np.array(vectors), counts, 1.0, shares)
+    assert not shares.any()
 
 
 def test_coefficients_are_those_of_the_true_columns_where_errors_of_columns_are_as_large():

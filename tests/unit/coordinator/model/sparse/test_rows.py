@@ -112,20 +112,20 @@ def test_weights_integrate_cubics_times_the_test_function():
 
 def test_noise_is_that_of_the_measurements():
     recording = prepared().recording
-    rows = window_rows(recording, NAMES, "b")
+    rows = window_rows(recording, NAMES, ["b"])["b"]
     deviations = np.concatenate([part.measured for part in recording.trajectories], axis=1).std(axis=1)
     assert rows.measured.noise / deviations == pytest.approx([0.01, 0.01], rel=0.4)
     assert rows.target == 1
 
 
 def test_windows_are_as_wide_as_the_sampling_resolves():
-    coarse = window_rows(prepared().recording, NAMES, "a")
-    fine = window_rows(prepared(runs=4, rows=121, step=0.025).recording, NAMES, "a")
+    coarse = window_rows(prepared().recording, NAMES, ["a"])["a"]
+    fine = window_rows(prepared(runs=4, rows=121, step=0.025).recording, NAMES, ["a"])["a"]
     assert fine.bump.shape[1] > coarse.bump.shape[1]
 
 
 def test_errors_reach_the_neighbours_of_the_same_trajectory():
-    rows = window_rows(prepared().recording, NAMES, "a")
+    rows = window_rows(prepared().recording, NAMES, ["a"])["a"]
     last = int(np.flatnonzero(np.diff(rows.first) >= rows.bump.shape[1])[0])
     errors = np.zeros(len(rows.first))
     errors[last] = -2.0

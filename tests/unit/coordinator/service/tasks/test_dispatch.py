@@ -51,7 +51,7 @@ def test_a_task_may_use_the_cores_of_workers_of_its_host_that_have_nothing_to_do
 
 
 def test_who_is_idle_helps_with_what_has_fewest_helpers_and_comes_in_batches() -> None:
-    tasks = [running("a", helpers=2), running("b", since=2.0), running("c", since=1.0), running("d", "prepare")]
+    tasks = [running("a", helpers=2), running("b", since=2.0), running("c", since=1.0), running("d", "suggest")]
     made = plan_leases([], tasks, [slot(f"w{number}") for number in range(4)], Counter())
     assert helps(made) == [("c", "w0"), ("b", "w1"), ("a", "w2"), ("c", "w3")]
 
