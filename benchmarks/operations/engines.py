@@ -6,6 +6,9 @@ engine that is not installed is left out. Processor seconds are those of all pro
 one has ended. MPI ends the whole program when one of its processes dies; so the task process of one of them is killed,
 as the system does when memory runs out. Threads have no other processes than these.
 
+``--overhead`` measures instead what it costs that islands are written after each epoch, pass the driver, and are read
+again: processor seconds of the same epochs so and with islands that stay in memory, as on a worker of the service.
+
 Returns 1 when a digest or an equation differs, else 0.
 """
 
@@ -30,11 +33,19 @@ from shutil import which
 from typing import Any, Final
 
 import atoll
+from atoll.executors.epochs import EPOCHS, JOB, ComputedEpoch, SearchedJob, load_kernels
 from atoll.terminal.output import note, say, table
+from atoll_coordinator.service.jobs.job import commit_order_of
+from atoll_coordinator.tasks.preparing import prepare_job
+from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError
+from atoll_core.wire.values import encode_value
+from atoll_island_worker.evolution.island import Island
+from atoll_island_worker.session.interface import EpochTask, TaskKey
 from benchmarks.harness.command_line import OUT, option, positive, program, whole
+from benchmarks.harness.jobs import UNENDING, configured
 from benchmarks.harness.record import Record, load
-from benchmarks.harness.systems import trajectories
+from benchmarks.harness.systems import table_of, trajectories
 from benchmarks.operations.differences import differences, masked
 
 WORKERS: Final = 2
@@ -116,6 +127,7 @@ def ray() -> Iterator[tuple[object, Pids]]:
     """A Ray cluster on this machine."""
     import ray as library
 
+    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}  # nothing is sent, no token is written
     library.init(num_cpus=WORKERS, include_dashboard=False, log_to_driver=False)
     yield library, lambda: [pid for pid in below(os.getpid()) if b"ray::" in words_of(pid)]
     library.shutdown()
@@ -205,6 +217,52 @@ def solve_once(engine: str, after: float | None, seed: int, epochs: int) -> dict
     return {"seconds": seconds, "result": masked(json.loads(model.result.to_json())), "digest": model.result.digest}
 
 
+# ------------------------------------------------------------------------------------------------------ the overhead
+
+
+def tasks_of(config: JobConfig, variable: str, epoch: int, before: ComputedEpoch | None) -> tuple[EpochTask, ...]:
+    """Return the tasks of one epoch of all islands of a variable, which continue from the epoch before."""
+    emigrants = {} if before is None else {one.key.island: one.emigrants for one in before.islands}
+    return tuple(
+        EpochTask(
+            TaskKey(JOB, variable, 1, island, epoch),
+            {source: blocks[island] for source, blocks in emigrants.items() if island in blocks} or None,
+            False, commit_order_of(config), None if before is None else before.states[island],
+        )
+        for island in range(config.evolution.islands)
+    )  # fmt: skip
+
+
+def overhead(epochs: int, repeats: int) -> str:
+    """Return a table of processor seconds of epochs of one variable: by batches, and by islands that stay in memory."""
+    config = configured(seed=5, budget=UNENDING)
+    prepared, data = prepare_job(table_of(trajectories("lotka_volterra", noise=0.05)).to_bytes(), config)
+    context, problem = encode_value(SearchedJob(prepared.config, data)), prepared.dataset.problem("x")
+    load_kernels()
+    rows = []
+    for _ in range(repeats):
+        began, done, size = time.process_time(), None, 0
+        for epoch in range(epochs):
+            item = EPOCHS.encode([tasks_of(prepared.config, "x", epoch, done)])
+            made = EPOCHS(context, item)
+            done, size = EPOCHS.decode(made)[0], size + len(item) + len(made)
+        by_batches = time.process_time() - began
+        began = time.process_time()
+        islands = [Island(problem, prepared.config, number) for number in range(config.evolution.islands)]
+        for _ in range(epochs):
+            for island in islands:
+                while not island.advance():
+                    pass
+            blocks = [island.emigrants() for island in islands]
+            for number, island in enumerate(islands):
+                island.immigrate({source: sent[number] for source, sent in enumerate(blocks) if number in sent})
+        kept = time.process_time() - began
+        each = epochs * config.evolution.islands
+        cells = (1e3 * by_batches / each, 1e3 * kept / each, 100.0 * (by_batches / kept - 1.0), size / each / 1024.0)
+        rows.append(tuple(f"{cell:.1f}" for cell in cells))
+    return table(("ms an island's epoch by batches", "kept", "%", "kB"), rows)
+
+
 # ------------------------------------------------------------------------------------------------------- all of them
 
 
@@ -259,6 +317,7 @@ def shown(took: Sequence[Took]) -> str:
     option("--epochs", type=whole, default=8, help="longest search (%(default)s)"),
     option("--after", type=positive, help="seconds until a worker is killed (3)"),
     option("--repeats", type=whole, default=1),
+    option("--overhead", action="store_true", help="measure the cost of islands that pass the driver"),
     option("--once", choices=ENGINES, help="solve the job in this process and print the result"),
     OUT,
 )
@@ -266,6 +325,9 @@ def main(options: Namespace) -> int:
     """Measure and print; return 1 when a result differs, else 0."""
     if options.once:
         say(json.dumps(solve_once(options.once, options.after, options.seed, options.epochs)))
+        return 0
+    if options.overhead:
+        say(overhead(options.epochs, options.repeats))
         return 0
     ctypes.CDLL(None).prctl(_SUBREAPER, 1, 0, 0, 0)
     names = [name for name in options.engines.split(",") if available(name)]

@@ -48,7 +48,7 @@ PAGE_S: Final = 1.0
 
 PROBED_COORDINATOR: Final = (
     """
-import json, os, threading, time
+import gc, json, os, threading, time
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Message, Posted, Query
 from atoll_core.wire.codec import unpack
@@ -77,6 +77,12 @@ def step(self, event):
     finally:
         name = self._requests.asked or name_of(event)
         _steps.append((name, time.monotonic() - began, time.thread_time() - processor))
+def collecting(phase, _):
+    if phase == "start":
+        collecting.began = time.monotonic(), time.thread_time()
+    elif threading.get_ident() == collecting.loop:
+        wall, processor = collecting.began
+        _steps.append(("garbage collection", time.monotonic() - wall, time.thread_time() - processor))
 def write():
     with open(FILE + "-", "w") as file:
         json.dump({"lags": _lags, "steps": _steps}, file)
@@ -92,7 +98,9 @@ def probe(bus, clock):
             write()
         bus.post(Probe(clock))
 def start(self):
-    clock = time.pthread_getcpuclockid(threading.get_ident())
+    collecting.loop = threading.get_ident()
+    gc.callbacks.append(collecting)
+    clock = time.pthread_getcpuclockid(collecting.loop)
     _start(self)
     threading.Thread(target=probe, args=(self._bus, clock), daemon=True).start()
 Service.step, Service.start, RequestDispatcher.answer = step, start, answer

@@ -1,8 +1,8 @@
 """What a coordinator takes by number of islands, with workers whose islands only pretend (`simulated_islands`).
 
 The coordinator is a real one in a process of its own; its processor time and memory are read from the system's
-account. Islands are those of several jobs with several variables, as many of each as it takes; workers have eight
-islands each, spread over as many archipelagos.
+account. Islands are those of several jobs with several variables, as many of each as it takes; an archipelago has eight
+islands and a worker, too, unless other numbers are asked for.
 """
 
 import contextlib
@@ -32,9 +32,7 @@ from benchmarks.harness.service import COORDINATOR, Machines, running, wait_unti
 from benchmarks.harness.tables import Columns
 from benchmarks.operations.island_samples import Samples, sampled
 
-ISLANDS_EACH: Final = 8
-"""Islands of an archipelago, and of a worker."""
-
+ISLANDS_OF_A_WORKER: Final = 8
 MOST_JOBS: Final = 4
 WORKERS_EACH: Final = 16
 """Workers of a process that pretends."""
@@ -83,12 +81,15 @@ class Load:
         return (self.mail_bytes + self.report_bytes) / 1e6
 
 
-def shape(islands: int) -> tuple[int, int]:
-    """Return how many jobs of how many variables give that many islands; raises AtollError when none do."""
-    archipelagos = islands // ISLANDS_EACH
+def shape(islands: int, each: int) -> tuple[int, int]:
+    """Return how many jobs of how many variables give that many islands, with `each` in an archipelago.
+
+    Raises AtollError when none do.
+    """
+    archipelagos = islands // each
     jobs = next((jobs for jobs in (1, 2, MOST_JOBS) if archipelagos / jobs <= 16), MOST_JOBS)
-    if islands % (ISLANDS_EACH * jobs) or not archipelagos:
-        raise AtollError(f"{islands} islands cannot be simulated; ask for a multiple of {ISLANDS_EACH * jobs}")
+    if islands % (each * jobs) or not archipelagos:
+        raise AtollError(f"{islands} islands cannot be simulated; ask for a multiple of {each * jobs}")
     return jobs, archipelagos // jobs
 
 
@@ -146,17 +147,19 @@ def pretending(machines: Machines, samples: Path, workers: int, period: float) -
     return Hosts(processes)
 
 
-def measured(islands: int, samples: Samples, period: float, seconds: float) -> Load:
-    """Run that many islands for a while, once all are under way, and return what the coordinator took."""
-    jobs, variables = shape(islands)
-    workers = max(2, islands // ISLANDS_EACH)
+def measured(islands: int, samples: Samples, period: float, seconds: float, each: int, workers: int) -> Load:
+    """Run that many islands for a while, once all are under way, and return what the coordinator took.
+
+    An archipelago has `each` islands.
+    """
+    jobs, variables = shape(islands, each)
     with running(0) as (machines, client):
         hosts = pretending(machines, samples.save(machines.folder), workers, period)
         wait_until(client, lambda: _has(client, workers), f"{workers} workers were not there", READY_LIMIT_S, LOOK_S)
         names = [f"scale-{number}" for number in range(jobs)]
         digest = client.upload(signals(variables).to_bytes())
         for number, name in enumerate(names):
-            client.submit(name, name, configured(number, budget=ENDLESS, islands=ISLANDS_EACH), digest)
+            client.submit(name, name, configured(number, budget=ENDLESS, islands=each), digest)
         late = f"all islands of {jobs} jobs in their third epoch were not there"
         wait_until(client, lambda: _are_under_way(client, names), late, READY_LIMIT_S, LOOK_S)
         note(f"  {islands} islands are under way")
@@ -237,7 +240,8 @@ def measure_scale(islands: Sequence[int], options: Any, arguments: Sequence[str]
     samples = sampled(options.noise)
     loads: list[Load] = []
     for number in islands:
-        loads.append(measured(number, samples, options.period, options.seconds))
+        workers = options.simulated_workers or max(2, number // ISLANDS_OF_A_WORKER)
+        loads.append(measured(number, samples, options.period, options.seconds, options.islands_each, workers))
         figures = {"loads": [{**asdict(load_), "microseconds": load_.microseconds} for load_ in loads]}
         Record("scale", arguments, options.out).write(**figures, growth=growth(loads))
     say(loads_table(loads))

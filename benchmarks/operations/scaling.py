@@ -105,6 +105,8 @@ def _numbers(text: str) -> list[int]:
     group(
         "what a coordinator takes, with workers whose islands only pretend",
         option("--simulated-islands", type=_numbers, metavar="16,64", help="numbers of islands"),
+        option("--islands-each", type=whole, default=8, metavar="ISLANDS", help="of an archipelago (%(default)s)"),
+        option("--simulated-workers", type=whole, metavar="WORKERS", help="(one for eight islands)"),
         option("--period", type=positive, default=1.0, help="seconds of an epoch (%(default)g)"),
         option("--seconds", type=positive, default=15.0, help="length of a measurement (%(default)g)"),
         option("--noise", type=float, default=0.0, help="of the data that reports are from (%(default)g)"),

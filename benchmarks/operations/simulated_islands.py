@@ -2,7 +2,8 @@
 
 The program of one process with many workers, started by `benchmarks.operations.scale`. Everything but the computing is
 real: sessions on the bus, greetings, heartbeats, placements, reports, emigrants, pulls. An island sends each island of
-its archipelago, itself included, the same number of emigrants, and waits for all of them.
+its archipelago, itself included, the same number of emigrants, and waits for all of them. If there are more islands
+than solutions of an island, it sends one emigrant to as many islands as it has solutions.
 
 Once a second a line of JSON says what happened in it: see `Counts`.
 """
@@ -204,11 +205,16 @@ class PacedCompute:
         evolution = self._config[key.job].evolution
         report = pretended(self._samples, key.epoch, key.island, f"{key.job}/{key.variable}/{key.island}/{key.epoch}")
         block = bytes(self._samples.emigrant * max(1, evolution.population // evolution.islands))
-        emigrants = {} if task.is_last else dict.fromkeys(range(evolution.islands), block)
+        step = max(1, evolution.islands // evolution.population)
+        partners = [
+            (key.island + step * number, key.island - step * number) for number in range(evolution.islands // step)
+        ]
+        emigrants = {} if task.is_last else {to % evolution.islands: block for to, _ in partners}
+        senders = frozenset(sender % evolution.islands for _, sender in partners) if emigrants else frozenset()
         self.progress += 1
         self._books.note_epoch()
         self._ended[key.shard, key.island] = time.monotonic()
-        self._post(EpochComputed(key, report, emigrants, frozenset(emigrants) - {key.island}))
+        self._post(EpochComputed(key, report, emigrants, senders - {key.island}))
 
 
 def pretended(samples: Samples, epoch: int, island: int, name: str) -> IslandReport:

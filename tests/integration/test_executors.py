@@ -186,6 +186,13 @@ def test_a_killed_process_of_loky_changes_nothing() -> None:
     assert len(submitted) >= 3
 
 
+def test_profiles_of_constants_are_the_same_on_an_executor() -> None:
+    data, options = JOBS["noisy"]
+    with ThreadPoolExecutor(2) as executor:
+        model = atoll.discover(data, executor=executor, **options)
+        assert str(model.identifiability(executor=executor)) == str(model.identifiability())
+
+
 # -------------------------------------------------------------------------------------------------------- many tables
 
 

@@ -297,23 +297,32 @@ class Model(ModelCore):
         """Return the profile likelihood of each constant, by name; see `identifiability`."""
         return {constant.name: constant for constant in self.identifiability(level, data).constants}
 
-    def identifiability(self, level: float = LEVEL, data: object = None) -> "Identifiability":
+    def identifiability(
+        self, level: float = LEVEL, data: object = None, *, executor: object = None
+    ) -> "Identifiability":
         """Return how well the data determine each constant, and which constants are determined only jointly.
 
         Args:
             level: confidence level of the intervals, between 0 and 1.
             data: measurements to use instead of the measurements in the result, in a form that `atoll.discover`
                 accepts.
+            executor: computes the profiles, see `atoll.discover`; None: this process does.
 
         Raises:
             UsageError: the measurements have no times, or the result has no measurements.
             DataError: the data cannot be used as they are.
         """
         from atoll.experiments.identifiability import identify
+        from atoll_coordinator.model.batches import Spread
 
         self.require_one_group()
+        spread = None
+        if executor is not None:
+            from atoll.executors.batches import ExecutorBatches
+
+            spread = Spread(ExecutorBatches(executor))
         with python_words():
-            return identify(self.result, self._table(data), level)
+            return identify(self.result, self._table(data), level, spread)
 
     def suggest(  # noqa: PLR0913, the keywords are the options of the command
         self,

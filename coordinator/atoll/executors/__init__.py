@@ -6,7 +6,8 @@ bit (ADR 0100). All tasks are pure functions; a task whose worker was killed is 
 
 ``executors`` adapts what users give (the only code about particular libraries). ``dispatcher`` submits tasks, sends
 shared data once to each process, and submits lost tasks again. ``tasks`` has the functions that run on the workers.
-``epochs`` has the epochs of islands as batches, ``driver`` takes one job from its table to its result.
+``batches`` gives batches of any other work to an executor. ``epochs`` has the epochs of islands as batches, ``driver``
+takes one job from its table to its result.
 
 The path of a job: `atoll.discover` -> `driver.solve` -> `dispatcher.Dispatcher` -> (a worker) `tasks.perform`.
 """

@@ -10,8 +10,9 @@ if the user gave a function that makes another one.
 import hashlib
 import itertools
 import queue
+import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
@@ -98,6 +99,18 @@ class Dispatcher:
             event = self.inbox.get()
             if isinstance(event, Finished):
                 return self.take(event)
+
+    def results(self, within: float | None = None) -> Iterator[Computed]:
+        """Yield the results of all calls, as they are ready; only those of the next `within` seconds (None: all)."""
+        end = None if within is None else time.monotonic() + within
+        while self._open:
+            try:
+                event = self.inbox.get(timeout=None if end is None else max(0.0, end - time.monotonic()))
+            except queue.Empty:
+                return
+            computed = self.take(event) if isinstance(event, Finished) else None
+            if computed is not None:
+                yield computed
 
     def take(self, finished: Finished) -> Computed | None:
         """Return the result of a finished future; None: its call was submitted again, or is not needed any more.

@@ -4,10 +4,11 @@ Most libraries have a class with the interface of `concurrent.futures.Executor`.
 of such an executor, and makes a new executor when a pool is broken. Ray has another interface; `RayExecutor` adapts it.
 """
 
+import contextlib
 import os
 import sys
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
@@ -88,12 +89,20 @@ def adapted(given: object) -> Adapted:
     if _is_a(given, "distributed.client", "Client"):
         return Adapted(given.get_executor(pure=False))  # type: ignore[attr-defined]
     if isinstance(given, Executor):
-        return Adapted(given, _maker_of_loky(given))
+        return Adapted(_forked(given), _maker_of_loky(given))
     if callable(given):
         made = given()
         if isinstance(made, Executor):
-            return Adapted(made, given, is_ours=_maker_of_loky(made) is None)  # loky's is for reuse
+            return Adapted(_forked(made), given, is_ours=_maker_of_loky(made) is None)  # loky's is for reuse
     raise UsageError(f"{EXPECTED}; {shown(given)} was given")
+
+
+def _forked(executor: Executor) -> Executor:
+    """Let a pool start its processes now, before this process has threads, in which a fork may find a lock held."""
+    if isinstance(executor, ProcessPoolExecutor):
+        with contextlib.suppress(RuntimeError):  # a pool that was shut down, or is broken: the first task reports it
+            executor.submit(int)
+    return executor
 
 
 def _is_a(given: object, module: str, name: str) -> bool:

@@ -167,3 +167,15 @@ def test_other_objects_are_refused(given: object) -> None:
 
 def test_an_executor_of_unknown_size_has_as_many_workers_as_cores() -> None:
     assert workers_of(InlineExecutor()) >= 1
+
+
+def test_results_come_within_a_time_or_not_at_all() -> None:
+    never: Future[Any] = Future()
+
+    class Silent(Executor):
+        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+            return never
+
+    with Dispatcher(Silent(), 1) as dispatcher:
+        dispatcher.submit(1, "joined", (1,), b"ab")
+        assert [*dispatcher.results(0.01)] == []

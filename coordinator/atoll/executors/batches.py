@@ -1,0 +1,41 @@
+"""`Batches` over an executor, for work that the caller's own thread divides, such as the profiles of an analysis."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from typing import Final
+
+from atoll.executors.dispatcher import Dispatcher
+from atoll.executors.executors import adapted, workers_of
+from atoll_coordinator.model.batches import CANCELLED
+from atoll_core.errors import AtollError
+
+
+class ExecutorBatches:
+    """Computes batches on an executor; implements `atoll_coordinator.model.batches.Batches`.
+
+    Several threads may call `map`: each call has its own dispatcher.
+    """
+
+    threads: Final = 1
+
+    def __init__(self, executor: object, workers: int | None = None) -> None:
+        """Use an executor (see `executors.adapted`) with this number of workers; None: as many as it has."""
+        self._executor: Executor = adapted(executor).executor
+        self.workers: Final = workers or workers_of(self._executor)
+
+    def map(
+        self, function: str, context: bytes, items: Sequence[bytes], cancel_after: float | None = None
+    ) -> list[bytes]:
+        """See `atoll_coordinator.model.batches.Batches.map`; raises AtollError if a batch cannot be computed."""
+        with Dispatcher(self._executor, self.workers) as dispatcher:
+            for place, item in enumerate(items):
+                dispatcher.submit(place, "batch", (function, item), context)
+            results: dict[int, bytes] = {}
+            for computed in dispatcher.results(cancel_after):
+                if computed.sentence:
+                    raise AtollError(computed.sentence)
+                results[computed.tag] = computed.value
+        return [results.get(place, CANCELLED) for place in range(len(items))]
+
+    def note(self, compared: int) -> None:
+        """Do nothing: there is no display."""
