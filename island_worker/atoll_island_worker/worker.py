@@ -161,6 +161,9 @@ class Worker:
             case ProcessMessage():
                 if self._tasks.handle_process_message(item):
                     self._send_heartbeat()
+            case io.AnnounceHit():
+                if not self.session.has_reported(item.shard, item.epoch):
+                    self._send_heartbeat()
             case io.JobReady() | io.LoadFailed():
                 if self._datasets.finish_loading(item.job):
                     if isinstance(item, io.JobReady):
@@ -354,6 +357,8 @@ class Worker:
                     self._compute.discard(action.shard)
                 case io.SendHeartbeat():
                     self._send_heartbeat()
+                case io.AnnounceHit():
+                    self._bus.post(action)  # outcomes that are waiting already are handled first
                 case _:
                     self._requests.send(action)
 

@@ -114,6 +114,7 @@ class Service:
         self._dismisses_workers = dismisses_workers
         dependencies = dependencies or Dependencies()
         self._questions = Turns[tuple[Query, str]](QUESTIONS)
+        self._is_turn_posted = False
         self._deferred = DeferredQuestions[tuple[Query, str]]()
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
@@ -329,6 +330,7 @@ class Service:
             case _TimeCheck():
                 self._check_time(now)
             case _Turn():
+                self._is_turn_posted = False  # if the turn fails, the next question posts another one
                 self._take_turn()
             case _Probe() if self._metrics is not None:
                 self._metrics.observe_lag(now - self._probe_due)
@@ -480,18 +482,24 @@ class Service:
         party = self._party(key.client, event)
         if not self._questions.add(party, key.client, (event, party), len(event.payload)):
             self._bus.reply(event, None)
-        elif len(self._questions) == 1:
-            self._bus.post(_Turn())
+        else:
+            self._post_turn()
 
     def _party(self, client: str, event: Query) -> str:
         """Return the party that takes turns with other parties: a user; if there are no certificates, a session."""
         return self._authorization.submitter(client) or f"/{event.session}"
 
+    def _post_turn(self) -> None:
+        """Let a question be answered after the events that have arrived; a turn that is posted already is enough."""
+        if not self._is_turn_posted:
+            self._is_turn_posted = True
+            self._bus.post(_Turn())
+
     def _take_turn(self) -> None:
         """Answer one question. The next question comes after the events that have arrived meanwhile."""
         question = self._questions.take()
         if len(self._questions):
-            self._bus.post(_Turn())
+            self._post_turn()
         if question is not None:
             try:
                 self._answer(*question)

@@ -171,6 +171,17 @@ class SendHeartbeat:
 
 
 @dataclass(frozen=True, slots=True)
+class AnnounceHit:
+    """Send the coordinator a heartbeat with a hit, unless a report with it is sent first.
+
+    The other islands of the shard may have outcomes that wait to be handled; the report of `epoch` is then complete.
+    """
+
+    shard: ShardKey
+    epoch: int
+
+
+@dataclass(frozen=True, slots=True)
 class RunTask:
     """Give the task to the compute thread; a Snapshot or an Outcome follows."""
 
@@ -219,4 +230,4 @@ class Respond:
 Outgoing = SendReport | SendPull | Respond
 """The messages that are sent on the bus."""
 
-Action = RunTask | StopAt | Discard | SendHeartbeat | Outgoing
+Action = RunTask | StopAt | Discard | SendHeartbeat | AnnounceHit | Outgoing

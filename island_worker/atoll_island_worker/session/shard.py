@@ -7,8 +7,9 @@ islands have finished the epoch. A pull that timed out is repeated as soon as an
 pull that was refused is repeated at a tick. If a term begins at a checkpoint, the states of its islands are pulled from
 the coordinator in the same way.
 
-A hit (an island meets the target) ends the archipelago at one position in the commit order. Heartbeats report the hit
-to the coordinator, and the coordinator's commits report it to the other workers. Every shard stops computing after that
+A hit (an island meets the target) ends the archipelago at one position in the commit order. A report tells the
+coordinator the hit, or a heartbeat if islands here are still computing; the coordinator's commits tell it the other
+workers. Every shard stops computing after that
 position. Slices before the position are still computed and reported, because they may contain an earlier hit. These
 slices do not need emigrants of the epoch of the hit, so the result does not depend on the time when a worker learns of
 the hit.
@@ -172,7 +173,7 @@ class Shard:
         if done.report.hit is not None:
             local.step("end")
             self.stop_at(Position(local.epoch, done.report.hit.generation, local.index))
-            actions = [io.SendHeartbeat()]
+            actions = [io.AnnounceHit(self.key, local.epoch)]
         elif local.epoch >= self.stop_epoch:
             local.step("end")
         else:

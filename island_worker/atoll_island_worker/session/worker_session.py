@@ -66,6 +66,11 @@ class Session:
         """Return the failures of archipelagos that have not been closed yet."""
         return tuple(self._failures)
 
+    def has_reported(self, key: io.ShardKey, epoch: int) -> bool:
+        """Tell whether the report of an epoch was sent, or the archipelago is not computed here any more."""
+        shard = self._shards.get((key.job, key.variable))
+        return shard is None or shard.key != key or shard.reported > epoch
+
     def jobs(self) -> tuple[str, ...]:
         """Return the jobs with loaded configuration and dataset."""
         return tuple(self._loaded)

@@ -42,7 +42,7 @@ from atoll_coordinator.model.sparse.kernels.elimination import (
     DEPENDENT,
     eliminate,
     find_shortest_with_each,
-    windowed_sums,
+    scalar_products,
 )
 from atoll_coordinator.model.sparse.rows import Assessment, Errors, RegressionRows
 from atoll_coordinator.settings import SETTINGS
@@ -127,9 +127,9 @@ def select_forward(columns: FloatArray, side: FloatArray) -> Iterator[tuple[int,
 
 def _dots(columns: FloatArray, vector: FloatArray) -> FloatArray:
     """Return the products (K,) of columns (K, N) with a vector (N,)."""
-    sums = np.zeros((len(columns), 1))
-    windowed_sums(np.zeros(1, np.int64), np.ascontiguousarray(vector)[None], np.ascontiguousarray(columns), sums)
-    return sums[:, 0]
+    sums = np.zeros(len(columns))
+    scalar_products(np.ascontiguousarray(vector), np.ascontiguousarray(columns), sums)
+    return sums
 
 
 # ---------------------------------------------------------------------------------------- sums of one library

@@ -95,6 +95,7 @@ class Archipelago:
         self._durable_at = 0.0
         self._forget = 0
         self._hit: Position | None = None
+        self._has_news = False  # a report had an earlier hit, which workers do not know yet
         self._latest: list[int] = []
 
     @property
@@ -170,7 +171,7 @@ class Archipelago:
         self._wants_barrier = False
         self._durable_at = now
         self._forget = placement.epoch
-        self._hit = None
+        self._hit, self._has_news = None, False
         self._latest = [placement.epoch - 1] * len(placement.workers)
 
     def unplace(self) -> None:
@@ -210,6 +211,9 @@ class Archipelago:
                 self._check(addition.program)
         advanced = self.collector.add_reports(worker, report.epoch, report.islands, seconds)
         self._update_latest(islands, report.epoch)
+        for island_report in report.islands:
+            if island_report.hit is not None:
+                self._learn_hit(Position(report.epoch, island_report.hit.generation, island_report.island))
         return advanced
 
     def update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> Commit | None:
@@ -222,10 +226,13 @@ class Archipelago:
             return None
         self._update_latest(self.islands_of(worker), assignment_status.reported - 1)
         self._snapshots[worker] = assignment_status.snapshots
-        if self.cut is None and self._is_earlier(assignment_status.hit, self._hit):
-            self._hit = assignment_status.hit
-            return self.commit()
+        self._learn_hit(assignment_status.hit)
         return self.due_commit()
+
+    def _learn_hit(self, hit: Position | None) -> None:
+        """Record a hit that a worker has told; the next commit is due if it is earlier than the hits before."""
+        if self.cut is None and self._is_earlier(hit, self._hit):
+            self._hit, self._has_news = hit, True
 
     def _is_earlier(self, hit: Position | None, other: Position | None) -> bool:
         """Return whether a hit counts before another hit; None: no hit."""
@@ -249,7 +256,10 @@ class Archipelago:
         return PullReports(job=self.job, variable=self.variable, term=placement.term, first=first, last=last)
 
     def due_commit(self) -> Commit | None:
-        """Return the commit that lets workers forget messages, when it is due; None: not yet."""
+        """Return the commit that is due; None: not yet. It lets workers forget messages, or tells them a hit."""
+        if self._has_news and self.cut is None:
+            self._has_news = False
+            return self.commit()
         reached = min(min(self._latest, default=-1), self.collector.state.epochs - 1)
         if reached < self._forget + FORGET_EPOCHS or self.cut is not None:
             return None

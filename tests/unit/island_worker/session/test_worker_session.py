@@ -23,6 +23,7 @@ from atoll_core.wire.messages.workers import Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import IslandState, split_states
 from atoll_island_worker.session.interface import (
     Abandoned,
+    AnnounceHit,
     Discard,
     EpochComputed,
     JobReady,
@@ -35,6 +36,7 @@ from atoll_island_worker.session.interface import (
     RunTask,
     SendHeartbeat,
     SendPull,
+    SendReport,
     ShardKey,
     Snapshot,
     StopAt,
@@ -149,12 +151,23 @@ def test_a_commit_beyond_what_was_reported_is_refused(session: Session) -> None:
 
 def test_the_coordinator_learns_of_a_hit_at_once_and_a_hit_elsewhere_stops_what_counts_later(session: Session) -> None:
     begun(session, "me", "peer", "me")
-    assert SendHeartbeat() in session.handle(computed(key(2, 0), {}, hit=40))
+    assert AnnounceHit(key(2, 0).shard, 0) in session.handle(computed(key(2, 0), {}, hit=40))
+    assert not session.has_reported(key(2, 0).shard, 0)
     assert session.assignment_statuses()[0].hit == Position(0, 40, 2)
     actions = session.handle(committed(0, 2, 4, hit=Position(0, 20, 1)))
     assert [action.hit for action in actions if isinstance(action, StopAt)] == [Position(0, 20, 1)]
     assert session.handle(committed(0, 2, 4, hit=Position(0, 30, 1))) == []
     assert session.assignment_statuses()[0].hit == Position(0, 20, 1)
+
+
+def test_a_hit_needs_no_announcement_once_its_report_was_sent(session: Session) -> None:
+    begun(session, "me", "me")
+    session.handle(computed(key(0, 0), {}, hit=40))
+    (report,) = session.handle(Abandoned(key(1, 0)))
+    assert isinstance(report, SendReport)
+    assert session.has_reported(key(0, 0).shard, 0)
+    assert not session.has_reported(key(0, 0).shard, 1)
+    assert session.has_reported(key(0, 0).shard._replace(term=7), 1)
 
 
 # ------------------------------------------------------------------------------------------------ pulls

@@ -118,7 +118,7 @@ def explained_shares(
                 for j in range(weights.shape[1]):
                     total += weights[w, j] * values[first[w] + j]
                 column[w] = total
-            _multiply(column, vectors, dots)
+            scalar_products(column, vectors, dots)
             begin = 0
             for s in range(len(counts)):
                 square = 0.0
@@ -133,7 +133,7 @@ def explained_shares(
 
 
 @kernel
-def _multiply(column: FloatArray, vectors: FloatArray, dots: FloatArray) -> None:
+def scalar_products(column: FloatArray, vectors: FloatArray, dots: FloatArray) -> None:
     """Write the scalar products of `column` (N,) with each of `vectors` (M, N) into `dots` (M,), four side by side."""
     last = len(vectors) - 1
     for k in range(0, last + 1, 4):

@@ -9,6 +9,7 @@ from atoll_coordinator.model.sparse.atoms import product_atoms
 from atoll_coordinator.model.sparse.kernels.elimination import (
     explained_shares,
     find_shortest_with_each,
+    scalar_products,
     spread_window_weights,
     sum_error_products,
     windowed_sums,
@@ -105,6 +106,18 @@ def test_sums_begin_at_the_first_row_of_a_window():
     values = np.array([[1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 1.0, 0.0]])
     windowed_sums(np.array([0, 2]), np.array([[1.0, 10.0], [1.0, 1.0]]), values, sums)
     assert sums.tolist() == [[21.0, 7.0], [0.0, 1.0]]
+
+
+@pytest.mark.parametrize("count", range(7))
+def test_scalar_products_are_added_in_the_order_of_the_rows(count):
+    columns, vector = np.random.default_rng(count).normal(size=(count, 50)), np.random.default_rng(9).normal(size=50)
+    found = np.zeros(count)
+    scalar_products(vector, columns, found)
+    for column, product in zip(columns, found, strict=True):
+        total = 0.0
+        for first, second in zip(column.tolist(), vector.tolist(), strict=True):
+            total += first * second
+        assert product == total
 
 
 def test_each_window_gives_its_weights_to_its_rows():

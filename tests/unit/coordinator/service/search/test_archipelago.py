@@ -6,8 +6,8 @@ from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipela
 from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
 from atoll_coordinator.service.search.ending import SearchLimits, Stagnation
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.search.commit_order import CommitOrder
-from atoll_core.wire.messages.epochs import EpochReport, IslandReport, SliceCounters, States
+from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.wire.messages.epochs import EpochReport, HitStatement, IslandReport, SliceCounters, States
 from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import IslandState, split_states
 
@@ -85,6 +85,22 @@ def test_a_new_term_begins_at_the_commit_and_old_reports_are_compared_not_counte
     assert made.collector.state.evaluations == {"offspring": 40}
     _, told = commit(made, made.durable + made.interval, 2.0, term=2)
     assert (told.term, told.epoch) == (2, 16)
+
+
+def test_a_hit_in_a_report_is_told_to_all_workers_once() -> None:
+    made = archipelago()
+    place(made, 1)
+    tally = SliceCounters(generation=10, evaluations={"offspring": 1})
+    island_report = IslandReport(
+        island=1, generations=10, hit=HitStatement(generation=10, error=1e-9), additions=(), counters=(tally,),
+        best_error=1e-9, digest="0" * 16,
+    )  # fmt: skip
+    assert made.due_commit() is None
+    made.add_report("b", EpochReport(job="job", variable="x", term=1, epoch=0, islands=(island_report,)), 1.0)
+    told = made.due_commit()
+    assert told is not None
+    assert told.hit == Position(0, 10, 1)
+    assert made.due_commit() is None
 
 
 def test_reports_before_the_term_are_refused() -> None:
