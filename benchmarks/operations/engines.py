@@ -6,6 +6,8 @@ engine that is not installed is left out. Processor seconds are those of all pro
 one has ended. MPI ends the whole program when one of its processes dies; so the task process of one of them is killed,
 as the system does when memory runs out. Threads have no other processes than these.
 
+``--tables 16`` solves many small tables by `atoll.discover_many` instead of one job.
+
 ``--overhead`` measures instead what it costs that islands are written after each epoch, pass the driver, and are read
 again: processor seconds of the same epochs so and with islands that stay in memory, as on a worker of the service.
 
@@ -14,6 +16,7 @@ Returns 1 when a digest or an equation differs, else 0.
 
 import contextlib
 import ctypes
+import hashlib
 import json
 import os
 import resource
@@ -31,6 +34,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
 from typing import Any, Final
+
+import numpy as np
 
 import atoll
 from atoll.executors.epochs import EPOCHS, JOB, ComputedEpoch, SearchedJob, load_kernels
@@ -129,7 +134,7 @@ def ray() -> Iterator[tuple[object, Pids]]:
 
     os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}  # nothing is sent, no token is written
     library.init(num_cpus=WORKERS, include_dashboard=False, log_to_driver=False)
-    yield library, lambda: [pid for pid in below(os.getpid()) if b"ray::" in words_of(pid)]
+    yield library, lambda: [pid for pid in below(os.getpid()) if words_of(pid).startswith(b"ray::perform")]
     library.shutdown()
 
 
@@ -194,6 +199,30 @@ def strike(pids: Pids, after: float, struck: list[int]) -> None:
             os.kill(pid, signal.SIGKILL)
             struck.append(pid)
         time.sleep(0.02)
+
+
+def small_tables(count: int) -> Iterator[tuple[str, object]]:
+    """Yield tables of logistic growth with noise, 60 rows each."""
+    times = np.linspace(0.0, 6.0, 60)
+    for number in range(count):
+        curve = 4.0 / (1.0 + (4.0 / (0.3 + 0.02 * number) - 1.0) * np.exp(-1.1 * times))
+        yield f"{number}", {"t": times, "x": curve + 0.05 * np.random.default_rng(number).standard_normal(60)}
+
+
+def solve_many(engine: str, count: int, epochs: int) -> dict[str, Any]:
+    """Solve many small tables in this process; the digest of the whole is the one of all digests by name."""
+    digests = {}
+    with ENGINES[engine]() as (executor, _):
+        began = time.monotonic()
+        for name, found in atoll.discover_many(
+            small_tables(count), executor=executor, workers=WORKERS, max_epochs=epochs
+        ):
+            if isinstance(found, AtollError):
+                raise found
+            digests[name] = str(found.result.digest)
+        seconds = time.monotonic() - began
+    whole_digest = hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
+    return {"seconds": seconds, "result": {"equations": [], "digests": digests}, "digest": whole_digest}
 
 
 def solve_once(engine: str, after: float | None, seed: int, epochs: int) -> dict[str, Any]:
@@ -270,6 +299,7 @@ def command_of(engine: str, options: Namespace, is_struck: bool) -> list[str]:
     """Return the command that solves the job once."""
     words = [__spec__.name, "--once", engine, "--seed", str(options.seed), "--epochs", str(options.epochs)]
     words += ["--after", str(options.after or 3.0)] if is_struck else []
+    words += ["--tables", str(options.tables)] if options.tables else []
     if engine != "mpi":
         return [sys.executable, "-m", *words]
     launcher = ["mpiexec", "--allow-run-as-root", "--oversubscribe", "--mca", "mpi_yield_when_idle", "1"]
@@ -317,12 +347,16 @@ def shown(took: Sequence[Took]) -> str:
     option("--epochs", type=whole, default=8, help="longest search (%(default)s)"),
     option("--after", type=positive, help="seconds until a worker is killed (3)"),
     option("--repeats", type=whole, default=1),
+    option("--tables", type=whole, help="solve this number of small tables by discover_many instead of one job"),
     option("--overhead", action="store_true", help="measure the cost of islands that pass the driver"),
     option("--once", choices=ENGINES, help="solve the job in this process and print the result"),
     OUT,
 )
 def main(options: Namespace) -> int:
     """Measure and print; return 1 when a result differs, else 0."""
+    if options.once and options.tables:
+        say(json.dumps(solve_many(options.once, options.tables, options.epochs)))
+        return 0
     if options.once:
         say(json.dumps(solve_once(options.once, options.after, options.seed, options.epochs)))
         return 0
@@ -334,7 +368,7 @@ def main(options: Namespace) -> int:
     record, took, reference = Record("engines", options.words, options.out), [], None
     for _ in range(options.repeats):
         for name in names:
-            for is_struck in (False, True):
+            for is_struck in (False,) if options.tables else (False, True):
                 one, result = run(name, options, is_struck)
                 reference = result if reference is None else reference
                 places = len([*differences(result, reference)])

@@ -4,6 +4,7 @@ judge`.
 Each pool of ``pools/`` is refined (its table is prepared, the equations are chosen, fitted and judged, without a
 search), and forms, grades and processor seconds are printed next to the values of ``reference.json``, with each
 equation that changed and the probability of as large a difference by chance. ``--accept`` writes a new reference.
+``beside --source DIR`` refines pools by this tree and by another tree in turn: processor seconds, and equal results.
 Tables of listed cases and of real measurements are read from folders (``--cases``, ``--real``); pools without their
 table are named and not judged. ``keep`` searches the missing pools: one for each line of ``titles.txt``. Exit code 1:
 fewer right equations or more false grades than chance allows (p below 0.05), or a pool failed.
@@ -21,6 +22,8 @@ from atoll_coordinator.settings import Settings
 from atoll_core.errors import UsageError
 from benchmarks.harness.command_line import option, positive, program, verb, verbs, whole, workers
 from benchmarks.harness.parallel import in_parallel
+from benchmarks.pools.beside import compare_all, refine_and_digest
+from benchmarks.pools.beside import report as report_beside
 from benchmarks.pools.campaign import (
     POOLS,
     REFERENCE,
@@ -64,6 +67,11 @@ FOLDERS: Final = (
             option("--out", type=Path, metavar="FILE", help="file of lines, gone on with if it exists"),
         ),
         verb(
+            "beside", "processor seconds and digests next to another tree, pool by pool", *FOLDERS,
+            option("--source", type=Path, required=True, metavar="DIR", help="root of the other tree"),
+        ),
+        verb("digest", None, *FOLDERS[:2], option("title")),
+        verb(
             "keep", "search the pools that are missing", *FOLDERS, workers(),
             option("--max-time", type=positive, default=20.0, help="end of a search in seconds (%(default)g)"),
         ),
@@ -74,6 +82,9 @@ def main(options: Namespace) -> int:
     if options.verb == "settings":
         return _try_settings(options)
     folders = Folders(options.cases, options.real)
+    if options.verb == "digest":
+        say(refine_and_digest(options.title, folders))
+        return 0
     wanted = [title for title in titles() if not options.only or any(word in title for word in options.only)]
     for title in wanted:
         if not has_table(title, folders):
@@ -82,6 +93,10 @@ def main(options: Namespace) -> int:
     if options.verb == "keep":
         keep_pools(requests(wanted, folders, options.max_time), POOLS, options.workers)
         return 0
+    if options.verb == "beside":
+        pairs = compare_all(wanted, folders, options.source)
+        say(report_beside(pairs))
+        return 0 if all(pair.is_equal for pair in pairs) else 1
     outcomes, reference = {}, read_reference(REFERENCE)
     longest_first = sorted(wanted, key=lambda title: -seconds_of(reference.get(title)))
     for outcome in in_parallel(partial(judge_pool, folders=folders), longest_first, options.workers):

@@ -12,7 +12,7 @@ from atoll_core.compilation.progress import Report
 COSTS: Final = {
     "_apply": 2.8, "validate_into": 1.4, "loess_into": 0.8, "left_out_into": 0.6, "moments": 0.1,
     "differences_into": 0.4, "best_stencil_into": 0.2, "thin_into": 0.2, "spread_into": 0.4,
-    "integrate_segments": 9.9, "innovate": 0.5,
+    "largest_sizes": 0.2, "integrate_segments": 9.9, "innovate": 0.5,
     "normal_equations": 1.1, "solve_step": 1.3, "windowed_sums": 0.1, "spread_window_weights": 0.1,
     "scalar_products": 0.2, "sum_error_products": 1.0, "eliminate": 3.5,
     "find_shortest_with_each": 4.5, "explained_shares": 1.0,

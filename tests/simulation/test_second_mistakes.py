@@ -14,6 +14,7 @@ from atoll_coordinator.service.store.schema import FILE_NAME
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.errors import RefusedError
+from atoll_core.wire.messages.views import JobView
 from tests.simulation.harness.simulated_cluster import World, comparable
 
 SHORT = JobConfig(budget=BudgetConfig(max_epochs=2))
@@ -53,6 +54,17 @@ def refining() -> World:
     return world
 
 
+def view_with_equations(world: World) -> JobView:
+    """Return the view of the job once the background thread has written its equations."""
+    world.background_s = 0.001
+    for _ in range(20):
+        view = world.client.status("job")
+        if all(each.expression for each in view.variables):
+            break
+        world.client.pause(0.5)
+    return view
+
+
 # --------------------------------------------------------------------------- killed, and only the coordinator started
 
 
@@ -62,7 +74,7 @@ def test_what_a_search_has_found_is_shown_without_a_worker_and_time_goes_on() ->
     before, found = world.client.status("job"), world.result()
     kill_all(world)
     start_alone(world)
-    after = world.client.status("job")
+    after = view_with_equations(world)
     assert (after.state, after.held) == ("refining", False)
     assert after.elapsed >= before.elapsed > 30.0
     assert "waits for a worker" in (after.reason or "")
@@ -98,8 +110,9 @@ def test_a_search_that_was_under_way_is_shown_and_kept_from_its_last_checkpoint(
         world.client.pause(0.5)
     kill_all(world)
     start_alone(world)
-    view = world.client.status("job")
+    view = view_with_equations(world)
     assert view.state == "running"
+    assert view.variables
     assert all(each.expression for each in view.variables)
     assert world.client.cancel("job").state == "cancelled"
     assert all(equation["expression"] for equation in world.result()["equations"])

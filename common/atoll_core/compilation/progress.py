@@ -25,7 +25,7 @@ _COUNT: Final = re.compile(r"(\d+) of (\d+) compiled")
 _LEFT: Final = re.compile(r"(\d+) s of (\d+) s left")
 
 
-class Estimate:
+class RemainingTime:
     """How many kernels are compiled, and how long the others take. `costs` are their usual seconds, in order."""
 
     def __init__(self, costs: Sequence[float], clock: Callable[[], float] = time.monotonic) -> None:
@@ -78,7 +78,7 @@ def reporting(
 
     `on_ready` takes the function that counts. Reports come from two threads, one after the other.
     """
-    estimate, lock, ended = Estimate(costs), threading.Lock(), threading.Event()
+    estimate, lock, ended = RemainingTime(costs), threading.Lock(), threading.Event()
 
     def count() -> None:
         with lock:

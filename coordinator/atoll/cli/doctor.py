@@ -155,9 +155,11 @@ def check_kernels(options: argparse.Namespace) -> Iterator[Diagnosis]:
         fact = "NUMBA_DISABLE_JIT is set: kernels run as plain Python, a thousand times slower"
         yield Diagnosis("kernels", "warning", fact, "unset it for real work")
         return
-    from atoll_core.compilation.cache import cache_directory, is_compiled
+    from atoll_core.compilation.cache import cache_directory, is_compiled, wheel_kernels
+    from atoll_core.compilation.prebuilt import Kernels
 
-    directory = cache_directory("atoll_island_worker")
+    brought = wheel_kernels("atoll_island_worker")
+    directory = brought.folder if isinstance(brought, Kernels) else cache_directory("atoll_island_worker")
     if is_compiled("atoll_island_worker"):
         yield fine("kernels", f"compiled, in {directory}")
         return

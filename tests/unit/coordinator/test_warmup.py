@@ -18,7 +18,7 @@ CALLED = {
         "left_out_into",
         "moments",
     },
-    "atoll_coordinator.model.shooting.kernels.integrate": {"integrate_segments"},
+    "atoll_coordinator.model.shooting.kernels.integrate": {"integrate_segments", "largest_sizes"},
     "atoll_coordinator.model.shooting.kernels.normal_equations": {"normal_equations", "solve_step"},
 }
 """Kernels that are called from Python; the others are compiled with them."""

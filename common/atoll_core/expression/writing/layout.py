@@ -48,6 +48,7 @@ def written(terms: Sum) -> Written:
     return min([listed, *_grouped(terms)], key=itemgetter(0))
 
 
+@lru_cache(maxsize=50_000)
 def _number(value: float) -> Written:
     text = f"{abs(value):.17g}"
     digits = len(text) if float(text) == abs(value) and len(text) < 9 else len(repr(abs(value)))
@@ -107,16 +108,23 @@ def _grouped(terms: Sum) -> Iterator[Written]:
 
 def in_order(terms: Sum) -> list[tuple[Monomial, float]]:
     """Return terms in reading order: numbers, products of variables by degree, quotients, functions."""
-    return sorted(terms, key=_place)
+    return sorted(terms, key=_place) if len(terms) > 1 else list(terms)
 
 
 def _place(term: tuple[Monomial, float]) -> tuple[object, ...]:
     monomial, _ = term
-    has_function = any(atom[0] not in (op.VARIABLE, op.ADD) for atom, _ in monomial)
-    has_quotient = any(exponent < 0 for _, exponent in monomial)
-    degree = sum(exponent for _, exponent in monomial if exponent > 0)
-    variables = tuple((atom[1], -exponent) for atom, exponent in monomial if atom[0] == op.VARIABLE)
-    return (monomial != ONE, has_function, has_quotient, degree, variables, monomial)
+    has_function, has_quotient, degree = False, False, 0
+    variables: list[tuple[int, int]] = []
+    for atom, exponent in monomial:
+        if atom[0] == op.VARIABLE:
+            variables.append((atom[1], -exponent))
+        elif atom[0] != op.ADD:
+            has_function = True
+        if exponent < 0:
+            has_quotient = True
+        else:
+            degree += exponent
+    return (monomial != ONE, has_function, has_quotient, degree, tuple(variables), monomial)
 
 
 def _term(monomial: Monomial, coefficient: float) -> Term:
@@ -139,6 +147,8 @@ def _term(monomial: Monomial, coefficient: float) -> Term:
 def _with_tangents(monomial: Monomial) -> list[tuple[Atom, int]]:
     """Return the factors of a monomial, with sin u/cos u joined to one factor, ``(DIVIDE, u, SIN)``, and cos u/sin u
     likewise."""
+    if not any(atom[0] == op.SIN for atom, _ in monomial):
+        return list(monomial)
     exponents = dict(monomial)
     for (kind, *arguments), exponent in monomial:
         partner = (op.COS, *arguments) if kind == op.SIN else ()
@@ -167,7 +177,10 @@ def _write_scaled(monomial: Monomial, coefficient: float, scales: dict[Atom, flo
     for atom, scale in scales.items():
         coefficient = times(coefficient, raised_number(scale, -dict(monomial)[atom]))
     coefficient = cleaned(coefficient)
-    for atom, exponent in sorted(_with_tangents(monomial), key=lambda item: _factor_place(item[0])):
+    factors = _with_tangents(monomial)
+    if len(factors) > 1:
+        factors.sort(key=lambda item: _factor_place(item[0]))
+    for atom, exponent in factors:
         flips, written_atom = _atom(atom, scales.get(atom, 1.0), wants_flip=coefficient < 0.0 and exponent % 2 == 1)
         coefficient = -coefficient if flips else coefficient
         cost, expression = written_atom

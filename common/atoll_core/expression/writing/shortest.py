@@ -113,8 +113,10 @@ def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
 @lru_cache(maxsize=50_000)
 def best_of(terms: Sum, depth: int) -> Sum:
     """Return the equal sum with the shortest writing found; its brackets are searched with depth - 1."""
+    if depth == 0:
+        return terms
     best = (written(terms)[0], terms)
-    if depth == 0 or best[0] < _SMALLEST:
+    if best[0] < _SMALLEST:
         return terms
     known, waiting, tried = {terms}, [best], 0
     while waiting and tried < _MOST_TRIED[depth]:

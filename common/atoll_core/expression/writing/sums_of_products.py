@@ -16,7 +16,7 @@ import logging
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable
-from functools import partial, wraps
+from functools import lru_cache, partial, wraps
 from typing import Any, Final, ParamSpec, TypeAlias, TypeVar
 
 from atoll_core.expression import operators as op
@@ -101,8 +101,11 @@ def cleaned(value: float) -> float:
     `value`."""
     if not math.isfinite(value):
         raise UndefinedError
-    if value.is_integer():
-        return value
+    return value if value.is_integer() else _rounded(value)
+
+
+@lru_cache(maxsize=50_000)
+def _rounded(value: float) -> float:
     short = float(f"{value:.12g}")
     return short if abs(short - value) <= 4.0 * math.ulp(value) else value
 
@@ -125,7 +128,10 @@ def times(one: float, other: float) -> float:
 
 def add(*parts: tuple[float, Sum]) -> Sum:
     """Return the sum of multiples of sums."""
-    return collect((monomial, times(factor, coefficient)) for factor, terms in parts for monomial, coefficient in terms)
+    every: list[tuple[Monomial, float]] = []
+    for factor, terms in parts:
+        every += terms if factor == 1.0 else [(monomial, times(factor, number)) for monomial, number in terms]
+    return collect(every)
 
 
 def collect(terms: Iterable[tuple[Monomial, float]]) -> Sum:
@@ -135,20 +141,27 @@ def collect(terms: Iterable[tuple[Monomial, float]]) -> Sum:
 
     Raises UndefinedError if terms are too large to decide whether they cancel.
     """
-    total: dict[Monomial, float] = {}
-    size: dict[Monomial, float] = {}
+    sums: dict[Monomial, list[float]] = {}  # coefficient, and sum of absolute values
     waiting = list(terms)
     while waiting:
         monomial, coefficient = waiting.pop()
-        if len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == op.ADD:
+        if _is_lone_bracket(monomial):
             waiting += [(inner, times(coefficient, factor)) for inner, factor in monomial[0][0][1]]
+            continue
+        known = sums.get(monomial)
+        if known is None:
+            sums[monomial] = [coefficient, abs(coefficient)]
         else:
-            total[monomial] = total.get(monomial, 0.0) + coefficient
-            size[monomial] = size.get(monomial, 0.0) + abs(coefficient)
-    if not all(map(math.isfinite, size.values())):
+            known[0] += coefficient
+            known[1] += abs(coefficient)
+    if not all(math.isfinite(size) for _, size in sums.values()):
         raise UndefinedError
-    left = [(monomial, cleaned(value)) for monomial, value in total.items() if abs(value) > _ROUNDING * size[monomial]]
-    return tuple(sorted(left))
+    left = [(monomial, cleaned(value)) for monomial, (value, size) in sums.items() if abs(value) > _ROUNDING * size]
+    return tuple(sorted(left)) if len(left) > 1 else tuple(left)
+
+
+def _is_lone_bracket(monomial: Monomial) -> bool:
+    return len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == op.ADD
 
 
 def multiply(left: Sum, right: Sum) -> Sum:
@@ -251,7 +264,10 @@ def product(factors: Iterable[tuple[Atom, int] | float]) -> Sum:
         atom[0] in (op.EXP, op.POW, op.SQRT) or (atom[0] == op.ABS and abs(exponent) > 1) for atom, exponent in monomial
     ):
         return _reduced(coefficient, monomial)
-    return collect([(monomial, cleaned(coefficient))]) if coefficient else ZERO
+    if not coefficient:
+        return ZERO
+    term = (monomial, cleaned(coefficient))
+    return collect([term]) if _is_lone_bracket(monomial) else (term,)
 
 
 def _reduced(coefficient: float, monomial: Monomial) -> Sum:

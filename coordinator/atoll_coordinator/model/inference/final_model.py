@@ -411,8 +411,8 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Constant
     certain = float(comparison.score.counts @ fit.errors.degrees_of_freedom) / counts
     return ConstantErrors.from_fit(
         system.values, fit.reduced, max(left * certain / inflation, 1.0), max(wide, inflation) * counts / left,
-        None if system.lower is None or system.upper is None else (system.lower, system.upper), fit.gradient,
-        np.diag(fit.normal),
+        None if system.lower is None or system.upper is None else (system.lower, system.upper), fit.blocks.gradient,
+        np.diag(fit.blocks.normal),
     )  # fmt: skip
 
 

@@ -165,8 +165,8 @@ def simulated_standard_errors(
     standard_errors = np.zeros((len(measurements.observed), measurements.rows))
     sensitivities = fit.integrated_sensitivities()
     for group, (first, end) in enumerate(fit.segments.tolist()):
-        own = np.linalg.pinv(fit.own[group], hermitian=True)
-        carried = own @ fit.coupling[group].T
+        own = np.linalg.pinv(fit.blocks.own[group], hermitian=True)
+        carried = own @ fit.blocks.coupling[group].T
         for state, index in enumerate(measurements.observed.tolist()):
             gradients = sensitivities[first:end, index]
             starts = gradients[:, fitted:]

@@ -10,6 +10,7 @@ standard errors are too small if the residuals have a pattern, so each removal i
 
 import math
 from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -88,7 +89,7 @@ class LocalSearch:
         """
         while True:
             following = None
-            for program in self._with_one_neutral_constant(model, equation)[:2]:
+            for program in islice(self._with_one_neutral_constant(model, equation), 2):
                 following = self._comparison.fit_replacement(model, equation, program, SETTINGS.effort.brief_steps)
                 if following is not None and following.nats < model.nats - SETTINGS.selection.least_gain:
                     break
@@ -98,8 +99,8 @@ class LocalSearch:
             model = following
         return model
 
-    def _with_one_neutral_constant(self, model: FittedModel, equation: int) -> list[Program]:
-        """Return programs with one constant set to 0, 1 or -1, the most promising first.
+    def _with_one_neutral_constant(self, model: FittedModel, equation: int) -> Iterator[Program]:
+        """Yield programs with one constant set to 0, 1 or -1, the most promising first.
 
         Constants of infinite variance, which the data do not determine, come first. The other constants are sorted by
         their distance. If the residuals are integration errors, they do not show the uncertainty of constants. Then the
@@ -117,12 +118,11 @@ class LocalSearch:
                 away = values[:, number] - neutral
                 nats = float((0.5 * away**2 / np.maximum(variances[:, number], 1e-300)).sum())
                 priced.append((nats, float(np.abs(away).max()), place, neutral))
-        length, programs = self._comparison.score.length(program), []
+        length = self._comparison.score.length(program)
         for nats, _, place, neutral in sorted(priced):
             shorter = [collected(with_constants(program, {place: neutral}))]
             shorter += multiply_out(program, place) if neutral == 1.0 else ()
-            programs += [one for one in shorter if nats < length - self._comparison.score.length(one)]
-        return programs
+            yield from (one for one in shorter if nats < length - self._comparison.score.length(one))
 
     def _is_new(
         self, known_lengths: dict[tuple[int, tuple[bytes, ...]], float], model: FittedModel, equation: int

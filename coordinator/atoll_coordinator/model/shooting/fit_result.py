@@ -5,8 +5,9 @@ Letters as in `atoll_coordinator.model.shooting.multiple_shooting`.
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import groupby
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,18 @@ errors remain.
 """
 
 
+class NormalBlocks(NamedTuple):
+    """Blocks of the weighted normal equations: `normal` (P, P) for the constants, `own` (G, L, L) for each segment's
+    own numbers, and `coupling` (G, P, L) for both. The right-hand sides are `gradient` (P,) for the constants and
+    `own_gradient` (G, L) for the segments."""
+
+    normal: FloatArray
+    coupling: FloatArray
+    own: FloatArray
+    gradient: FloatArray
+    own_gradient: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class TrajectoryFit:
     """A system fitted to segments.
@@ -43,13 +56,9 @@ class TrajectoryFit:
         residuals: measured values minus simulated values minus offsets (O, N).
         errors: the error model by which residuals are weighted.
         squares: the mean squares (O,) of the residuals.
-        normal: the block (P, P) of the constants in the weighted normal equations at the end of the fit.
-        coupling: the blocks (G, P, L) of constants and initial states.
-        own: the blocks (G, L, L) of the initial state of each segment.
         estimator: the estimator that fitted the system.
         is_stiff: whether the implicit method was used.
-        gradient: the derivative (P,) of the log-likelihood by the constants. It is zero for a constant that is not on a
-            bound.
+        known_blocks: the normal equations at the end of the fit; None if they were not needed for a step.
     """
 
     system: OdeSystem
@@ -59,12 +68,15 @@ class TrajectoryFit:
     residuals: FloatArray
     errors: ErrorModel
     squares: FloatArray
-    normal: FloatArray
-    coupling: FloatArray
-    own: FloatArray
     estimator: "MultipleShooting" = field(repr=False)
     is_stiff: bool = False
-    gradient: FloatArray | None = field(default=None, repr=False)
+    known_blocks: NormalBlocks | None = field(default=None, repr=False)
+
+    @cached_property
+    def blocks(self) -> NormalBlocks:
+        """The normal equations at the end of the fit. The `gradient` is the derivative of the log-likelihood by the
+        constants; it is zero for a constant that is not on a bound."""
+        return self.known_blocks or self.estimator.blocks_of(self)
 
     def integrated_sensitivities(self) -> FloatArray:
         """Return the sensitivities (N, D, P + D + K) to constants, initial states and offsets.
@@ -81,11 +93,11 @@ class TrajectoryFit:
         D, D) of the inverse blocks, with W W' equal to the inverse. Then the result is positive semidefinite up to
         rounding errors; with plain inverses it could become indefinite.
         """
-        scale = np.sqrt(np.maximum(np.einsum("gdd->gd", self.own), 1e-200))
-        values, vectors = np.linalg.eigh(self.own / (scale[:, :, None] * scale[:, None, :]))
+        scale = np.sqrt(np.maximum(np.einsum("gdd->gd", self.blocks.own), 1e-200))
+        values, vectors = np.linalg.eigh(self.blocks.own / (scale[:, :, None] * scale[:, None, :]))
         roots = vectors / scale[:, :, None] / np.sqrt(np.maximum(values, _LEAST_CURVATURE))[:, None, :]
-        carried = self.coupling @ roots
-        return np.asarray(self.normal - np.tensordot(carried, carried, axes=([0, 2], [0, 2])))
+        carried = self.blocks.coupling @ roots
+        return np.asarray(self.blocks.normal - np.tensordot(carried, carried, axes=([0, 2], [0, 2])))
 
 
 def covariance(fit: TrajectoryFit) -> FloatArray:
@@ -105,7 +117,7 @@ def bounded_covariance(fit: TrajectoryFit) -> FloatArray:
 
 
 def _covariance_and_undetermined(fit: TrajectoryFit) -> tuple[FloatArray, Flags]:
-    return estimate_covariance(fit.reduced, fit.system.values, fit.system.on_bounds, np.diag(fit.normal))
+    return estimate_covariance(fit.reduced, fit.system.values, fit.system.on_bounds, np.diag(fit.blocks.normal))
 
 
 def growth_rate(fit: TrajectoryFit) -> float:

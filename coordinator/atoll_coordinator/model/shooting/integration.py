@@ -14,7 +14,7 @@ from typing import Final, Literal
 import numpy as np
 
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
-from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
+from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments, largest_sizes
 from atoll_coordinator.model.shooting.kernels.rates import Table
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.system import OdeSystem
@@ -163,7 +163,8 @@ class Integrator:
         scales, sizes = self.measurements.scales, np.abs(system.values)
         offsets = sensitivities.shape[2] - len(sizes) - len(scales)
         units = np.concatenate([np.where(sizes > 0.0, sizes, 1.0), scales, np.ones(offsets)])
-        steepest = np.maximum(sensitivities.max(axis=0, initial=0.0), -sensitivities.min(axis=0, initial=0.0))
+        steepest = np.empty(sensitivities.shape[1:])
+        largest_sizes(sensitivities, steepest)
         return float(np.max(steepest / scales[:, None] * units, initial=0.0))
 
     def simulate(self, system: OdeSystem, segments: Ints, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:

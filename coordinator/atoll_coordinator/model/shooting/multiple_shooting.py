@@ -27,6 +27,8 @@ start values, and a fit of whole trajectories uses all information of the data.
 5. *Offsets and groups.* If a state was measured with an unknown offset, each whole trajectory has one offset, which is
    another number of the segment. If groups of trajectories have their own constants, the sensitivities have more
    columns (`system.Sharing`).
+6. *Equal fits.* Several stages of the choice of equations fit equal systems from equal starts. The numbers that
+   determine a fit are kept, and an equal fit is restored by one integration, with the same counted work (ADR 0103).
 
 Doubts. A variance is estimated by its most probable value for the residuals, and not integrated out of the likelihood.
 So if a model fits a state exactly, the weight of this state follows from `SmoothingSettings.smallest_noise`. Two rules
@@ -35,19 +37,20 @@ as the work of one row. These rules do not change a fit. They change the counted
 search stops. Letters: D states, P fitted constants, L numbers of a segment, G segments, N rows, O measured states.
 """
 
+import hashlib
 import math
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.least_squares import LEAST_DAMPING, SETTLED, Fitter, Solver, hold_numbers, minimize
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
-from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
+from atoll_coordinator.model.shooting.fit_result import NormalBlocks, TrajectoryFit
 from atoll_coordinator.model.shooting.integration import OVERHEAD_NUMBERS, STEEPEST, Integrator, Method, Unsimulated
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
@@ -62,22 +65,11 @@ is first integrated without sensitivities if this integration takes less than th
 step."""
 
 
-class _Blocks(NamedTuple):
-    """Blocks of the normal equations: `normal` (P, P) for the constants, `own` (G, L, L) for each segment's own
-    numbers, and `coupling` (G, P, L) for both. The right-hand sides are `gradient` (P,) for the constants and
-    `own_gradient` (G, L) for the segments."""
-
-    normal: FloatArray
-    coupling: FloatArray
-    own: FloatArray
-    gradient: FloatArray
-    own_gradient: FloatArray
-
-
 @dataclass(frozen=True, eq=False)
 class _Point:
     """A point of the fit: the system with its constants, the initial states (G, L), the error model, the cost, the
-    simulated states and the normal equations."""
+    simulated states and the normal equations. The last point of a fit has no normal equations, see
+    `TrajectoryFit.blocks`."""
 
     system: OdeSystem
     starts: FloatArray
@@ -85,7 +77,20 @@ class _Point:
     cost: float
     states: FloatArray
     residuals: FloatArray
-    blocks: _Blocks
+    blocks: NormalBlocks | None
+
+
+@dataclass(frozen=True, eq=False)
+class _KnownFit:
+    """The numbers that determine a fit that was made before, and its work. `constants` are None if the system could not
+    be fitted."""
+
+    constants: FloatArray | None
+    by_group: FloatArray | None
+    starts: FloatArray
+    errors: ErrorModel
+    is_stiff: bool
+    work: int
 
 
 _Step = tuple[FloatArray, FloatArray]
@@ -120,6 +125,7 @@ class MultipleShooting:
         self._totals: Final = np.where(totals > 0.0, totals, 1.0)
         self._row_steps: Final = relative_steps(measurements)
         self._layouts: Final[dict[int | None, Innovations]] = {}
+        self._known_fits: Final[dict[bytes, _KnownFit]] = {}
         self.work = 0
         self._of_thread = threading.local()
         self._lock = threading.Lock()
@@ -142,10 +148,27 @@ class MultipleShooting:
                 use the implicit method, since most candidates that seem stiff are wrong.
         """
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
+        key = _key_of_fit(system, length, steps, starts, errors, may_be_stiff=may_be_stiff)
+        known = self._known_fits.get(key)
+        if known is not None:
+            self.add_work(known.work)
+            return self._fit_again(known, system, length)
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=may_be_stiff)
+        fitter.steps_left = steps
         fit = minimize(fitter, steps)
         self.add_work(fitter.work)
+        if not self.deadline.is_over:  # a deadline may have ended the fit early
+            self._known_fits[key] = _known_fit(fit, fitter.work)
         return fit
+
+    def _fit_again(self, known: _KnownFit, system: OdeSystem, length: int | None) -> TrajectoryFit | None:
+        """Return the fit that was made before of an equal system, equal bit by bit; it costs one integration."""
+        if known.constants is None:
+            return None
+        system = replace(system, constants=known.constants)
+        if system.sharing is not None and known.by_group is not None:
+            system = replace(system, sharing=replace(system.sharing, constants=known.by_group))
+        return self.complete(system, length, known.starts, known.errors, is_stiff=known.is_stiff)
 
     def add_work(self, work: int) -> None:
         """Add to the counted work. This method is also called for fits that workers have made."""
@@ -165,7 +188,7 @@ class MultipleShooting:
         by bit. No work is counted."""
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=is_stiff)
         fitter.method = self.integrator.methods[is_stiff]
-        point, _ = fitter.point(system, starts, errors)
+        point, _ = fitter.point(system, starts, errors, is_last=True)
         fit = fitter.result(point)
         assert fit is not None, "a fitted system can be integrated"
         return fit
@@ -273,11 +296,11 @@ class MultipleShooting:
 
     def blocks(
         self, segments: Ints, sensitivities: FloatArray, residuals: FloatArray, errors: ErrorModel, fitted: int
-    ) -> _Blocks:
+    ) -> NormalBlocks:
         """Return the normal equations of segments, weighted by the error model."""
         local, groups, columns = sensitivities.shape[2] - fitted, len(segments), sensitivities.shape[2] + 1
         weights = self.measurements.weights / (errors.sigmas * errors.sigmas)[:, None]
-        blocks = _Blocks(
+        blocks = NormalBlocks(
             np.zeros((fitted, fitted)), np.zeros((groups, fitted, local)), np.zeros((groups, local, local)),
             np.zeros(fitted), np.zeros((groups, local)),
         )  # fmt: skip
@@ -344,6 +367,10 @@ class MultipleShooting:
         """Return `Integrator.simulate` of whole trajectories."""
         return self.integrator.simulate(system, self.layout(None).segments, start)
 
+    def blocks_of(self, fit: TrajectoryFit) -> NormalBlocks:
+        """Return the normal equations at the end of a fit of this estimator."""
+        return self.blocks(fit.segments, self.sensitivities(fit), fit.residuals, fit.errors, fit.system.count)
+
     def sensitivities(self, fit: TrajectoryFit) -> FloatArray:
         """Return `TrajectoryFit.integrated_sensitivities` of a fit of this estimator."""
         method = self.integrator.methods[fit.is_stiff]
@@ -351,7 +378,7 @@ class MultipleShooting:
 
 
 class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
-    """The fit of one system to segments of one length; `work` is its work so far."""
+    """The fit of one system to segments of one length; `work` is its work so far, and `steps_left` limits its steps."""
 
     def __init__(
         self, estimator: MultipleShooting, system: OdeSystem, length: int | None, starts: FloatArray | None,
@@ -363,6 +390,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         self._is_whole = length is None
         self._system, self._starts, self._errors = system, starts, errors
         self._may_be_stiff = may_be_stiff
+        self.steps_left = 0
         self.method: Method = estimator.integrator.methods[0]
         self.work = 0
 
@@ -393,6 +421,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
 
         The predicted decrease is twice the decrease by an undamped step; this is an upper limit for damped steps.
         """
+        assert point.blocks is not None, "only the last point has no normal equations"
         normal, coupling, own, gradient, own_gradient = point.blocks
         held = point.system.blocked_by_bounds(gradient)
         if held is not None and held.any():
@@ -412,7 +441,9 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         """Return the point after a step, with variances estimated at this point, and the decrease of the cost, computed
         with the old variances."""
         system, starts = point.system.with_values(point.system.values + step[0]), point.starts + step[1]
-        there, _ = self.point(system, starts, point.errors, point.cost)
+        self.steps_left -= 1
+        least = self.least_gain(point)
+        there, _ = self.point(system, starts, point.errors, point.cost, least, is_last=not self.steps_left)
         return None if there is None else (there, point.cost - _cost(self._layout, there.residuals, point.errors))
 
     def least_gain(self, point: _Point) -> float:
@@ -438,26 +469,29 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     def result(self, point: _Point | None) -> TrajectoryFit | None:
         if point is None:
             return None
-        blocks, estimator = point.blocks, self._estimator
+        estimator = self._estimator
         return TrajectoryFit(
             point.system, self._segments, point.starts, point.states, point.residuals, point.errors,
-            estimator.squares(point.residuals), blocks.normal, blocks.coupling, blocks.own, estimator,
-            self.method is estimator.integrator.methods[1], blocks.gradient,
+            estimator.squares(point.residuals), estimator, self.method is estimator.integrator.methods[1], point.blocks,
         )  # fmt: skip
 
     def point(
-        self, system: OdeSystem, starts: FloatArray, errors: ErrorModel, below: float = math.inf
-    ) -> tuple[_Point | None, bool]:
+        self, system: OdeSystem, starts: FloatArray, errors: ErrorModel, below: float = math.inf,
+        least: float = -math.inf, *, is_last: bool = False,
+    ) -> tuple[_Point | None, bool]:  # fmt: skip
         """Return the point of a system and its initial states, and whether the method took too many steps.
 
         The point is None if the system cannot be integrated or if the cost is not below `below`. With a finite `below`
         (after a step), the error model gets the variances of the new residuals.
+
+        A fit ends at a point that `is_last`, or whose cost is less than `least` below `below`. No step is taken from
+        such a point, so it is integrated without sensitivities. The work is counted with them.
         """
         estimator, integrator = self._estimator, self._estimator.integrator
         states, fitted, local = len(system.outputs), system.count, starts.shape[1]
-        numbers, point, weighed = OVERHEAD_NUMBERS + states * (1 + fitted + local), None, errors
+        numbers, point, blocks = OVERHEAD_NUMBERS + states * (1 + fitted + local), None, None
         is_step = below < math.inf
-        is_tried = is_step and OVERHEAD_NUMBERS + states < _REJECTED * numbers
+        is_tried = is_last or (is_step and OVERHEAD_NUMBERS + states < _REJECTED * numbers)
         for has_sensitivities in (False, True) if is_tried else (True,):
             course = integrator.integrate(
                 self.method, system, self._segments, starts, has_sensitivities=has_sensitivities
@@ -466,13 +500,17 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
             if course.done < len(self._segments) or is_steep:
                 break
             residuals = estimator.residuals(course.states, starts, self._segments)
-            if not _cost(self._layout, residuals, errors) < below:
+            cost = _cost(self._layout, residuals, errors)
+            if not cost < below:
                 break
-            weighed = estimator.update_variances(residuals, self._layout, errors) if is_step else errors
-        else:
-            cost = _cost(self._layout, residuals, weighed)
-            blocks = estimator.blocks(self._segments, course.sensitivities, residuals, weighed, fitted)
-            point = _Point(system, starts, weighed, cost, course.states, residuals, blocks)
+            is_last = is_last or below - cost <= least
+            if has_sensitivities or is_last:
+                weighed = estimator.update_variances(residuals, self._layout, errors) if is_step else errors
+                if has_sensitivities:
+                    blocks = estimator.blocks(self._segments, course.sensitivities, residuals, weighed, fitted)
+                cost = _cost(self._layout, residuals, weighed)
+                point = _Point(system, starts, weighed, cost, course.states, residuals, blocks)
+                break
         self.work += self.method.work(course.steps, self._measurements.rows) * numbers
         return point, course.done < 0
 
@@ -518,13 +556,39 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return starts
 
 
+def _key_of_fit(
+    system: OdeSystem, length: int | None, steps: int, starts: FloatArray | None, errors: ErrorModel | None, *,
+    may_be_stiff: bool,
+) -> bytes:  # fmt: skip
+    """Return a digest of all numbers on which a fit to given measurements depends."""
+    digest = hashlib.blake2b(repr((length, steps, may_be_stiff, system.count)).encode())
+    arrays = [*system.tape, system.lower, system.upper, starts]
+    if system.sharing is not None:
+        arrays += [system.sharing.constants, system.sharing.columns, system.sharing.multiples]
+    if errors is not None:
+        arrays += [errors.sigmas, errors.shares, errors.decays, np.array(errors.is_known)]
+    for array in arrays:
+        digest.update(b"-" if array is None else repr(array.shape).encode() + array.tobytes())
+    return digest.digest()
+
+
+def _known_fit(fit: TrajectoryFit | None, work: int) -> _KnownFit:
+    if fit is None:
+        nothing = np.zeros(0)
+        return _KnownFit(None, None, nothing, ErrorModel.independent(nothing), False, work)
+    by_group = None if fit.system.sharing is None else fit.system.sharing.constants
+    return _KnownFit(fit.system.constants, by_group, fit.starts, fit.errors, fit.is_stiff, work)
+
+
 def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> float:
     """Return the weighted sum of squares of whitened residuals."""
     squares, _ = layout.squares(residuals, errors)
     return float((squares / (errors.sigmas * errors.sigmas)).sum())
 
 
-def _condense(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints) -> tuple[_Blocks, FloatArray]:
+def _condense(
+    blocks: NormalBlocks, ends: FloatArray, gaps: FloatArray, pieces: Ints
+) -> tuple[NormalBlocks, FloatArray]:
     """Return the normal equations of pieces with continuous segments, and how the initial states of segments move.
 
     Let s be the move of the initial state of a piece, and p the step of the constants. Then the initial state of a
@@ -563,7 +627,7 @@ def _condense(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints)
     gradient = gradient - sums[:, :fitted, -1].sum(axis=0)
     parts = (sums[:, :fitted, fitted:-1], sums[:, fitted:-1, fitted:-1], -sums[:, fitted:-1, -1])
     coupling, own, own_gradient = map(np.ascontiguousarray, parts)
-    return _Blocks(normal, coupling, own, gradient, own_gradient), moves
+    return NormalBlocks(normal, coupling, own, gradient, own_gradient), moves
 
 
 def relative_steps(measurements: TrajectoryMeasurements) -> FloatArray:

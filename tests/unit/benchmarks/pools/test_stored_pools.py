@@ -10,7 +10,7 @@ from atoll_coordinator.settings import Settings, with_changes
 from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core.errors import UsageError
-from benchmarks.pools import stored
+from benchmarks.pools import beside, stored
 from benchmarks.pools.__main__ import main
 from benchmarks.pools.campaign import POOLS, REFERENCE, changes_of, judge_pool, sample, titles
 from benchmarks.pools.cases import Folders, Judged, job_of
@@ -101,3 +101,17 @@ def test_words_of_no_drawn_pool_are_refused_before_pools_are_refined(word, monke
 def test_settings_that_are_unknown_or_of_another_kind_are_named(text):
     with pytest.raises(ValueError, match=text.partition("=")[0]):
         with_changes(Settings(), text)
+
+
+def test_ratios_of_two_trees_are_told_by_kind_and_over_all_pools():
+    pairs = [beside.Beside("real a", 2.0, 1.0, True), beside.Beside("real b", 4.0, 4.0, False)]
+    lines = [line.split() for line in beside.report([*pairs, beside.Beside("many c", 4.0, 1.0, True)]).splitlines()]
+    assert ["real", "2", "6.0", "5.0", "0.83", "0.75", "1"] in lines
+    assert ["all", "3", "10.0", "6.0", "0.60", "0.50", "2"] in lines
+
+
+@pytest.mark.slow
+def test_a_tree_beside_itself_has_equal_results():
+    pair = beside.compare("corpus random 1 1 even exact 1607", Folders(), beside.ROOT)
+    assert pair.is_equal
+    assert min(pair.before, pair.now) > 0.0

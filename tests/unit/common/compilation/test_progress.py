@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from atoll_core.compilation.progress import Estimate, WarmUpDisplay, count_of, reporting, sentence_of, share_of
+from atoll_core.compilation.progress import RemainingTime, WarmUpDisplay, count_of, reporting, sentence_of, share_of
 
 COSTS = (1.0, 2.0, 5.0, 2.0)
 
@@ -22,7 +22,7 @@ class Clock:
 @pytest.mark.parametrize("pace", [1.0, 3.0])
 def test_the_remaining_time_is_true_on_a_machine_of_any_speed(pace: float) -> None:
     clock = Clock()
-    estimate = Estimate(COSTS, clock)
+    estimate = RemainingTime(COSTS, clock)
     for number, cost in enumerate(COSTS[:-1], start=1):
         clock.now += pace * cost
         estimate.add()
@@ -33,7 +33,7 @@ def test_the_remaining_time_is_true_on_a_machine_of_any_speed(pace: float) -> No
 
 def test_the_bar_moves_during_a_kernel_and_never_past_the_kernels_after_it() -> None:
     clock = Clock()
-    estimate = Estimate(COSTS, clock)
+    estimate = RemainingTime(COSTS, clock)
     clock.now += 1.0
     estimate.add()
     shares = []
@@ -46,7 +46,7 @@ def test_the_bar_moves_during_a_kernel_and_never_past_the_kernels_after_it() -> 
 
 
 def test_before_the_first_kernel_the_usual_time_is_told() -> None:
-    assert Estimate(COSTS, Clock()).sentence().endswith("0 of 4 compiled, 10 s of 10 s left")
+    assert RemainingTime(COSTS, Clock()).sentence().endswith("0 of 4 compiled, 10 s of 10 s left")
 
 
 @pytest.mark.parametrize(

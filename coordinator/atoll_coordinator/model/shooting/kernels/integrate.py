@@ -54,6 +54,8 @@ QUICK: Final[Table] = (
 )
 """The method of Bogacki & Shampine 1989, order 3(2)."""
 
+_GROWTH: Final = 5.0
+"""The next step is at most this many times as long."""
 
 Flat = tuple[FloatArray, FloatArray, FloatArray]
 """The sensitivities (D Q,), scratch sensitivities (D Q,), and the rates at the stages (S, D Q). The latter two are flat
@@ -70,23 +72,26 @@ def carry_on(h: float, weights: FloatArray, stage: int, owners: Ints, jacobian: 
     sensitivity, moved, stages = flat
     states = jacobian.shape[0]
     columns = sensitivity.shape[0] // states
-    for i in range(sensitivity.shape[0]):
-        moved[i] = sensitivity[i]
+    source = sensitivity
     for k in range(stage):
         if weights[stage, k] != 0.0:
             factor = h * weights[stage, k]
             for i in range(sensitivity.shape[0]):
-                moved[i] += factor * stages[k, i]
+                moved[i] = source[i] + factor * stages[k, i]
+            source = moved
     for d in range(states):
-        mine = d * columns
-        for q in range(columns):
-            stages[stage, mine + q] = 0.0
+        mine, is_empty = d * columns, True
         for k in range(states):
             factor, its = jacobian[d, k], k * columns
             if factor == 0.0:
                 continue  # in a large system most states do not depend on each other
             for q in range(columns):
-                stages[stage, mine + q] += factor * moved[its + q]
+                before = 0.0 if is_empty else stages[stage, mine + q]
+                stages[stage, mine + q] = before + factor * source[its + q]
+            is_empty = False
+        if is_empty:
+            for q in range(columns):
+                stages[stage, mine + q] = 0.0
     for p in range(owners.shape[0]):
         stages[stage, owners[p] * columns + p] += direct[p]
 
@@ -108,14 +113,15 @@ def gather(h: float, weights: FloatArray, flat: Flat) -> None:
         sensitivity[i] += h * moved[i]
 
 
-@kernel
+@inlined
 def advance(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolerance: FloatArray, limits: FloatArray,
             y: FloatArray, step: float, budget: int, flat: Flat, wants: bool, scratch: Scratch,
-            is_known: bool) -> tuple[float, int]:  # fmt: skip
+            is_known: bool, easy: float) -> tuple[float, int]:  # fmt: skip
     """Integrate the state `y` (D,), and with `wants` the sensitivities in `flat`, from `row` to the next row.
 
     `tolerance` (D,) is the allowed error of a step; a state outside of `limits` (D, 2) has blown up; `budget` is the
     largest number of steps. With `is_known` the first rows of values and rates, see `Scratch`, belong to `y` already.
+    After a step with an error below `easy`, the next step grows as far as it may.
     Returns the length of the next step and the remaining budget; `BLOWN_UP` or `EXHAUSTED` instead of the budget if
     the next row was not reached.
     """
@@ -168,7 +174,9 @@ def advance(table: Table, tape: Tape, owners: Ints, path: Path, row: int, tolera
             if not limits[d, 0] <= y[d] <= limits[d, 1]:
                 return step, BLOWN_UP
         done += share
-        grown = h * min(5.0, 0.9 * max(error, 1e-4) ** (-1.0 / order))
+        grown = _GROWTH * h
+        if error >= easy:  # the power takes as long as a stage, and for smaller errors it exceeds the limit
+            grown = h * min(_GROWTH, 0.9 * max(error, 1e-4) ** (-1.0 / order))
         step = grown if not is_last else max(step, grown)
         if is_last:
             break
@@ -211,6 +219,7 @@ def integrate_segments(table: Table, tape: Tape, owners: Ints, path: Path, segme
     is_held = False  # if an input is held, rates jump at rows: the last rates before a row are not the first after it
     for u in range(inputs.shape[0]):
         is_held = is_held or math.isnan(input_slopes[u, 0])
+    easy = (0.85 / _GROWTH) ** table[3]
     given = budget
     taken[0] = 0
     for g in range(segments.shape[0]):
@@ -229,7 +238,7 @@ def integrate_segments(table: Table, tape: Tape, owners: Ints, path: Path, segme
             elif row > first:
                 step, budget = advance(
                     table, tape, owners, path, row - 1, tolerance, limits, y, step, budget, flat, wants, scratch,
-                    row > first + 1 and inputs.shape[0] == 0,
+                    row > first + 1 and inputs.shape[0] == 0, easy,
                 )  # fmt: skip
             if budget >= 0:
                 taken[0] = given - budget
@@ -242,3 +251,19 @@ def integrate_segments(table: Table, tape: Tape, owners: Ints, path: Path, segme
                     for q in range(columns):
                         gradients[row, d, q] = sensitivity[d, q]
     return int(segments.shape[0])
+
+
+@kernel
+def largest_sizes(gradients: FloatArray, sizes: FloatArray) -> None:
+    """Write the largest absolute values (D, Q) over the rows of `gradients` (N, D, Q) into `sizes`; infinity where a
+    value is not finite."""
+    rows, columns = gradients.shape[0], sizes.size
+    flat, values = sizes.reshape(-1), gradients.reshape((rows, columns))
+    for q in range(columns):
+        flat[q] = 0.0
+    for row in range(rows):
+        for q in range(columns):
+            size = abs(values[row, q])
+            flat[q] = size if size > flat[q] else flat[q]
+            if not size < math.inf:
+                flat[q] = math.inf

@@ -225,7 +225,7 @@ def bits(model: FittedModel) -> bytes:
     fit = model.fit
     arrays = (
         fit.system.constants, fit.system.places, fit.segments, fit.starts, fit.simulated, fit.residuals,
-        fit.errors.sigmas, fit.squares, fit.normal, fit.coupling, fit.own, fit.gradient,
+        fit.errors.sigmas, fit.squares, fit.blocks.normal, fit.blocks.coupling, fit.blocks.own, fit.blocks.gradient,
         np.array([model.misfit, model.nats, fit.is_stiff]),
     )  # fmt: skip
     assert fit.system.programs[-len(model.programs) :] == model.programs

@@ -27,7 +27,7 @@ def test_initial_states_that_are_forgotten_leave_the_matrix_positive():
     blocks = SimpleNamespace(
         normal=constants.T @ constants, coupling=(constants.T @ starts)[None], own=(starts.T @ starts)[None]
     )
-    reduced = TrajectoryFit.reduced.fget(blocks)
+    reduced = TrajectoryFit.reduced.fget(SimpleNamespace(blocks=blocks))
     assert np.abs(reduced - left.T @ left).max() < 0.5 * np.abs(left.T @ left).max()
     assert (np.linalg.eigvalsh(reduced) > 0.0).all()
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.differentiation.smoothing import Signal, fit_robustly
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.shooting import multiple_shooting
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import covariance
@@ -161,8 +162,75 @@ def test_steps_that_are_tried_by_states_alone_are_the_same(monkeypatch, noise):
         monkeypatch.setattr(multiple_shooting, "_REJECTED", rejected)
         estimator = MultipleShooting(lotka(noise=noise), 1e-8)
         fit = fit_in_stages(estimator, system(LOTKA, *FAR), (8, 25, None), 40)
-        estimates.append((fit.system.values.tolist(), fit.starts.tolist(), fit.normal.tolist(), estimator.work))
+        estimates.append((fit.system.values.tolist(), fit.starts.tolist(), fit.blocks.normal.tolist(), estimator.work))
     assert estimates[0] == estimates[1]
+
+
+def counted_integrations(estimator, monkeypatch):
+    """Return a list to which each later integration of an estimator adds whether it has sensitivities."""
+    kinds, integrate = [], estimator.integrator.integrate
+
+    def counted(*arguments, has_sensitivities=True):
+        kinds.append(has_sensitivities)
+        return integrate(*arguments, has_sensitivities=has_sensitivities)
+
+    monkeypatch.setattr(estimator.integrator, "integrate", counted)
+    return kinds
+
+
+def bits(fit):
+    numbers = (fit.system.constants, fit.starts, fit.simulated, fit.residuals, fit.squares, fit.errors.sigmas)
+    return [number.tobytes() for number in (*numbers, *fit.blocks)]
+
+
+@pytest.mark.parametrize("steps", [1, 6, 40])
+def test_an_equal_fit_is_restored_by_one_integration_and_counts_the_same_work(monkeypatch, steps):
+    estimator = MultipleShooting(lotka(noise=0.02), 1e-8)
+    first = estimator.fit(system(LOTKA, *FAR), 25, steps)
+    work, kinds = estimator.work, counted_integrations(estimator, monkeypatch)
+    again = estimator.fit(system(LOTKA, *FAR), 25, steps)
+    assert kinds == [False]
+    assert estimator.work == 2 * work
+    assert bits(again) == bits(first)
+
+
+def test_a_fit_that_differs_in_any_argument_is_not_restored(monkeypatch):
+    estimator, near = MultipleShooting(lotka(noise=0.02), 1e-8), system(LOTKA, *FAR)
+    fit = estimator.fit(near, 25, 6)
+    starts, errors = fit.starts + 0.01, replace(fit.errors, sigmas=2.0 * fit.errors.sigmas)
+    held = system_of([LOTKA.parsed(text) for text in FAR], LOTKA.names, LOTKA.names, [[0], []])
+    kinds = counted_integrations(estimator, monkeypatch)
+    for other in (
+        lambda: estimator.fit(near, 8, 6),
+        lambda: estimator.fit(near, 25, 7),
+        lambda: estimator.fit(near, 25, 6, starts),
+        lambda: estimator.fit(near, 25, 6, fit.starts, errors),
+        lambda: estimator.fit(near.with_values(1.01 * near.values), 25, 6),
+        lambda: estimator.fit(held, 25, 6),
+    ):
+        kinds.clear()
+        other()
+        assert kinds[0]
+
+
+def test_a_fit_that_the_deadline_ended_is_not_restored():
+    now = 2.0
+    deadline = Deadline(1.0, lambda: now)
+    now = 5.0
+    estimator, near = MultipleShooting(lotka(noise=0.02), 1e-8, deadline), system(LOTKA, *FAR)
+    cut = estimator.fit(near, 25, 40)
+    now = 2.0
+    whole = estimator.fit(near, 25, 40)
+    assert whole.squares.sum() < 0.5 * cut.squares.sum()
+
+
+def test_the_last_point_of_a_fit_has_the_normal_equations_of_its_sensitivities(monkeypatch):
+    estimator, near = MultipleShooting(lotka(noise=0.02), 1e-8), system(LOTKA, *FAR)
+    kinds = counted_integrations(estimator, monkeypatch)
+    fit = estimator.fit(near, 25, 1)
+    assert kinds == [True, False]
+    blocks = estimator.blocks(fit.segments, fit.integrated_sensitivities(), fit.residuals, fit.errors, fit.system.count)
+    assert [one.tobytes() for one in fit.blocks] == [one.tobytes() for one in blocks]
 
 
 def test_constants_that_are_held_stay_and_initial_states_are_fitted():

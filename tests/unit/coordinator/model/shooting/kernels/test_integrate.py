@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
-from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
+from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments, largest_sizes
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
 from atoll_coordinator.model.shooting.warmup import TOLERANCES
@@ -296,7 +296,7 @@ def small_fit(precision):
     times = 0.1 * np.arange(12.0)
     estimator = MultipleShooting(measurements(DECAY, [[2.0]], times, noise=0.01), precision)
     fit = estimator.fit(system_of([DECAY.parsed("-0.4*x")], DECAY.names, DECAY.names), 6, 5)
-    return fit.system.values, fit.starts, fit.normal, fit.simulated
+    return fit.system.values, fit.starts, fit.blocks.normal, fit.simulated
 
 
 @pytest.mark.slow
@@ -324,3 +324,16 @@ def test_an_input_without_slopes_is_held_until_the_next_row(table):
         expected.append(u + (expected[-1] - u) * np.exp(-width))
     assert simulated[0] == pytest.approx(expected, abs=100.0 * tolerance)
     assert gradients[:, 0, -2] == pytest.approx(np.exp(-TIMES), abs=1e4 * tolerance)
+
+
+def test_largest_sizes_are_numpys_and_infinite_where_a_value_is_not_finite():
+    gradients = np.random.default_rng(1).normal(size=(40, 2, 5))
+    sizes = np.empty((2, 5))
+    largest_sizes(gradients, sizes)
+    assert (sizes == np.abs(gradients).max(axis=0)).all()
+    gradients[3, 0, 1], gradients[7, 1, 4], gradients[8, 1, 0] = np.nan, -np.inf, np.nan
+    largest_sizes(gradients, sizes)
+    expected = np.abs(gradients).max(axis=0)
+    assert (sizes == np.where(np.isfinite(expected), expected, np.inf)).all()
+    largest_sizes(gradients[:0], sizes)
+    assert not sizes.any()
