@@ -6,6 +6,7 @@ most memory that a process ever had is what the system says of it (Linux, ``VmHW
 at its end. Returns 1 when a process had more than 1 GB, else 0.
 """
 
+import argparse
 import os
 import subprocess
 import sys
@@ -27,7 +28,6 @@ from benchmarks.harness.command_line import OUT, option, program, whole, workers
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import COORDINATOR, Machines, running, wait_until
 
-COLUMNS: Final = 5
 GOAL_BYTES: Final = 10**9
 READY_LIMIT_S: Final = 600.0
 LOAD_LIMIT_S: Final = 300.0
@@ -35,13 +35,13 @@ JOB: Final = "big"
 PEAK: Final = "VmHWM"
 
 
-def write_data(file: Path, megabytes: int) -> int:
+def write_data(file: Path, megabytes: int, number_of_columns: int) -> int:
     """Write a table of so many megabytes as float64, and return its number of rows."""
-    rows = megabytes * 1_000_000 // (8 * COLUMNS)
+    rows = megabytes * 1_000_000 // (8 * number_of_columns)
     place = np.arange(rows, dtype=np.float64)
-    columns = [np.sin(place * (1e-3 + 1e-4 * number)) * (1.0 + number) for number in range(COLUMNS - 1)]
+    columns = [np.sin(place * (1e-3 + 1e-4 * number)) * (1.0 + number) for number in range(number_of_columns - 1)]
     columns.append(columns[0] * columns[1] + 0.5 * columns[2])
-    names = [*(f"x{number}" for number in range(COLUMNS - 1)), "y"]
+    names = [*(f"x{number}" for number in range(number_of_columns - 1)), "y"]
     polars.DataFrame(dict(zip(names, columns, strict=True))).write_csv(file)
     return rows
 
@@ -72,12 +72,12 @@ def wait_for(client: Client, workers: int, states: Sequence[str], limit_s: float
     wait_until(client, are_there, f"{workers} workers were not {' or '.join(states)}", limit_s)
 
 
-def measured(megabytes: int, workers: int) -> tuple[dict[str, int], float]:
+def measured(megabytes: int, columns: int, workers: int) -> tuple[dict[str, int], float]:
     """Return the most bytes by process, and the seconds from the upload's start until all workers computed."""
     with running(workers) as (machines, client):
         wait_for(client, workers, ("ready",), READY_LIMIT_S)
         file = machines.folder / "big.csv"
-        write_data(file, megabytes)
+        write_data(file, megabytes, columns)
         begun = time.monotonic()
         most = {"submit": submitted(machines, file)}
         wait_for(client, workers, ("computing", "waiting"), LOAD_LIMIT_S)
@@ -89,16 +89,25 @@ def measured(megabytes: int, workers: int) -> tuple[dict[str, int], float]:
     return most, seconds
 
 
+def columns(text: str) -> int:
+    """Return a number of columns; raises ArgumentTypeError, because the last column is made of the first three."""
+    number = int(text) if text.isdecimal() else 0
+    if number < 4:
+        raise argparse.ArgumentTypeError(f"at least 4 columns were expected, but {text!r} was given")
+    return number
+
+
 @program(
     "benchmarks.operations.big_data",
     __doc__,
     option("--megabytes", type=whole, default=50, help="size of the data set (%(default)s)"),
+    option("--columns", type=columns, default=5, help="columns of the table, at least 4 (%(default)s)"),
     workers(8),
     OUT,
 )
 def main(options: Namespace) -> int:
     """Measure and print."""
-    most, seconds = measured(options.megabytes, options.workers)
+    most, seconds = measured(options.megabytes, options.columns, options.workers)
     Record("big_data", options.words, options.out).write(most_bytes=most, until_all_compute_s=seconds)
     say(table(("process", "most MB in memory"), [(name, f"{size / 1e6:.0f}") for name, size in most.items()]))
     say(

@@ -41,6 +41,9 @@ ENDLESS: Final = {**UNENDING, "max_epochs": 1_000_000, "max_time": None}
 """The budget of a search that nothing ends."""
 
 GOAL_ISLANDS: Final = 1000
+SAMPLED_VARIABLES: Final = 2
+"""Variables in the programs of the sampled reports."""
+
 READY_LIMIT_S: Final = 180.0
 LOOK_S: Final = 0.5
 _ROWS: Final = 200
@@ -157,9 +160,10 @@ def measured(islands: int, samples: Samples, period: float, seconds: float, each
         hosts = pretending(machines, samples.save(machines.folder), workers, period)
         wait_until(client, lambda: _has(client, workers), f"{workers} workers were not there", READY_LIMIT_S, LOOK_S)
         names = [f"scale-{number}" for number in range(jobs)]
-        digest = client.upload(signals(variables).to_bytes())
+        digest = client.upload(signals(max(variables, SAMPLED_VARIABLES)).to_bytes())
+        searched = {"only": tuple(f"v{number}" for number in range(variables))}
         for number, name in enumerate(names):
-            client.submit(name, name, configured(number, budget=ENDLESS, islands=each), digest)
+            client.submit(name, name, configured(number, searched, ENDLESS, islands=each), digest)
         late = f"all islands of {jobs} jobs in their third epoch were not there"
         wait_until(client, lambda: _are_under_way(client, names), late, READY_LIMIT_S, LOOK_S)
         note(f"  {islands} islands are under way")

@@ -206,9 +206,8 @@ class PacedCompute:
         report = pretended(self._samples, key.epoch, key.island, f"{key.job}/{key.variable}/{key.island}/{key.epoch}")
         block = bytes(self._samples.emigrant * max(1, evolution.population // evolution.islands))
         step = max(1, evolution.islands // evolution.population)
-        partners = [
-            (key.island + step * number, key.island - step * number) for number in range(evolution.islands // step)
-        ]
+        distances = [step * number + number % step for number in range(evolution.islands // step)]
+        partners = [(key.island + distance, key.island - distance) for distance in distances]
         emigrants = {} if task.is_last else {to % evolution.islands: block for to, _ in partners}
         senders = frozenset(sender % evolution.islands for _, sender in partners) if emigrants else frozenset()
         self.progress += 1

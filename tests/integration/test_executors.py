@@ -3,7 +3,10 @@
 import functools
 import json
 import os
+import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
@@ -135,6 +138,32 @@ def test_dask_gives_the_result_of_the_service_also_when_a_worker_is_killed() -> 
         assert differing(result_of(model), "two noisy states") == []
     finally:
         client.shutdown()
+
+
+MPI_PROGRAM = """
+import sys
+import atoll
+from mpi4py.futures import MPIPoolExecutor
+
+if __name__ == "__main__":
+    with MPIPoolExecutor() as executor:
+        atoll.discover(sys.argv[1], executor=executor, seed=3).save(sys.argv[2])
+"""
+
+
+@pytest.mark.slow
+def test_mpi_gives_the_result_of_the_service(tmp_path: Path) -> None:
+    pytest.importorskip("mpi4py")
+    launcher = shutil.which("mpiexec")
+    if launcher is None:
+        pytest.skip("there is no mpiexec")
+    script, result = tmp_path / "script.py", tmp_path / "result.json"
+    script.write_text(MPI_PROGRAM, "utf-8")
+    words = [launcher, "-n", "3", sys.executable, "-m", "mpi4py.futures", str(script), str(EXAMPLE), str(result)]
+    allowed = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    more = {"OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
+    subprocess.run(words, env={**os.environ, **allowed, **more}, check=True, timeout=250, stdin=subprocess.DEVNULL)
+    assert differing(masked(json.loads(result.read_text("utf-8"))), "example") == []
 
 
 class Striking(ProcessPoolExecutor):
