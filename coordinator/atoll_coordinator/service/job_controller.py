@@ -65,7 +65,7 @@ from atoll_coordinator.service.monitoring.job_views import (
     outcomes_of,
     queue_depth,
 )
-from atoll_coordinator.service.monitoring.shown_equations import FrontWritten, ShownEquations
+from atoll_coordinator.service.monitoring.view_equations import FrontWritten, ViewEquations
 from atoll_coordinator.service.scheduling.fair_share import TaskTurns, Turn
 from atoll_coordinator.service.scheduling.job_queue import NO_TIME, JobQueue, pause_reason
 from atoll_coordinator.service.scheduling.limits import DAY_S, TaskTime
@@ -126,7 +126,7 @@ class JobController:
         self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
         self.workers: Final = WorkerController(self, store, channel, self.events, expected_workers)
         self.counters: Final = self.workers.counters
-        self.equations: Final = ShownEquations(background.write_front)
+        self.equations: Final = ViewEquations(background.write_front)
         self.shown: Final = JobViews(self.jobs, self.ending, self.queue, self, store, self.breakages)
         self.checkpoints: Final = PullBudget()
         self.changed: Callable[[str], object] = lambda job: None

@@ -1,7 +1,7 @@
 """Jobs as clients see them: views of live and ended jobs, their counters, and the drafts of results.
 
 Views are made when a client asks for them. Results of live jobs are composed from a `Draft` in the background, and the
-equations of views are written there (`shown_equations`).
+equations of views are written there (`view_equations`).
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from atoll_coordinator.result.result import UNTIMED
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.breakages import Breakages
-from atoll_coordinator.service.monitoring.shown_equations import FrontWritten, ShownEquations
+from atoll_coordinator.service.monitoring.view_equations import FrontWritten, ViewEquations
 from atoll_coordinator.service.scheduling.job_queue import JobQueue
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.ending import Improvement, Why
@@ -330,7 +330,7 @@ class JobWorkers(Protocol):
     def counters(self) -> CounterRegistry: ...
 
     @property
-    def equations(self) -> ShownEquations: ...
+    def equations(self) -> ViewEquations: ...
 
     def waiting_reason(self, job: Job) -> str | None: ...
 

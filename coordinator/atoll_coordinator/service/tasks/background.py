@@ -19,7 +19,7 @@ from datetime import UTC, datetime
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.jobs.job import Fault
 from atoll_coordinator.service.monitoring.job_views import Draft
-from atoll_coordinator.service.monitoring.shown_equations import Front, FrontWritten
+from atoll_coordinator.service.monitoring.view_equations import FrontWritten, ViewFront
 from atoll_coordinator.service.search.archipelago import Checkpoint
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
@@ -216,7 +216,7 @@ class Background:
 
         self._act(lambda: self._post(read()))
 
-    def write_front(self, front: Front) -> None:
+    def write_front(self, front: ViewFront) -> None:
         """Write the shown equation of a front for views; `FrontWritten` is posted."""
 
         def write() -> FrontWritten:

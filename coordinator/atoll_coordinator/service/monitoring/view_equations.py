@@ -19,7 +19,7 @@ from atoll_core.expression.text.infix import to_infix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Front:
+class ViewFront:
     """A front whose equation is to be written. Nothing in it changes, so another thread may use it."""
 
     job: str
@@ -53,14 +53,14 @@ class FrontWritten:
     error: Exception | None = None
 
 
-class ShownEquations:
+class ViewEquations:
     """The last equation that was written of each variable of each live job. Only the loop calls its methods."""
 
-    def __init__(self, write: Callable[[Front], object]) -> None:
+    def __init__(self, write: Callable[[ViewFront], object]) -> None:
         """`write` starts to write a front in the background; `add_written` follows."""
         self._write: Final = write
         self._written: WeakKeyDictionary[Job, dict[str, FrontWritten]] = WeakKeyDictionary()
-        self._wanted: dict[tuple[str, str], Front] = {}
+        self._wanted: dict[tuple[str, str], ViewFront] = {}
         self._is_writing = False
 
     def fields(self, job: Job, prepared: Prepared, outcome: VariableOutcome) -> Mapping[str, Any]:
@@ -70,7 +70,7 @@ class ShownEquations:
         """
         written = self._written.get(job, {}).get(outcome.variable)
         if outcome.front and (written is None or written.front.outcome.front != outcome.front):
-            self._wanted[job.id, outcome.variable] = Front(job.id, prepared, outcome)
+            self._wanted[job.id, outcome.variable] = ViewFront(job.id, prepared, outcome)
             self._begin()
         return written.fields if written is not None else {}
 

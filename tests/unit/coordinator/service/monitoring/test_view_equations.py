@@ -6,7 +6,7 @@ import pytest
 
 from atoll_coordinator.model.result.building import VariableOutcome
 from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.monitoring.shown_equations import Front, FrontWritten, ShownEquations
+from atoll_coordinator.service.monitoring.view_equations import FrontWritten, ViewEquations, ViewFront
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core.config import JobConfig
@@ -28,8 +28,8 @@ def job() -> Job:
 
 
 def test_only_the_last_front_of_a_variable_is_written_and_one_at_a_time(job: Job) -> None:
-    begun: list[Front] = []
-    shown = ShownEquations(begun.append)
+    begun: list[ViewFront] = []
+    shown = ViewEquations(begun.append)
     assert [shown.fields(job, PREPARED, outcome(error)) for error in (0.3, 0.2, 0.1)] == [{}, {}, {}]
     assert [front.outcome.front[0].error for front in begun] == [0.3]
     shown.add_written(FrontWritten(begun[0], {"expression": "first"}), job)
@@ -41,8 +41,8 @@ def test_only_the_last_front_of_a_variable_is_written_and_one_at_a_time(job: Job
 
 
 def test_the_equation_that_is_shown_is_not_written_again_but_variables_have_their_own(job: Job) -> None:
-    begun: list[Front] = []
-    shown = ShownEquations(begun.append)
+    begun: list[ViewFront] = []
+    shown = ViewEquations(begun.append)
     shown.fields(job, PREPARED, outcome(0.1))
     shown.add_written(FrontWritten(begun[0], {}, ValueError("planted")), job)
     assert shown.fields(job, PREPARED, outcome(0.1)) == {}
@@ -52,8 +52,8 @@ def test_the_equation_that_is_shown_is_not_written_again_but_variables_have_thei
 
 
 def test_the_equation_of_a_job_that_has_ended_is_not_kept_and_the_next_one_is_written(job: Job) -> None:
-    begun: list[Front] = []
-    shown = ShownEquations(begun.append)
+    begun: list[ViewFront] = []
+    shown = ViewEquations(begun.append)
     shown.fields(job, PREPARED, outcome(0.1))
     shown.fields(job, PREPARED, outcome(0.1, "y"))
     shown.add_written(FrontWritten(begun[0], {"expression": "late"}), None)
@@ -62,6 +62,6 @@ def test_the_equation_of_a_job_that_has_ended_is_not_kept_and_the_next_one_is_wr
 
 
 def test_nothing_is_written_before_there_is_a_front(job: Job) -> None:
-    begun: list[Front] = []
-    assert ShownEquations(begun.append).fields(job, PREPARED, VariableOutcome("x", (), 0)) == {}
+    begun: list[ViewFront] = []
+    assert ViewEquations(begun.append).fields(job, PREPARED, VariableOutcome("x", (), 0)) == {}
     assert begun == []
