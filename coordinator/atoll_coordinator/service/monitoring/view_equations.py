@@ -48,7 +48,7 @@ class ViewFront:
 class FrontWritten:
     """The fields about the shown equation of a front; `error`: the error of writing it, then there are no fields."""
 
-    front: Front
+    front: ViewFront
     fields: Mapping[str, Any]
     error: Exception | None = None
 
