@@ -110,4 +110,9 @@ def _index(folder: Path) -> dict[str, Any]:
         data = (folder / INDEX).read_bytes()
     except OSError:
         return {}
-    return {**json.loads(data), "digest": hashlib.blake2b(data, digest_size=8).hexdigest()}
+    try:
+        index = json.loads(data)
+        _ = index["packages"], index["levels"], index["results"]
+    except (ValueError, KeyError, TypeError):  # a damaged file: kernels are compiled, as without the file
+        return {}
+    return {**index, "digest": hashlib.blake2b(data, digest_size=8).hexdigest()}

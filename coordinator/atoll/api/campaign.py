@@ -5,6 +5,7 @@ workers are busy anyway. Only a few tables are read and submitted ahead, so that
 together. If there are fewer tables than workers, they are solved one after another, each by all workers.
 """
 
+import contextlib
 import itertools
 import json
 import os
@@ -13,7 +14,7 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from atoll.api.discover import config_of, discover, number_of, table_of_options
+from atoll.api.discover import SubmittedJob, config_of, number_of, submit, table_of_options
 from atoll.api.model import Model
 from atoll.api.tables import in_python
 from atoll_core.errors import AtollError, DataError, UsageError
@@ -77,11 +78,17 @@ def _pair(table: object) -> tuple[str, object]:
 def _on_service(
     named: Iterator[tuple[str, object]], workers: int | None, options: Mapping[str, Any]
 ) -> Iterator[Found]:
-    """Solve tables by the service, several at the same time."""
+    """Solve tables by the service, several at a time; jobs that still run when the caller stops are cancelled."""
+    running: set[SubmittedJob] = set()
 
     def solve(name: str, data: object) -> Found:
         try:
-            return name, discover(data, workers=workers, progress=False, **options)
+            job = submit(data, workers=workers, **options)
+            running.add(job)
+            try:
+                return name, job.wait(progress=False).result()
+            finally:
+                running.discard(job)
         except AtollError as error:
             return name, error
 
@@ -94,7 +101,10 @@ def _on_service(
             open_tables |= {threads.submit(solve, *one) for one in itertools.islice(named, len(done))}
             yield from (one.result() for one in done)
     finally:
-        threads.shutdown(cancel_futures=True)
+        threads.shutdown(wait=False, cancel_futures=True)
+        for job in [*running]:
+            with contextlib.suppress(AtollError):
+                job.cancel()
 
 
 def _on_executor(
@@ -137,10 +147,12 @@ def _each_as_task(
         if following is not None and open_tables < AHEAD * dispatcher.workers:
             name, data = following
             try:
-                dispatcher.submit(name, "table", (table_of_options(data, options)[0],))
-                open_tables += 1
+                table, _ = table_of_options(data, options)
             except AtollError as error:
                 yield name, error
+            else:
+                dispatcher.submit(name, "table", (table,))
+                open_tables += 1
             following = next(named, None)
             continue
         computed = dispatcher.wait()

@@ -122,10 +122,13 @@ class Dispatcher:
         if entry is None or entry.future is not finished.future:
             return None
         try:
-            outcome = finished.future.result()
-        except (Exception, CancelledError) as error:
+            error = finished.future.exception()
+        except CancelledError as cancelled:
+            error = cancelled
+        if error is not None:  # also a KeyboardInterrupt of the process there, which is not one of this process
             self._lose(entry, finished.executor, error)
             return None
+        outcome = finished.future.result()
         if isinstance(outcome, Missing):
             self._send(entry, {digest: entry.data[digest] for digest in outcome.digests})
             return None

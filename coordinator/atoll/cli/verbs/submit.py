@@ -23,7 +23,7 @@ from atoll.terminal.progress import is_screen, open_display, waiting
 from atoll_coordinator.result.result import Result
 from atoll_core.command_line import duration as seconds_of
 from atoll_core.errors import UsageError
-from atoll_core.signals import raising_interrupts
+from atoll_core.signals import interrupts_held_back, raising_interrupts
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 _OPTION: Final = re.compile(r"--(robust|stochastic)\b")
@@ -203,8 +203,9 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
             if result is not None:
                 try:
                     request.show(result)
-                finally:  # also if nobody reads the output
-                    path = write_result(folder, result)
+                finally:  # also if nobody reads the output, or after Ctrl-C
+                    with interrupts_held_back():
+                        path = write_result(folder, result)
                 note(_times(result, follower.phases, time.monotonic() - started))
                 note(f"result in {path}")
                 if options.report:

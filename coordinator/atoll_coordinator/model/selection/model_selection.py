@@ -50,6 +50,7 @@ from atoll_coordinator.model.selection.shortcut import (
     select_laws,
 )
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
+from atoll_coordinator.model.shooting.fit_result import growth_rate
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS
 from atoll_core.data.notes import Note
@@ -57,6 +58,10 @@ from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program, structure
 
 _LOG = logging.getLogger(__name__)
+
+_MOST_GROWTH: Final = 40.0
+"""Logarithm of the largest growth of errors that is considered; an error of the last digit is then as large as the
+state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,21 +174,32 @@ def reproduce_rows(choice: Choice) -> Choice:
     """Select a system from which a known solver computes the rows digit by digit, if there is one.
 
     Two systems are tried: the best one, and the first candidates of each equation. The best one may have terms that
-    describe errors of the solver. Further candidates are not needed, because no solver computes the rows from a wrong
-    system.
+    describe errors of the solver. A wrong system that is close to the law reproduces the rows, too, up to its distance
+    from the law. So the residuals must be as small as integration errors, and all candidates are compared on the
+    corrected rows. Further candidates are not needed then.
     """
     pool = choice.pool
     assert pool is not None
     assert pool.best is not None
+    models = [pool.best]
     firsts = [programs[0] for programs in pool.lists]
-    models = [pool.best] if firsts == list(pool.best.programs) else [pool.best, pool.comparison.fit_model(firsts)]
+    if list(map(structure, firsts)) != list(map(structure, pool.best.programs)):
+        models += [model for model in (pool.comparison.fit_model(firsts),) if model is not None]
     for model in models:
-        if model is not None:
-            found = SelectedModel(choice.task, pool.comparison, model, pool.lists)
-            selection = fit_without_solver_errors(choice.task, found)
-            if selection is not None:
-                return replace(choice, selection=selection)
+        found = SelectedModel(choice.task, pool.comparison, model, pool.lists)
+        selection = fit_without_solver_errors(choice.task, found, pool.lists)
+        if selection is not None and _is_reproduced(selection):
+            return replace(choice, selection=selection)
     return choice
+
+
+def _is_reproduced(selection: SelectedModel) -> bool:
+    """Tell whether rows without solver errors differ from the solution of the system by integration errors only, as
+    large as these grow along the longest trajectory."""
+    task, rate = selection.task, growth_rate(selection.model.fit)
+    duration = task.longest * selection.comparison.estimator.measurements.step
+    allowed = SETTINGS.shooting.exact * math.exp(min(max(rate, 0.0) * duration, _MOST_GROWTH))
+    return all(smoothing.relative_noise <= allowed for smoothing in task.recording.smoothing)
 
 
 def search(choice: Choice) -> Choice:

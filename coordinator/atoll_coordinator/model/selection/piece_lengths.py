@@ -46,16 +46,19 @@ def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
     return longest
 
 
-def fit_without_solver_errors(task: ModellingTask, selection: SelectedModel) -> SelectedModel | None:
+def fit_without_solver_errors(
+    task: ModellingTask, selection: SelectedModel, lists: Sequence[Sequence[Program]] | None = None
+) -> SelectedModel | None:
     """Return the system, fitted to rows without solver errors; None if no solver reproduces the rows.
 
-    Unnecessary parts are removed. No other programs are tried: a solver reproduces the rows only from the true law.
+    Unnecessary parts are removed. `lists` are programs that replace an equation if the description is then shorter;
+    None: no other programs are tried, because the selection was compared with all of them.
     """
     exact = subtract_solver_errors(task, selection.model.fit)
     if exact is None:
         return None
     programs = selection.model.programs
-    solved = fit_jointly(exact, [[program] for program in programs], programs)
+    solved = fit_jointly(exact, lists or [[program] for program in programs], programs)
     if solved is None:
         return None
     return replace(solved, model=reduce_all(solved.comparison, solved.model), lists=selection.lists)
