@@ -18,6 +18,7 @@ import pytest
 import atoll
 from atoll.api.campaign import AHEAD
 from atoll.client.follower import Display
+from atoll.executors.driver import JobDriver
 from atoll.executors.executors import ExecutorError, InlineExecutor
 from atoll_core.errors import AtollError, DataError, UsageError
 from atoll_core.wire.messages.views import JobView, Workforce
@@ -258,6 +259,20 @@ def test_few_tables_are_solved_by_all_workers_and_fail_alone() -> None:
     assert found.keys() == tables.keys()
     assert isinstance(found["decay 0"], atoll.Model)
     assert isinstance(found["one row"], DataError)
+
+
+def test_an_interrupt_ends_the_campaign_after_the_present_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(driver: JobDriver) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(JobDriver, "_refine", interrupt)
+    with ThreadPoolExecutor(8) as executor:
+        campaign = atoll.discover_many(decays(2), executor=executor, max_epochs=1)
+        name, model = next(campaign)
+        assert name == "decay 0"
+        assert isinstance(model, atoll.Model)
+        with pytest.raises(KeyboardInterrupt):
+            next(campaign)
 
 
 @pytest.mark.slow

@@ -53,6 +53,7 @@ def discover_many(
     Raises:
         UsageError: `tables`, `executor` or options are wrong.
         AtollError: the executor is broken.
+        KeyboardInterrupt: after Ctrl-C; if all workers compute one table, its best model so far is yielded before.
     """
     config_of({name: value for name, value in options.items() if executor is not None or name not in _SERVICE})
     number = number_of(workers)
@@ -129,14 +130,18 @@ def _one_by_one(
 
     for name, data in named:
         found: Model | AtollError
+        is_interrupted = False
         try:
-            table, _ = table_of_options(data, options)
-            found = Model(json.loads(JobDriver(table, dispatcher).solve()))
+            driver = JobDriver(table_of_options(data, options)[0], dispatcher)
+            found = Model(json.loads(driver.solve()))
+            is_interrupted = driver.job.state == "cancelled"
         except ExecutorError:
             raise
         except AtollError as error:
             found = _in_python(error)
         yield name, found
+        if is_interrupted:  # by Ctrl-C, which ends the campaign, too
+            raise KeyboardInterrupt
 
 
 def _each_as_task(
