@@ -216,6 +216,28 @@ def test_a_killed_process_of_loky_changes_nothing() -> None:
     assert len(submitted) >= 3
 
 
+def test_the_progress_is_shown_as_by_the_service(capsys: pytest.CaptureFixture[str]) -> None:
+    def lines(**where: Any) -> list[str]:
+        atoll.discover(EXAMPLE, seed=3, max_epochs=6, target_error=1e-300, progress=True, **where)
+        return capsys.readouterr().err.splitlines()
+
+    with ThreadPoolExecutor(2) as executor:
+        here = lines(executor=executor)
+    there = lines(workers=2)
+    assert here[-2:] == there[-2:], "the equations with their verdicts"
+    assert [line for line in here if line.startswith(("note:", "warning:"))] == [
+        line for line in there if line.startswith(("note:", "warning:"))
+    ]
+    before_the_end = [line for line in here[:-3] if line.startswith("  dx/dt")]
+    assert any("size -" not in line and "x" in line.partition("size")[2] for line in before_the_end)
+
+
+def test_a_failure_is_the_last_line_of_the_progress(capsys: pytest.CaptureFixture[str]) -> None:
+    with ThreadPoolExecutor(2) as executor, pytest.raises(DataError):
+        atoll.discover({"t": [0.0], "x": [1.0]}, executor=executor, progress=True)
+    assert "failed" in capsys.readouterr().err.splitlines()[-1]
+
+
 def test_profiles_of_constants_are_the_same_on_an_executor() -> None:
     data, options = JOBS["noisy"]
     with ThreadPoolExecutor(2) as executor:
