@@ -25,7 +25,7 @@ from typing import Final, NamedTuple
 from atoll.client.follower import KEEPING, Display
 from atoll.executors.dispatcher import Computed, Dispatcher, Finished
 from atoll.executors.epochs import EPOCHS, JOB, ComputedEpoch, SearchedJob
-from atoll.executors.tasks import borrowed_process
+from atoll.executors.tasks import borrowed_process, what_to_do
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.result.result import timed
 from atoll_coordinator.service.jobs.checks import epoch_limit_reason
@@ -174,7 +174,7 @@ class JobDriver:
             inputs = (self._table, self._spec.encode())
             data = self._run_task("prepare", inputs, config.budget.max_time)
         except _TaskFailedError as error:
-            self.job.fail("internal", f"preparing the data failed ({error}){self._to_send(error)}")
+            self.job.fail("internal", f"preparing the data failed ({error}){self._advice(error.failure)}")
             return
         if data is None:
             return
@@ -216,7 +216,7 @@ class JobDriver:
         try:
             text = self._run_task("refine", (self._encoded, searched.to_bytes()), self._refine_within)
         except _TaskFailedError as error:
-            warning = f"Refining failed ({error}); equations are as the search found them{self._to_send(error)}."
+            warning = f"Refining failed ({error}); equations are as the search found them{self._advice(error.failure)}."
             self.job.finish_unrefined(Refinement(warnings=(warning,), end="not refined"))
             return
         if text is not None:
@@ -231,8 +231,9 @@ class JobDriver:
             text = draft.compose()
         return timed(text, self._now() - job.submitted_at)
 
-    def _to_send(self, error: _TaskFailedError) -> str:
-        return ask_for_report(self.job.config, is_certain=error.failure == "error")
+    def _advice(self, failure: frames.Failure) -> str:
+        """Return the end of a sentence about a failure: what to do."""
+        return what_to_do(failure) or ask_for_report(self.job.config, is_certain=failure == "error")
 
     # ------------------------------------------------------------------------------------------------- the search
 
@@ -263,7 +264,7 @@ class JobDriver:
             return
         epoch = ComputedEpoch(sentence=computed.sentence) if computed.sentence else EPOCHS.decode(computed.value)[0]
         if epoch.sentence:
-            self._carry_out(self.job.fail("internal", f"{epoch.sentence}{ask_for_report(self.job.config)}"))
+            self._carry_out(self.job.fail("internal", epoch.sentence + self._advice(computed.failure)))
             return
         self._waiting[tag.variable] -= set(tag.islands)
         self._states.setdefault(tag.variable, {}).update(epoch.states)
