@@ -32,7 +32,14 @@ class ViewFront:
     prepared: Prepared
     outcome: VariableOutcome
 
-    def write(self) -> Mapping[str, Any]:
+    def write(self) -> "FrontWritten":
+        """Return the written front, or the error of writing it."""
+        try:
+            return FrontWritten(self, self._fields())
+        except Exception as error:  # the loop counts it
+            return FrontWritten(self, {}, error)
+
+    def _fields(self) -> Mapping[str, Any]:
         """Return the fields of a `VariableView` about the shown equation; none if no equation can be shown."""
         prepared, outcome = self.prepared, self.outcome
         shown = select_shown_equation(outcome, None, prepared.dataset, prepared.config)
