@@ -73,10 +73,12 @@ class Take:
 
 @dataclass(frozen=True, slots=True)
 class BatchComputed:
-    """From a helper's process: the result of a batch; None: it could not be computed."""
+    """From a helper's process: the result of a batch; None: it could not be computed, for the reason `sentence`."""
 
     number: int
     result: bytes | None
+    failure: Failure = "error"
+    sentence: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -238,13 +238,19 @@ def _size(call: _Call) -> int:
     return len(call.context) + len(call.items[call.waiting[-1]])
 
 
-def compute(batch: TaskBatch) -> bytes | None:
-    """Return the result of a batch of another worker's task; None if it fails here; that worker then computes it."""
+def compute(batch: TaskBatch) -> frames.BatchComputed:
+    """Return the result of a batch of another worker's task; if it fails here, that worker computes it."""
     try:
-        return _computed(batch.function, batch.context, batch.item)
-    except Exception:
+        return frames.BatchComputed(batch.number, _computed(batch.function, batch.context, batch.item))
+    except MemoryError:
+        return frames.BatchComputed(batch.number, None, "memory", "memory ran out")
+    except Exception as error:
         _LOG.exception("a batch failed")
-        return None
+        return frames.BatchComputed(batch.number, None, "error", _in_one_line(error))
+
+
+def _in_one_line(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:2000]
 
 
 def _computed(function: str, context: bytes, item: bytes) -> bytes:
@@ -326,7 +332,7 @@ class TaskLoop:
                 case frames.Load() as load:
                     self._load(load)
                 case frames.TaskBatch() as batch:
-                    self._send(frames.BatchComputed(batch.number, compute(batch)))
+                    self._send(compute(batch))
                     del batch
 
     def _load(self, load: frames.Load) -> None:
@@ -347,7 +353,7 @@ class TaskLoop:
             self._send(frames.Failed(run.task, "memory", f"memory ran out: {error}"))
         except Exception as error:
             _LOG.exception("a task failed", extra=fields(**about))
-            self._send(frames.Failed(run.task, "error", " ".join(f"{type(error).__name__}: {error}".split())[:2000]))
+            self._send(frames.Failed(run.task, "error", _in_one_line(error)))
         else:
             spent = {"seconds": round(time.monotonic() - began, 3), "size": len(result)}
             _LOG.info("a task is done", extra=fields(**about, **spent, **self._team.counts))

@@ -16,7 +16,7 @@ from atoll.cli.exit_codes import DONE, FAILED, INTERRUPTED, report_exit_code
 from atoll.cli.request import CONNECT_LIMIT_S, JobRequest, address_of, request_of
 from atoll.cli.result_files import REPORT, refuse_existing_result, write_report, write_result
 from atoll.client.client import Client, connected
-from atoll.client.follower import Display, Follower
+from atoll.client.follower import KEEPING, Display, Follower
 from atoll.client.local_processes import LocalCoordinator, LocalWorkers, NoWorkerLeftError
 from atoll.terminal.output import duration, note, say
 from atoll.terminal.progress import is_screen, open_display, waiting
@@ -230,7 +230,7 @@ def _follow(follower: Follower, client: Client, display: Display) -> tuple[JobVi
     try:
         return follower.follow(), None
     except KeyboardInterrupt:
-        display.print_note("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
+        display.print_note(KEEPING)
         forced = INTERRUPTED
     except NoWorkerLeftError as error:
         display.print_note(f"coordinator: {error}")
