@@ -32,9 +32,9 @@ def load_ahead() -> Iterator[None]:
     Kernels are also loaded if they are compiled; otherwise they are left to the tasks, since compiling takes tens of
     seconds.
     """
-    import atoll.tasks.process
+    import atoll.tasks.process  # noqa: F401
     import atoll_coordinator.data.prepare
-    import atoll_coordinator.tasks.preparing  # noqa: F401
+    import atoll_coordinator.tasks.preparing
     from atoll_core.compilation.cache import is_compiled
 
     has_kernels = is_compiled("atoll_coordinator")

@@ -1,8 +1,8 @@
 """A worker in a few lines, for tests that kill it: has one task run, and prints what comes of it.
 
 ``python -m tests.unit.island_worker.tasks.strange_worker interpreter|server|loading FUNCTION INPUT...``. With a server,
-or one that never ends loading, the worker is forked from this process after the server, as `atoll_island_worker.cli` does it, and prints its number
-first.
+or one that never ends loading, the worker is forked from this process after the server, as `atoll_island_worker.cli`
+does it, and prints its number first.
 """
 
 import importlib
