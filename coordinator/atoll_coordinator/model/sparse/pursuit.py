@@ -124,7 +124,7 @@ class ResidualGains:
     @property
     def vectors(self) -> FloatArray:
         """The residuals, divided by their length, and an orthonormal basis of the terms; both weighted: (1 + K, N)."""
-        return self._weights * np.vstack([self._residuals, self._basis])
+        return np.asarray(self._weights * np.vstack([self._residuals, self._basis]))
 
     def gains(self, columns: FloatArray) -> FloatArray:
         """Return the share (A,) of the squared residuals that each of the columns (A, N) explains. The share is 0 if
