@@ -73,17 +73,24 @@ class Take:
 
 @dataclass(frozen=True, slots=True)
 class BatchComputed:
-    """From a helper's process: the result of a batch; None: it could not be computed."""
+    """From a helper's process: the result of a batch; None: it could not be computed, for the reason `sentence`."""
 
     number: int
     result: bytes | None
+    failure: Failure = "error"
+    sentence: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """From the process, as its first message: its process id."""
+    """From the process, as its first message: its process id.
+
+    `is_complete`: it was started with the modules for all tasks, or loads them itself; otherwise, with those for
+    preparing alone.
+    """
 
     pid: int
+    is_complete: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """Jobs on executors of other libraries: the whole result is that of the service, also when workers are killed."""
 
+import contextlib
 import functools
 import json
 import os
@@ -7,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
@@ -194,6 +196,57 @@ def test_a_killed_process_of_a_pool_changes_nothing_if_the_pool_can_be_made_agai
     assert len(made) == 3
 
 
+def task_processes() -> Iterator[int]:
+    """Yield the ids of the task processes of this process."""
+    for status in Path("/proc").glob("[0-9]*/status"):
+        with contextlib.suppress(OSError):
+            is_child = f"PPid:\t{os.getpid()}\n" in status.read_text("utf-8")
+            if is_child and "atoll.tasks.process" in status.with_name("cmdline").read_text("utf-8"):
+                yield int(status.parent.name)
+
+
+@contextlib.contextmanager
+def killing_task_processes() -> Iterator[None]:
+    """Kill each task process of this process soon after its start, as the system does when memory runs out."""
+    is_over = threading.Event()
+
+    def kill() -> None:
+        while not is_over.wait(0.02):
+            for process in task_processes():
+                with contextlib.suppress(OSError):
+                    os.kill(process, signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        killer.join()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+@pytest.mark.parametrize("stage", ["preparing", "running"])
+def test_a_lack_of_memory_is_named_and_not_called_a_bug(stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with contextlib.ExitStack() as stack:
+
+        class Killing(Display):
+            has_begun = False
+
+            def show(self, view: JobView, workforce: Workforce, now: float) -> None:
+                if view.state == stage and not self.has_begun:
+                    self.has_begun = True
+                    stack.enter_context(killing_task_processes())
+
+        monkeypatch.setattr("atoll.api.discover._display", lambda progress: Killing())
+        executor = stack.enter_context(ThreadPoolExecutor(2))
+        with pytest.raises(AtollError) as caught:
+            atoll.discover(EXAMPLE, executor=executor, **ENDLESS)
+    assert "memory" in str(caught.value)
+    assert "workers=" in str(caught.value)
+    assert "report" not in str(caught.value)
+
+
 def test_a_pool_that_is_broken_and_cannot_be_made_again_is_an_error() -> None:
     with Striking(2, 3) as executor, pytest.raises(ExecutorError, match="ProcessPoolExecutor"):
         on(executor, "noisy")
@@ -214,6 +267,28 @@ def test_a_killed_process_of_loky_changes_nothing() -> None:
     executor.submit = striking
     assert differing(on(executor, "two noisy states"), "two noisy states") == []
     assert len(submitted) >= 3
+
+
+def test_the_progress_is_shown_as_by_the_service(capsys: pytest.CaptureFixture[str]) -> None:
+    def lines(**where: Any) -> list[str]:
+        atoll.discover(EXAMPLE, seed=3, max_epochs=6, target_error=1e-300, progress=True, **where)
+        return capsys.readouterr().err.splitlines()
+
+    with ThreadPoolExecutor(2) as executor:
+        here = lines(executor=executor)
+    there = lines(workers=2)
+    assert here[-2:] == there[-2:], "the equations with their verdicts"
+    assert [line for line in here if line.startswith(("note:", "warning:"))] == [
+        line for line in there if line.startswith(("note:", "warning:"))
+    ]
+    before_the_end = [line for line in here[:-3] if line.startswith("  dx/dt")]
+    assert any("size -" not in line and "x" in line.partition("size")[2] for line in before_the_end)
+
+
+def test_a_failure_is_the_last_line_of_the_progress(capsys: pytest.CaptureFixture[str]) -> None:
+    with ThreadPoolExecutor(2) as executor, pytest.raises(DataError):
+        atoll.discover({"t": [0.0], "x": [1.0]}, executor=executor, progress=True)
+    assert "failed" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_profiles_of_constants_are_the_same_on_an_executor() -> None:
@@ -341,3 +416,26 @@ def test_ctrl_c_before_there_is_an_equation_is_raised() -> None:
 
     with Interrupting(2) as executor, pytest.raises(KeyboardInterrupt):
         next(atoll.discover_many(decays(3), executor=executor))
+
+
+KILLED_CALLER = """
+import sys
+from concurrent.futures import ProcessPoolExecutor
+sys.path[:0] = {path!r}
+import atoll
+from tests.integration.test_executors import decays
+if __name__ == "__main__":
+    for name, found in atoll.discover_many(decays(1000), executor=lambda: ProcessPoolExecutor(2), max_epochs=1):
+        print(name, flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="pools fork their processes")
+def test_the_processes_of_a_pool_end_when_their_caller_is_killed() -> None:
+    text = KILLED_CALLER.format(path=sys.path)
+    with subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE) as caller:
+        assert caller.stdout is not None
+        for _ in range(4):  # both processes have computed
+            assert caller.stdout.readline()
+        caller.kill()
+        caller.stdout.read()  # until the last process that can write to the pipe has ended

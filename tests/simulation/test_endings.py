@@ -13,56 +13,11 @@ from atoll_coordinator.model.result.building import Account, build_result
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.job_views import Draft, ended_view, outcomes_of
 from atoll_coordinator.service.requests import waiting
-from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.holdings import ALL
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.tasks.background import Dependencies
 from atoll_core.errors import AtollError, RefusedError
-from tests.simulation.harness.short_jobs import short_job
+from tests.simulation.harness.held_background import LONG, SHORT, Held
 from tests.simulation.harness.simulated_cluster import World, comparable
-
-LONG = short_job(1, islands=3, max_epochs=10**6, stagnation=10**6)
-SHORT = short_job(1, islands=3, max_epochs=6, stagnation=10**6)
-
-
-class Held(World):
-    """A world whose background thread does nothing while it `is_held`; a coordinator's work dies with it."""
-
-    def __init__(self, **options: Any) -> None:
-        self.is_held = False
-        self.waiting: list[Callable[[], None]] = []
-        super().__init__(slowness=10.0, **options)
-
-    def start_service(self) -> Service:
-        self.waiting.clear()
-        dependencies = Dependencies(self.clock, background=self.take)
-        service = self.serve(self.coordinator_bus(), self.store, dependencies)
-        service.start()
-        return service
-
-    def take(self, work: Callable[[], None]) -> None:
-        if self.is_held:
-            self.waiting.append(work)
-        else:
-            work()
-
-    def release(self) -> None:
-        self.is_held = False
-        while self.waiting:
-            self.waiting.pop(0)()
-
-    def restart(self) -> None:
-        """Kill the coordinator and start it again; what its background had not done is never done."""
-        self.network.crash("coordinator")
-        self.waiting.clear()
-        self.is_held = False
-        self.service = self.start_service()
-
-    def search(self, job: str = "job") -> None:
-        """Submit a long job and wait until each of its equations has a checkpoint."""
-        self.submit(LONG, job=job)
-        while len(self.store.checkpoints(job)) < 2:
-            self.client.pause(0.5)
 
 
 @pytest.fixture(autouse=True)
@@ -280,9 +235,10 @@ def test_the_result_of_a_job_that_is_searched_is_composed_once_for_all_who_ask(
 def test_no_more_questions_wait_than_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(waiting, "MAX_DEFERRED", 1)
     questions: waiting.DeferredQuestions[int] = waiting.DeferredQuestions()
-    assert questions.add(1, waiting.NotYetError("job", is_final=True), 0.0)
-    assert not questions.add(2, waiting.NotYetError("job", is_final=True), 0.0)
+    end, draft = waiting.ResultOf("job", is_final=True), waiting.ResultOf("job", is_final=False)
+    assert questions.add(1, waiting.NotYetError(end), 0.0)
+    assert not questions.add(2, waiting.NotYetError(end), 0.0)
     assert questions.take_overdue(1e9) == []
-    assert questions.take("job", is_final=False) == []
-    assert questions.take("job", is_final=True) == [1]
+    assert questions.take(draft) == []
+    assert [one.question for one in questions.take(end)] == [1]
     assert len(questions) == 0

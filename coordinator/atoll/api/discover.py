@@ -25,7 +25,7 @@ from atoll.api.model import Model
 from atoll.api.tables import NAME, files_of, in_python, python_words, table_of
 from atoll.client.client import connected
 from atoll.client.configure import configure
-from atoll.client.follower import Display, Follower
+from atoll.client.follower import KEEPING, Display, DisplayWithWarnings, Follower
 from atoll.client.job_options import MOST_WORKERS, OPTIONS
 from atoll.client.local_processes import start_in_new_session
 from atoll.client.over_http import Whereabouts, coordinator_at
@@ -238,7 +238,7 @@ class SubmittedJob:
             try:
                 Follower(client, self.id, display, check, in_python).follow()
             except KeyboardInterrupt:
-                display.print_note("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
+                display.print_note(KEEPING)
                 self.is_interrupted = True
                 client.cancel_and_wait(self.id)
         return self
@@ -324,11 +324,9 @@ def _discover_on(
     with _display(progress) as display, python_words():
         if read_as:
             display.print_note(f"read as {read_as}")
-
-        def show(view: JobView, number: int) -> None:
-            display.show(view, Workforce(alive=number), time.monotonic())
-
-        return Model(json.loads(solve(table, executor, workers, show)))
+        shows_nothing = type(display) is Display
+        shown = None if shows_nothing else DisplayWithWarnings(display, in_python)
+        return Model(json.loads(solve(table, executor, workers, shown)))
 
 
 def table_of_options(data: object, options: Mapping[str, object]) -> "tuple[SubmittedTable, str]":

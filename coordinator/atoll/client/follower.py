@@ -83,6 +83,9 @@ class Subscription:
 PATIENCE_S: Final = 30.0
 """Longest silence of a coordinator, in seconds."""
 
+KEEPING: Final = "interrupted: keeping the best equations so far; Ctrl-C again ends at once"
+"""The sentence that a display prints after Ctrl-C."""
+
 _LOOK_S: Final = 0.3
 """Interval of calls of `check` and of updates of the elapsed time, in seconds."""
 
@@ -103,11 +106,35 @@ class Display:
         """Print a permanent line."""
 
 
+class DisplayWithWarnings(Display):
+    """Prints each warning of a job once, before its view is shown on another display.
+
+    `reword` changes the wording of warnings, because these name options of the command line.
+    """
+
+    def __init__(self, display: Display, reword: Callable[[str], str] = str) -> None:
+        self._display = display
+        self._reword = reword
+        self._warned: set[str] = set()
+
+    def show(self, view: JobView, workforce: Workforce, now: float) -> None:
+        """Print the new warnings and show the view."""
+        for warning in view.warnings:
+            if warning not in self._warned:
+                self._warned.add(warning)
+                self._display.print_note(self._reword(with_kind(warning, view.notes)))
+        self._display.show(view, workforce, now)
+
+    def print_note(self, sentence: str) -> None:
+        """Print the sentence on the other display."""
+        self._display.print_note(sentence)
+
+
 class Follower:
     """Follows one job through a client. It calls `check` every `_LOOK_S` seconds, which returns sentences to show, or
     raises.
 
-    `reword` changes the wording of warnings, because these name options of the command line.
+    `reword` changes the wording of warnings, see `DisplayWithWarnings`.
     """
 
     def __init__(
@@ -118,15 +145,13 @@ class Follower:
         self.phases: dict[str, float] = defaultdict(float)
         """Duration of each phase of the job in seconds, as observed here."""
         self._client = client
-        self._display = display
+        self._display = DisplayWithWarnings(display, reword)
         self._check = check
-        self._reword = reword
         self._view: JobView | None = None
         self._workforce = Workforce()
         self._changed_at = 0.0
         self._seen_at: float | None = None
         self._silent_since: float | None = None
-        self._warned: set[str] = set()
 
     def follow(self) -> JobView:
         """Return the final state of the job; raises UnreachableError after a silence of `PATIENCE_S` seconds."""
@@ -151,10 +176,6 @@ class Follower:
             self._view, self._workforce, self._changed_at = change.view, change.workforce, now
         if self._view is None:
             return
-        for warning in self._view.warnings:
-            if warning not in self._warned:
-                self._warned.add(warning)
-                self._display.print_note(self._reword(with_kind(warning, self._view.notes)))
         if self._seen_at is not None:
             self.phases[phase(self._view, self._workforce)] += now - self._seen_at
         self._seen_at = now

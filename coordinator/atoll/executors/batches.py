@@ -6,6 +6,7 @@ from typing import Final
 
 from atoll.executors.dispatcher import Dispatcher
 from atoll.executors.executors import adapted, workers_of
+from atoll.executors.tasks import what_to_do
 from atoll_coordinator.model.batches import CANCELLED
 from atoll_core.errors import AtollError
 
@@ -33,7 +34,7 @@ class ExecutorBatches:
             results: dict[int, bytes] = {}
             for computed in dispatcher.results(cancel_after):
                 if computed.sentence:
-                    raise AtollError(computed.sentence)
+                    raise AtollError(computed.sentence + what_to_do(computed.failure))
                 results[computed.tag] = computed.value
         return [results.get(place, CANCELLED) for place in range(len(items))]
 

@@ -17,9 +17,9 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
-from atoll.executors.executors import ExecutorError, adapted, workers_of
-from atoll.executors.tasks import MAX_LOSSES, Call, Done, FunctionFailed, Inbox, Missing, perform
-from atoll_core.task_frames import version
+from atoll.executors.executors import ExecutorError, OtherVersionError, adapted, workers_of
+from atoll.executors.tasks import MAX_LOSSES, Call, Done, FunctionFailed, Inbox, Missing, OtherVersion, perform
+from atoll_core.task_frames import Failure, version
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,11 +33,15 @@ class Finished:
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """The result of a call, with the `tag` under which it was submitted; `sentence`: its function raised an error."""
+    """The result of a call, with the `tag` under which it was submitted; `sentence`: its function raised an error.
+
+    `failure` is the kind of the error.
+    """
 
     tag: Any
     value: Any = None
     sentence: str = ""
+    failure: Failure = "error"
 
 
 @dataclass(slots=True)
@@ -72,9 +76,11 @@ class Dispatcher:
         return self
 
     def __exit__(self, *_: object) -> None:
+        has_open_calls = bool(self._open)
         self.cancel()
         if self._adapted.is_ours:
-            self._executor.shutdown(wait=False)
+            # A process pool that is not waited for may print an error of its own when the interpreter ends.
+            self._executor.shutdown(wait=not has_open_calls)
 
     def submit(self, tag: object, function: str, arguments: tuple[Any, ...], *shared: bytes) -> None:
         """Submit a call of a function of `tasks.FUNCTIONS`.
@@ -116,7 +122,8 @@ class Dispatcher:
         """Return the result of a finished future; None: its call was submitted again, or is not needed any more.
 
         Raises:
-            ExecutorError: the call was lost too often, or the executor is broken and cannot be replaced.
+            ExecutorError: the call was lost too often, the executor is broken and cannot be replaced, or a worker has
+                another version.
         """
         entry = self._open.get(finished.number)
         if entry is None or entry.future is not finished.future:
@@ -134,7 +141,12 @@ class Dispatcher:
             return None
         del self._open[finished.number]
         if isinstance(outcome, FunctionFailed):
-            return Computed(entry.tag, sentence=outcome.sentence)
+            return Computed(entry.tag, sentence=outcome.sentence, failure=outcome.failure)
+        if isinstance(outcome, OtherVersion):
+            raise OtherVersionError(
+                f"a worker of the executor has Atoll {outcome.version}, but the caller has {version()}; install the "
+                "same version on all machines of the executor, and start its workers again"
+            )
         assert isinstance(outcome, Done)
         return Computed(entry.tag, outcome.value)
 
@@ -175,8 +187,8 @@ class Dispatcher:
     def _renew(self, error: BrokenExecutor) -> None:
         if self._adapted.make is None:
             raise ExecutorError(
-                f"a worker of the {type(self._executor).__name__} has died, and such an executor cannot be used after "
-                "this; give a function that makes another one, such as executor=lambda: ProcessPoolExecutor(4), or use "
-                "loky, Dask or the service"
+                f"a worker of the {type(self._executor).__name__} has died, as happens when memory runs out, and such "
+                "an executor cannot be used after this; give a function that makes another one, such as "
+                "executor=lambda: ProcessPoolExecutor(4), or use loky, Dask or the service"
             ) from error
         self._executor = self._adapted.make()

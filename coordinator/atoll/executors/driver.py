@@ -5,7 +5,8 @@ and `draft_of` are used as they are, and `JobDriver` carries out their actions. 
 process next to the driver, which gives batches of its work to the executor, as a worker of the service gives them to
 helpers. The islands of each archipelago are divided into as many groups as there are workers for them; one epoch of one
 group is a batch, too. When all groups have finished an epoch, the driver passes the emigrants on, and the next epoch
-begins. All events arrive in one inbox: finished calls, messages of the task process, and the passing of time.
+begins. All events arrive in one inbox: finished calls, messages of the task process, written equations, and the passing
+of time. The equations of the display are written by a thread, as on the service (`view_equations`).
 
 An epoch begins when the epoch before it is merged. So no epoch is computed in vain, and there is neither a checkpoint
 nor a commit: the driver has the states of all islands. *Doubts.* They are lost with the caller's process.
@@ -14,21 +15,31 @@ nor a commit: the driver has the states of all islands. *Doubts.* They are lost 
 import contextlib
 import hashlib
 import itertools
+import os
 import queue
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from atoll.client.follower import KEEPING, Display
 from atoll.executors.dispatcher import Computed, Dispatcher, Finished
 from atoll.executors.epochs import EPOCHS, JOB, ComputedEpoch, SearchedJob
-from atoll.executors.tasks import borrowed_process
+from atoll.executors.tasks import borrowed_process, what_to_do
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.result.result import timed
 from atoll_coordinator.service.jobs.checks import epoch_limit_reason
 from atoll_coordinator.service.jobs.job import Job, JobAction, Refine
 from atoll_coordinator.service.monitoring.breakages import ask_for_report
-from atoll_coordinator.service.monitoring.job_views import draft_of, job_view, outcomes_of
+from atoll_coordinator.service.monitoring.job_views import (
+    draft_of,
+    job_view,
+    outcomes_of,
+    variable_views,
+    with_equations,
+)
+from atoll_coordinator.service.monitoring.view_equations import FrontWritten, ViewEquations, ViewFront
 from atoll_coordinator.service.scheduling.job_queue import JobQueue
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.store.jobs import JobRecord
@@ -40,16 +51,14 @@ from atoll_coordinator.tasks.refining import Searched
 from atoll_core import task_frames as frames
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError
+from atoll_core.machine import usable_cores
 from atoll_core.wire.messages.epochs import EpochReport
 from atoll_core.wire.messages.tasks import TaskFunction
-from atoll_core.wire.messages.views import JobCounters, JobView
+from atoll_core.wire.messages.views import JobCounters, TaskView, Workforce
 from atoll_core.wire.messages.workers import Placement
 from atoll_core.wire.values import decode_value, encode_value
 from atoll_island_worker.session.interface import EpochTask, TaskKey
 from atoll_island_worker.tasks.task_process import TaskProcess
-
-Show = Callable[[JobView, int], object]
-"""Shows the progress: a view of the job, and the number of workers."""
 
 _TICK_S: Final = 0.2
 """Longest interval between two looks at the clock, in seconds."""
@@ -90,14 +99,16 @@ class SubmittedTable:
     table: bytes
 
 
-def solve(submitted: SubmittedTable, executor: object, workers: int | None = None, show: Show | None = None) -> str:
+def solve(
+    submitted: SubmittedTable, executor: object, workers: int | None = None, display: Display | None = None
+) -> str:
     """Return the result of a job as JSON; after Ctrl-C, the result with the best equations so far.
 
     Args:
         submitted: the job.
         executor: see `executors.adapted`.
         workers: the number of calls at the same time; None: as many as the executor has workers.
-        show: is called with the progress.
+        display: shows the progress; None: the progress is not shown.
 
     Raises:
         DataError: the data cannot be used.
@@ -105,7 +116,7 @@ def solve(submitted: SubmittedTable, executor: object, workers: int | None = Non
         KeyboardInterrupt: before the data were prepared.
     """
     with Dispatcher(executor, workers) as dispatcher:
-        return JobDriver(submitted, dispatcher, show).solve()
+        return JobDriver(submitted, dispatcher, display).solve()
 
 
 class _TaskFailedError(AtollError):
@@ -119,7 +130,7 @@ class _TaskFailedError(AtollError):
 class JobDriver:
     """One job on an executor."""
 
-    def __init__(self, submitted: SubmittedTable, dispatcher: Dispatcher, show: Show | None = None) -> None:
+    def __init__(self, submitted: SubmittedTable, dispatcher: Dispatcher, display: Display | None = None) -> None:
         """See `solve`."""
         self._spec, self._table = submitted.config.model_dump_json(), submitted.table
         record = JobRecord(
@@ -129,8 +140,10 @@ class JobDriver:
         self._encoded = self._searched = b""
         self._dispatcher: Final = dispatcher
         self._inbox: Final = dispatcher.inbox
-        self._show = show
+        self._display = display
         self._shown_at = 0.0
+        self._equations = ViewEquations(self._write_front)
+        self._task: TaskView | None = None
         self._refine_within: float | None = None
         self._waiting: dict[str, set[int]] = {}
         self._states: dict[str, dict[int, bytes]] = {}
@@ -146,8 +159,13 @@ class JobDriver:
             self._carry_out(self.job.cancel())
             if self.job.prepared is None:
                 raise
-        self._show_progress(is_last=True)
-        return self._result()
+            if self._display is not None:
+                self._display.print_note(KEEPING)
+        text = None if self.job.state == "failed" else self._result()
+        self._show_progress(text, is_last=True)
+        if text is None:
+            raise (DataError if self.job.fault == "data" else AtollError)(str(self.job.reason))
+        return text
 
     # ------------------------------------------------------------------------------------------- the three stages
 
@@ -158,7 +176,7 @@ class JobDriver:
             inputs = (self._table, self._spec.encode())
             data = self._run_task("prepare", inputs, config.budget.max_time)
         except _TaskFailedError as error:
-            self.job.fail("internal", f"preparing the data failed ({error}){self._to_send(error)}")
+            self.job.fail("internal", f"preparing the data failed ({error}){self._advice(error.failure)}")
             return
         if data is None:
             return
@@ -200,7 +218,7 @@ class JobDriver:
         try:
             text = self._run_task("refine", (self._encoded, searched.to_bytes()), self._refine_within)
         except _TaskFailedError as error:
-            warning = f"Refining failed ({error}); equations are as the search found them{self._to_send(error)}."
+            warning = f"Refining failed ({error}); equations are as the search found them{self._advice(error.failure)}."
             self.job.finish_unrefined(Refinement(warnings=(warning,), end="not refined"))
             return
         if text is not None:
@@ -208,8 +226,6 @@ class JobDriver:
 
     def _result(self) -> str:
         job = self.job
-        if job.state == "failed":
-            raise (DataError if job.fault == "data" else AtollError)(str(job.reason))
         text = job.result_text
         if text is None:
             draft = draft_of(job)
@@ -217,8 +233,9 @@ class JobDriver:
             text = draft.compose()
         return timed(text, self._now() - job.submitted_at)
 
-    def _to_send(self, error: _TaskFailedError) -> str:
-        return ask_for_report(self.job.config, is_certain=error.failure == "error")
+    def _advice(self, failure: frames.Failure) -> str:
+        """Return the end of a sentence about a failure: what to do."""
+        return what_to_do(failure) or ask_for_report(self.job.config, is_certain=failure == "error")
 
     # ------------------------------------------------------------------------------------------------- the search
 
@@ -249,7 +266,7 @@ class JobDriver:
             return
         epoch = ComputedEpoch(sentence=computed.sentence) if computed.sentence else EPOCHS.decode(computed.value)[0]
         if epoch.sentence:
-            self._carry_out(self.job.fail("internal", f"{epoch.sentence}{ask_for_report(self.job.config)}"))
+            self._carry_out(self.job.fail("internal", epoch.sentence + self._advice(computed.failure)))
             return
         self._waiting[tag.variable] -= set(tag.islands)
         self._states.setdefault(tag.variable, {}).update(epoch.states)
@@ -271,9 +288,10 @@ class JobDriver:
         failed: list[frames.Failure] = []
         while True:
             with borrowed_process(self._inbox) as process:
-                threads = min(MOST_THREADS, self._dispatcher.workers)
+                threads = min(MOST_THREADS, self._dispatcher.workers, usable_cores(os.environ)[0])
                 life = process.send(frames.Run(function, function, inputs, seconds, threads, self.job.id))
                 end = self._follow_task(process, function, life)
+                self._task = None
                 if end is None:
                     process.stop()
             self._dispatcher.cancel()
@@ -293,6 +311,7 @@ class JobDriver:
         helpers = self._dispatcher.workers if function in HELPED and self._dispatcher.workers > 1 else 0
         asked: set[int] = set()
         given: set[int] = set()
+        self._task = TaskView(function=function)
         while not self.job.has_ended:
             if begun_at is not None and self._now() - begun_at >= HELP_AFTER_S:
                 for token in itertools.islice(_tokens, helpers - len(asked) - len(given)):
@@ -326,8 +345,13 @@ class JobDriver:
         event: object = None
         with contextlib.suppress(queue.Empty):
             event = self._inbox.get(timeout=_TICK_S)
-        if isinstance(event, Finished):
-            event = self._dispatcher.take(event)
+        match event:
+            case Finished():
+                event = self._dispatcher.take(event)
+            case FrontWritten():
+                self._equations.add_written(event, self.job)
+            case frames.ProcessMessage(message=frames.Progressed(compared=compared)) if self._task is not None:
+                self._task = self._task.model_copy(update={"compared": compared})
         self._carry_out(self.job.tick(self._now()))
         self._show_progress()
         return event
@@ -338,11 +362,27 @@ class JobDriver:
             if isinstance(action, Refine):
                 self._refine_within = action.seconds
 
-    def _show_progress(self, *, is_last: bool = False) -> None:
+    def _show_progress(self, result: str | None = None, *, is_last: bool = False) -> None:
+        """Show the job, at most once in `_TICK_S`, or, if `is_last`, at its end with its `result`."""
         now = self._now()
-        if self._show is not None and (is_last or now - self._shown_at >= _TICK_S):
-            self._shown_at = now
-            self._show(job_view(self.job, JobQueue(), now, None, JobCounters(), ()), self._dispatcher.workers)
+        if self._display is None or not (is_last or now - self._shown_at >= _TICK_S):
+            return
+        self._shown_at = now
+        view = job_view(self.job, JobQueue(), now, None, JobCounters(), ())
+        if result is not None:
+            view = with_equations(view, result)
+        elif not is_last:
+            tasks = () if self._task is None else (self._task,)
+            variables = variable_views(self.job, self._equations)
+            view = view.model_copy(update={"variables": variables, "tasks": tasks})
+        # The islands have one worker for the collector; shown are the workers of the executor.
+        workforce = Workforce(alive=self._dispatcher.workers)
+        self._display.show(view.model_copy(update={"workers": 0}), workforce, now)
+
+    def _write_front(self, front: ViewFront) -> None:
+        """Write an equation for the display in a thread, because this takes 0.1 to 0.25 s."""
+        thread = threading.Thread(target=lambda: self._inbox.put(front.write()), name="writing equations", daemon=True)
+        thread.start()
 
     def _now(self) -> float:
         return time.monotonic()

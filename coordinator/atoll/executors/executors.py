@@ -14,7 +14,7 @@ from functools import partial
 from types import ModuleType
 from typing import Any, Final, ParamSpec, TypeVar
 
-from atoll_core.errors import AtollError, UsageError
+from atoll_core.errors import AtollError, RefusedError, UsageError
 from atoll_core.machine import usable_cores
 from atoll_core.quoting import shown
 
@@ -29,6 +29,10 @@ EXPECTED: Final = (
 
 class ExecutorError(AtollError):
     """Raised when an executor takes no tasks, or loses them again and again."""
+
+
+class OtherVersionError(ExecutorError, RefusedError):
+    """Raised when a worker of an executor has another version of Atoll than the caller."""
 
 
 class InlineExecutor(Executor):

@@ -9,11 +9,16 @@ settings of linear algebra, so that the bits do not depend on what the executor'
 process is the one that the system ends if memory runs out. Then it is started again, and the executor notices nothing.
 It ends with the executor's process, or after two minutes without a task.
 
+A process of a pool waits for calls forever if its caller is killed, because the other processes of the pool hold the
+pipe open. So `perform` lets such a process end when its parent has ended. Dask, MPI and Ray end their own workers.
+
 Doubtful: an executor that starts another process for each task would also start a task process for each task.
 """
 
 import functools
+import multiprocessing
 import os
+import platform
 import queue
 import threading
 import time
@@ -35,6 +40,13 @@ Inbox = queue.SimpleQueue[object]
 
 MAX_LOSSES: Final = 5
 """Number of lost workers or processes after which a task fails, as on the service."""
+
+_LESS_MEMORY: Final = "; let fewer tasks run at a time (workers=...), use machines with more memory, or fewer rows"
+
+
+def what_to_do(failure: frames.Failure) -> str:
+    """Return the end of a sentence about a failure of this kind; "" if there is no advice."""
+    return _LESS_MEMORY if failure == "memory" else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,20 +80,38 @@ class Missing:
 
 
 @dataclass(frozen=True, slots=True)
+class OtherVersion:
+    """The process has this version of Atoll, and the caller another one."""
+
+    version: str
+
+
+@dataclass(frozen=True, slots=True)
 class FunctionFailed:
-    """The function raised an error."""
+    """The function raised an error. The sentence is for users; `what_to_do` has its end."""
 
     sentence: str
+    failure: frames.Failure = "error"
 
 
+class BatchFailedError(AtollError):
+    """Raised when a batch cannot be computed; `failure` is the cause."""
+
+    def __init__(self, failure: frames.Failure, sentence: str) -> None:
+        super().__init__(sentence)
+        self.failure: Final = failure
+
+
+_PARENT_CHECK_S: Final = 1.0
 _shared: Final = ByteCache()
 _lock: Final = threading.Lock()
 
 
-def perform(call: Call) -> Done | Missing | FunctionFailed:
+def perform(call: Call) -> Done | Missing | OtherVersion | FunctionFailed:
     """Return the outcome of a call. No exception is raised, so an exception of a future is always a lost task."""
+    _end_with_parent(os.getpid())
     if call.of != version():
-        return FunctionFailed(f"a worker of the executor has version {version()}, but the caller has {call.of}")
+        return OtherVersion(version())
     with _lock:
         for digest, data in call.data.items():
             _shared.add(digest, data)
@@ -91,8 +121,31 @@ def perform(call: Call) -> Done | Missing | FunctionFailed:
         return Missing(missing)
     try:
         return Done(FUNCTIONS[call.function](*call.arguments, *shared))
+    except BatchFailedError as error:
+        return FunctionFailed(str(error), error.failure)
+    except MemoryError:
+        return FunctionFailed(f"memory ran out on a worker of the executor ({platform.node()})", "memory")
     except Exception as error:
         return FunctionFailed(str(error) if isinstance(error, AtollError) else f"{type(error).__name__}: {error}")
+
+
+@functools.cache
+def _end_with_parent(pid: int) -> None:
+    """Let a process of a pool end when its parent has ended; called by each process `pid`, does so once.
+
+    A process of a pool is one that multiprocessing or loky has started, and that computes in its main thread. No other
+    process is ended: a worker of Dask may have been started by a shell that has ended since.
+    """
+    if multiprocessing.parent_process() is None or threading.current_thread() is not threading.main_thread():
+        return
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_PARENT_CHECK_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="watching the parent", daemon=True).start()
 
 
 # ---------------------------------------------------------------------------------------------------------- functions
@@ -101,15 +154,23 @@ def perform(call: Call) -> Done | Missing | FunctionFailed:
 def compute_batch(function: str, item: bytes, context: bytes) -> bytes:
     """Return the result of a batch, see `atoll_coordinator.model.batches`; epochs of islands are batches, too."""
     inbox: Inbox = queue.SimpleQueue()
+    failure: frames.Failure = "crash"
+    why = ""
     with borrowed_process(inbox) as process:
         for _ in range(MAX_LOSSES):
             process.send(TaskBatch(0, function, "", context, item))
-            match _answer(inbox, frames.BatchComputed):
-                case frames.BatchComputed(result=result) if result is not None:
-                    return result
-                case frames.BatchComputed():
-                    break
-    raise AtollError("a batch could not be computed")
+            answer = _answer(inbox)
+            if isinstance(answer, frames.Ended):
+                failure, why = answer.failure, answer.why
+            elif answer.result is not None:
+                return answer.result
+            elif answer.failure == "memory":
+                failure, why = answer.failure, answer.sentence
+                process.stop()
+            else:
+                raise BatchFailedError(answer.failure, f"a batch could not be computed ({answer.sentence})")
+    where = f"on a worker of the executor ({platform.node()})"
+    raise BatchFailedError(failure, f"a task failed {MAX_LOSSES} times {where}: {why}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,12 +224,12 @@ def borrowed_process(inbox: Inbox) -> "Iterator[TaskProcess]":
     _free.append(process)
 
 
-def _answer(inbox: Inbox, kind: type[object]) -> object:
-    """Return the next message of a kind, or the end of the process."""
+def _answer(inbox: Inbox) -> frames.BatchComputed | frames.Ended:
+    """Return the next batch, or the end of the process."""
     while True:
-        posted = inbox.get()
-        if isinstance(posted, frames.ProcessMessage) and isinstance(posted.message, (kind, frames.Ended)):
-            return posted.message
+        match inbox.get():
+            case frames.ProcessMessage(message=(frames.BatchComputed() | frames.Ended()) as message):
+                return message
 
 
 @functools.cache
@@ -178,11 +239,31 @@ def _end_idle_processes(pid: int) -> None:
     def watch() -> None:
         while True:
             time.sleep(_IDLE_CHECK_S)
-            for process in [*_free]:
-                process.stop_if_idle()
+            end_idle_processes()
 
     threading.Thread(target=watch, name="ending idle task processes", daemon=True).start()
 
 
+def end_idle_processes() -> None:
+    """End the free task processes that have had no task for a long time.
+
+    Each is taken out of the free ones meanwhile, so that no thread gives it a task while it is ended.
+    """
+    for _ in range(len(_free)):
+        try:
+            process = _free.pop(0)
+        except IndexError:  # other threads have taken the rest
+            return
+        process.stop_if_idle()
+        _free.append(process)
+
+
+def _forget_parent() -> None:
+    """Forget, in a fork, what belongs to the parent: its task processes, and a lock that another thread may hold."""
+    global _lock
+    _lock = threading.Lock()  # type: ignore[misc]
+    _free.clear()
+
+
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_free.clear)  # they belong to the parent
+    os.register_at_fork(after_in_child=_forget_parent)

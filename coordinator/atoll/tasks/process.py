@@ -238,13 +238,19 @@ def _size(call: _Call) -> int:
     return len(call.context) + len(call.items[call.waiting[-1]])
 
 
-def compute(batch: TaskBatch) -> bytes | None:
-    """Return the result of a batch of another worker's task; None if it fails here; that worker then computes it."""
+def compute(batch: TaskBatch) -> frames.BatchComputed:
+    """Return the result of a batch of another worker's task; if it fails here, that worker computes it."""
     try:
-        return _computed(batch.function, batch.context, batch.item)
-    except Exception:
+        return frames.BatchComputed(batch.number, _computed(batch.function, batch.context, batch.item))
+    except MemoryError:
+        return frames.BatchComputed(batch.number, None, "memory", "memory ran out")
+    except Exception as error:
         _LOG.exception("a batch failed")
-        return None
+        return frames.BatchComputed(batch.number, None, "error", _in_one_line(error))
+
+
+def _in_one_line(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:2000]
 
 
 def _computed(function: str, context: bytes, item: bytes) -> bytes:
@@ -280,8 +286,13 @@ def main(descriptor: int, level: int, of: str) -> None:
     serve(Connection(descriptor), level)
 
 
-def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level: int) -> None:
-    """Run the tasks that come through a pipe until the worker at its other end has ended."""
+def serve(
+    connection: "Connection[frames.FromProcess, frames.ToProcess]", level: int, *, is_complete: bool = True
+) -> None:
+    """Run the tasks that come through a pipe until the worker at its other end has ended.
+
+    `is_complete`: see `frames.Started`.
+    """
     ignore(ENDING)  # signals to the process group are for the worker
     os.environ.setdefault(
         "OPENBLAS_NUM_THREADS", "1"
@@ -295,7 +306,7 @@ def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level:
     os.dup2(nothing, _STDIN)
     os.close(nothing)
     os.dup2(_STDERR, _STDOUT)
-    TaskLoop(connection, level).work()
+    TaskLoop(connection, level).work(is_complete)
 
 
 class TaskLoop:
@@ -309,9 +320,9 @@ class TaskLoop:
         self._team: Final = Team(self._send)
         logging.basicConfig(level=level, handlers=[_LogSender(self._send)], force=True)
 
-    def work(self) -> None:
+    def work(self, is_complete: bool = True) -> None:
         """Run tasks and batches one after another, without end; the end of the pipe ends the process."""
-        self._send(frames.Started(os.getpid()))
+        self._send(frames.Started(os.getpid(), is_complete))
         threading.Thread(target=self._read, name="reading tasks", daemon=True).start()
         while True:
             match self._waiting.get():
@@ -321,7 +332,7 @@ class TaskLoop:
                 case frames.Load() as load:
                     self._load(load)
                 case frames.TaskBatch() as batch:
-                    self._send(frames.BatchComputed(batch.number, compute(batch)))
+                    self._send(compute(batch))
                     del batch
 
     def _load(self, load: frames.Load) -> None:
@@ -342,7 +353,7 @@ class TaskLoop:
             self._send(frames.Failed(run.task, "memory", f"memory ran out: {error}"))
         except Exception as error:
             _LOG.exception("a task failed", extra=fields(**about))
-            self._send(frames.Failed(run.task, "error", " ".join(f"{type(error).__name__}: {error}".split())[:2000]))
+            self._send(frames.Failed(run.task, "error", _in_one_line(error)))
         else:
             spent = {"seconds": round(time.monotonic() - began, 3), "size": len(result)}
             _LOG.info("a task is done", extra=fields(**about, **spent, **self._team.counts))

@@ -18,11 +18,19 @@ from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.monitoring.event_log import WorkerLogs
 from atoll_coordinator.service.monitoring.followers import Followers
 from atoll_coordinator.service.monitoring.metrics import LAG_S, MAX_USERS, UPDATE_S, Metrics
+from atoll_coordinator.service.monitoring.view_equations import FrontWritten
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
-from atoll_coordinator.service.requests.waiting import QUESTIONS, DeferredQuestions, NotYetError
+from atoll_coordinator.service.requests.waiting import (
+    QUESTIONS,
+    Deferred,
+    DeferredQuestions,
+    FrontOf,
+    NotYetError,
+    ResultOf,
+)
 from atoll_coordinator.service.scheduling.limits import Limits
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.background import Background, Dependencies, Outcome, ResultComposed, ResultRead
@@ -346,6 +354,9 @@ class Service:
                 self._finish_ending(item, now)
             case ResultComposed():
                 self._send_result(item, now)
+            case FrontWritten():
+                self.controller.take_outcome(item, now)
+                self._reply_meanwhile(self._deferred.take(FrontOf(item.front.number)))
             case _:
                 self.controller.take_outcome(cast(Outcome, item), now)
 
@@ -358,8 +369,8 @@ class Service:
             self._reply_deferred(job, Failure(failure="internal", sentence=str(error)[:4000]), is_final=True)
             raise
         if job not in self.controller.ending:
-            for question, party in self._deferred.take(job, is_final=True):
-                self._answer(question, party)
+            for one in self._deferred.take(ResultOf(job, is_final=True)):
+                self._answer(*one.question)
 
     def _send_result(self, item: ResultComposed, now: float) -> None:
         """Answer the questions that wait for the best result so far of a job."""
@@ -373,7 +384,16 @@ class Service:
 
     def _reply_deferred(self, job: str, body: ResultText | Failure, *, is_final: bool) -> None:
         answer = encode(Answer(body=body))
-        for question, party in self._deferred.take(job, is_final=is_final):
+        for one in self._deferred.take(ResultOf(job, is_final)):
+            question, party = one.question
+            self._bus.reply(question, answer, party)
+
+    def _reply_meanwhile(self, questions: list[Deferred[tuple[Query, str]]]) -> None:
+        """Answer questions as the jobs are now."""
+        for one in questions:
+            body = one.meanwhile() if one.meanwhile is not None else None
+            answer = encode(Answer(body=body)) if body is not None else None
+            question, party = one.question
             self._bus.reply(question, answer, party)
 
     def _check_time(self, now: float) -> None:
@@ -391,10 +411,7 @@ class Service:
         with self.controller.breakages.tolerated("setting metrics"):
             self._update_metrics(now)
         with self.controller.breakages.tolerated("answering questions that waited too long"):
-            for one in self._deferred.take_overdue(now):
-                body = one.meanwhile() if one.meanwhile is not None else None
-                answer = encode(Answer(body=body)) if body is not None else None
-                self._bus.reply(one.question[0], answer, one.question[1])
+            self._reply_meanwhile(self._deferred.take_overdue(now))
         with self.controller.breakages.tolerated("deleting abandoned uploads"):
             self._uploads.expire()
         with self.controller.breakages.tolerated("deleting expired jobs"):
@@ -513,9 +530,9 @@ class Service:
             self._bus.reply(event, None)
             raise
         except NotYetError as reason:
-            if not self._deferred.add((event, party), reason, self._bus.now()):
-                self._bus.reply(event, None, party)
-            return
+            if self._deferred.add((event, party), reason, self._bus.now()):
+                return
+            answer = encode(Answer(body=reason.meanwhile())) if reason.meanwhile is not None else None
         self._bus.reply(event, answer, party)
         if self._requests.store_error is not None:  # the client has its answer, and the coordinator ends
             raise self._requests.store_error

@@ -16,7 +16,7 @@ from atoll.cli.exit_codes import DONE, FAILED, INTERRUPTED, report_exit_code
 from atoll.cli.request import CONNECT_LIMIT_S, JobRequest, address_of, request_of
 from atoll.cli.result_files import REPORT, refuse_existing_result, write_report, write_result
 from atoll.client.client import Client, connected
-from atoll.client.follower import Display, Follower
+from atoll.client.follower import KEEPING, Display, Follower
 from atoll.client.local_processes import LocalCoordinator, LocalWorkers, NoWorkerLeftError
 from atoll.terminal.output import duration, note, say
 from atoll.terminal.progress import is_screen, open_display, waiting
@@ -174,6 +174,7 @@ def _without(words: Sequence[str], option: str) -> list[str]:
 
 _CONNECT_LIMIT_S: Final = 20.0
 _WORTH_SAYING_S: Final = 0.05
+_REFINING: Final = "refining"
 
 
 def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, workers: LocalWorkers, started: float) -> int:
@@ -189,6 +190,8 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
 
         def check_processes() -> list[str]:
             coordinator.check()
+            if _REFINING in follower.phases:  # no process of this run has anything else to do on one of two cores
+                request.load_modules_of_result()
             return workers.check()
 
         with connected(endpoint, _CONNECT_LIMIT_S) as client:
@@ -230,7 +233,7 @@ def _follow(follower: Follower, client: Client, display: Display) -> tuple[JobVi
     try:
         return follower.follow(), None
     except KeyboardInterrupt:
-        display.print_note("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
+        display.print_note(KEEPING)
         forced = INTERRUPTED
     except NoWorkerLeftError as error:
         display.print_note(f"coordinator: {error}")
@@ -249,8 +252,8 @@ def _times(result: Result, phases: dict[str, float], total: float) -> str:
     """Return the seconds of each phase of a run."""
     parts = {name: phases.get(name, 0.0) for name in ("compiling kernels", "loading kernels")}
     parts["search"] = result.search_seconds or 0.0
-    refining = phases.get("refining", 0.0)
-    parts["refining"] = refining if refining >= _WORTH_SAYING_S else 0.0
+    refining = phases.get(_REFINING, 0.0)
+    parts[_REFINING] = refining if refining >= _WORTH_SAYING_S else 0.0
     rest = max(0.0, total - sum(parts.values()))
     durations = [f"{name} {duration(seconds)}" for name, seconds in parts.items() if seconds]
     return ", ".join([f"start-up {duration(rest)}", *durations, f"total {duration(total)}"])

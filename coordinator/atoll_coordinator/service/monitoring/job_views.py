@@ -304,6 +304,17 @@ def view_of_record(record: JobRecord, warning: str) -> JobView:
         )
 
 
+def variable_views(job: Job, equations: ViewEquations) -> tuple[VariableView, ...]:
+    """Return the views of the equations of a live job, as they were last written.
+
+    Equations are not judged here, because this reads all rows of the data; they are judged in the result.
+    """
+    prepared = job.prepared
+    if prepared is None:
+        return ()
+    return tuple(_variable_view(prepared, one, equations.fields(job, prepared, one)) for one in outcomes_of(job))
+
+
 def _variable_view(prepared: Prepared, outcome: VariableOutcome, shown: Mapping[str, Any]) -> VariableView:
     """Return the view of a variable; `shown` are the fields about its equation."""
     return VariableView(
@@ -446,18 +457,7 @@ class JobViews:
         view = job_view(job, self._queue, now, waiting_reason, self._workers.counters.counters(job), stalls)
         tasks = self._workers.task_views(job.id)
         at_tasks = sum((task.worker is not None) + task.helpers for task in tasks)
-        variables = self._variables(job) if job.result_text is None else ()  # otherwise the result has the equations
+        equations = self._workers.equations
+        variables = variable_views(job, equations) if job.result_text is None else ()  # else the result has them
         changes = {"tasks": tasks, "workers": max(view.workers, at_tasks), "variables": variables}
         return view.model_copy(update=changes)
-
-    def _variables(self, job: Job) -> tuple[VariableView, ...]:
-        """Return the views of the equations of a live job.
-
-        Equations are not judged here, because this reads all rows of the data; they are judged in the result. The
-        background thread writes them.
-        """
-        prepared = job.prepared
-        if prepared is None:
-            return ()
-        equations = self._workers.equations
-        return tuple(_variable_view(prepared, one, equations.fields(job, prepared, one)) for one in outcomes_of(job))

@@ -1,12 +1,14 @@
 """The equations that views of live jobs show, written for people by the background thread.
 
 To write the equation of a new front takes 0.1 to 0.25 s: the program is rewritten in the shortest form. The loop asks
-for it when a client looks at the job, and meanwhile shows the equation of an earlier front. Only one front is written
-at a time, and only the last front of each variable, so that other work of the background thread waits for one
-equation at most.
+for it when a client looks at the job. A question about the job is answered when the fronts that it had at that time are
+written (`ViewEquations.awaited`); followers are shown the equation of an earlier front meanwhile. Only one front is
+written at a time, in the order of the requests, and only the last front of each variable, so that other work of the
+background thread waits for one equation at most.
 """
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 from weakref import WeakKeyDictionary
@@ -20,13 +22,24 @@ from atoll_core.expression.text.infix import to_infix
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewFront:
-    """A front whose equation is to be written. Nothing in it changes, so another thread may use it."""
+    """A front whose equation is to be written. Nothing in it changes, so another thread may use it.
 
+    Fronts are written in the order of their numbers.
+    """
+
+    number: int
     job: str
     prepared: Prepared
     outcome: VariableOutcome
 
-    def write(self) -> Mapping[str, Any]:
+    def write(self) -> "FrontWritten":
+        """Return the written front, or the error of writing it."""
+        try:
+            return FrontWritten(self, self._fields())
+        except Exception as error:  # the loop counts it
+            return FrontWritten(self, {}, error)
+
+    def _fields(self) -> Mapping[str, Any]:
         """Return the fields of a `VariableView` about the shown equation; none if no equation can be shown."""
         prepared, outcome = self.prepared, self.outcome
         shown = select_shown_equation(outcome, None, prepared.dataset, prepared.config)
@@ -61,7 +74,8 @@ class ViewEquations:
         self._write: Final = write
         self._written: WeakKeyDictionary[Job, dict[str, FrontWritten]] = WeakKeyDictionary()
         self._wanted: dict[tuple[str, str], ViewFront] = {}
-        self._is_writing = False
+        self._writing: ViewFront | None = None
+        self._numbers = itertools.count()
 
     def fields(self, job: Job, prepared: Prepared, outcome: VariableOutcome) -> Mapping[str, Any]:
         """Return the fields about the equation of the last front that was written; none: no front was written yet.
@@ -69,19 +83,34 @@ class ViewEquations:
         If the present front is another one, it is written next.
         """
         written = self._written.get(job, {}).get(outcome.variable)
-        if outcome.front and (written is None or written.front.outcome.front != outcome.front):
-            self._wanted[job.id, outcome.variable] = ViewFront(job.id, prepared, outcome)
+        last = written.front if written is not None else None
+        if outcome.front and not any(_is_of(front, job.id, outcome) for front in (last, self._writing)):
+            key = job.id, outcome.variable
+            number = self._wanted[key].number if key in self._wanted else next(self._numbers)
+            self._wanted[key] = ViewFront(number, job.id, prepared, outcome)
             self._begin()
         return written.fields if written is not None else {}
+
+    def awaited(self, jobs: Collection[str]) -> int | None:
+        """Return the number of the last front that is to be written for any of these jobs; None: there is none."""
+        fronts = [*self._wanted.values(), *([self._writing] if self._writing is not None else ())]
+        return max((front.number for front in fronts if front.job in jobs), default=None)
 
     def add_written(self, written: FrontWritten, job: Job | None) -> None:
         """Keep the fields for the views of a job (None: it has ended), and begin with the next front."""
         if job is not None:
             self._written.setdefault(job, {})[written.front.outcome.variable] = written
-        self._is_writing = False
+        self._writing = None
         self._begin()
 
     def _begin(self) -> None:
-        if self._wanted and not self._is_writing:
-            self._is_writing = True
-            self._write(self._wanted.pop(next(iter(self._wanted))))
+        if self._wanted and self._writing is None:
+            self._writing = self._wanted.pop(next(iter(self._wanted)))
+            self._write(self._writing)
+
+
+def _is_of(front: ViewFront | None, job: str, outcome: VariableOutcome) -> bool:
+    """Return whether this is the front of an outcome of a job."""
+    if front is None or (front.job, front.outcome.variable) != (job, outcome.variable):
+        return False
+    return front.outcome.front == outcome.front

@@ -10,7 +10,7 @@ from atoll_coordinator.service.requests.admission import Admission
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import Uploads
-from atoll_coordinator.service.requests.waiting import NotYetError
+from atoll_coordinator.service.requests.waiting import FrontOf, NotYetError, ResultOf
 from atoll_coordinator.service.store.jobs import MAX_COUNTED, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
@@ -53,7 +53,7 @@ class ClientRequests:
 
         Raises:
             StoreError: The cancellation of a job could not be stored.
-            NotYetError: The request can be answered when the result of a job has been composed.
+            NotYetError: The request can be answered when the result of a job, or its equations, have been written.
         """
         hidden = self._authorization.hides(client, request)
         if hidden is not None:
@@ -89,7 +89,7 @@ class ClientRequests:
             case messages.Cancel():
                 self._controller.cancel(body.job, now)
                 if body.job in self._controller.ending:  # the answer comes when the end is stored
-                    raise NotYetError(body.job, is_final=True, meanwhile=lambda: self._status(body.job))
+                    raise NotYetError(ResultOf(body.job, is_final=True), lambda: self._status(body.job))
             case messages.Delete():
                 self._deletion.delete(body.job, "a client asked for it")
                 return messages.Deleted(job=body.job)
@@ -117,7 +117,7 @@ class ClientRequests:
                     return messages.Failure(failure="refused", sentence=sentence)
                 return self._followers.follow(client, body, now, viewer) or _unknown(body.job or "of any name")
             case messages.ListJobs():
-                return self._page(body, viewer)
+                return self._with_equations(lambda: self._page(body, viewer))
             case messages.FindJob():
                 return self._find(body.prefix, viewer)
             case messages.ListWorkers():
@@ -133,7 +133,7 @@ class ClientRequests:
             case messages.GetEvents():
                 return self._events(body, viewer)
             case messages.Status():
-                pass
+                return self._with_equations(lambda: self._status(body.job))
         return self._status(body.job)
 
     def _submit(self, client: str, body: messages.Submit, submitter: str | None, viewer: Viewer | None) -> AnswerBody:
@@ -261,6 +261,16 @@ class ClientRequests:
         there = f"the latest jobs are {shown}" if ids else "there are no jobs yet"
         return messages.Failure(failure="unknown-job", sentence=f"the coordinator has no job {prefix!r}; {there}")
 
+    def _with_equations(self, answer: Callable[[], AnswerBody]) -> AnswerBody:
+        """Return the answer with views of jobs; raises NotYetError until the equations of their fronts are written."""
+        body = answer()
+        views = body.jobs if isinstance(body, messages.JobList) else ()
+        shown = {body.job.job} if isinstance(body, messages.JobStatus) else {view.job for view in views}
+        number = self._controller.equations.awaited(shown)
+        if number is not None:
+            raise NotYetError(FrontOf(number), answer)
+        return body
+
     def _status(self, job: str) -> messages.JobStatus | messages.Failure:
         view = self._controller.shown.view(job, self._now())
         return messages.JobStatus(job=view) if view is not None else _unknown(job)
@@ -270,11 +280,11 @@ class ClientRequests:
         if view is None:
             return _unknown(job)
         if job in self._controller.ending:
-            raise NotYetError(job, is_final=True)
+            raise NotYetError(ResultOf(job, is_final=True))
         found = self._controller.shown.result(job)
         if isinstance(found, Draft):
             self._controller.compose(found)
-            raise NotYetError(job, is_final=False)
+            raise NotYetError(ResultOf(job, is_final=False))
         if found is not None:
             return messages.ResultText(json_text=found)
         if view.state == "failed":

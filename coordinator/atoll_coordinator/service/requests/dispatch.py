@@ -50,7 +50,7 @@ class RequestDispatcher:
 
         Raises:
             RemoteProtocolError: The query is malformed.
-            NotYetError: The query can be answered when the result of a job has been composed.
+            NotYetError: The query can be answered when the result of a job, or its equations, have been written.
         """
         key = topics.parse(event.key)
         try:

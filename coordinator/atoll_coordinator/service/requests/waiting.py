@@ -1,4 +1,4 @@
-"""Questions of clients that wait for their turn, or for the result of a job that is being composed. Pure.
+"""Questions of clients that wait for their turn, or for a result or equations that are being written. Pure.
 
 The loop answers one question at a time and handles other events before the next one; users take turns
 (`atoll_core.wire.bus`). Even many questions of one user therefore delay a heartbeat, a report or another user by one
@@ -7,10 +7,10 @@ answer at most.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Generic, TypeVar
+from typing import Final, Generic, NamedTuple, TypeVar
 
 from atoll_core.wire.bus.queues import Bounds
-from atoll_core.wire.messages.clients import Failure, JobStatus
+from atoll_core.wire.messages.clients import AnswerBody
 
 QUESTIONS: Final = Bounds(
     of_client=32,  # our programs ask one question after another; a client asks again after a refusal
@@ -22,25 +22,41 @@ QUESTIONS: Final = Bounds(
 """Questions that may wait for their turn: of one client, of one user, and of all users."""
 
 MAX_DEFERRED: Final = 512
-"""Questions of all clients that may wait for results at a time. Further questions are refused; clients repeat them."""
+"""Questions of all clients that may wait at a time. Further questions are refused, and clients repeat them; a question
+with an answer `meanwhile` gets this answer at once."""
 
 PATIENCE_S: Final = 2.5
-"""Seconds after which a cancellation is answered by the status of the job; a client asks again after 3.3 s."""
+"""Seconds after which a cancellation, or a question for views, is answered by the status at that time; a client asks
+again after 3.3 s."""
 
 T = TypeVar("T")
 
 
+class ResultOf(NamedTuple):
+    """Awaited: a result of a job is composed, the final one, or the best so far."""
+
+    job: str
+    is_final: bool
+
+
+class FrontOf(NamedTuple):
+    """Awaited: the front of this number is written, and so are all earlier ones (`ViewEquations.awaited`)."""
+
+    number: int
+
+
+Awaited = ResultOf | FrontOf
+
+
 class NotYetError(Exception):
-    """Raised when a question must wait until a result of `job` is composed: the final one, or the best so far.
+    """Raised when a question must wait for `awaited`.
 
     `meanwhile` returns the answer when the question has waited for `PATIENCE_S`; None: it waits without this limit.
     """
 
-    def __init__(
-        self, job: str, *, is_final: bool, meanwhile: Callable[[], JobStatus | Failure] | None = None
-    ) -> None:  # fmt: skip
-        super().__init__(job)
-        self.key: Final = job, is_final
+    def __init__(self, awaited: Awaited, meanwhile: Callable[[], AnswerBody] | None = None) -> None:
+        super().__init__(awaited)
+        self.awaited: Final = awaited
         self.meanwhile: Final = meanwhile
 
 
@@ -50,14 +66,14 @@ class Deferred(Generic[T]):
 
     question: T
     end: float
-    meanwhile: Callable[[], JobStatus | Failure] | None
+    meanwhile: Callable[[], AnswerBody] | None
 
 
 class DeferredQuestions(Generic[T]):
-    """Waiting questions in the order of arrival, by job and by whether they wait for the job's final result."""
+    """Waiting questions in the order of arrival, by what they wait for."""
 
     def __init__(self) -> None:
-        self._waiting: dict[tuple[str, bool], list[Deferred[T]]] = {}
+        self._waiting: dict[Awaited, list[Deferred[T]]] = {}
 
     def __len__(self) -> int:
         return sum(map(len, self._waiting.values()))
@@ -66,12 +82,12 @@ class DeferredQuestions(Generic[T]):
         """Let a question wait; return False if too many questions wait."""
         if len(self) >= MAX_DEFERRED:
             return False
-        self._waiting.setdefault(reason.key, []).append(Deferred(question, now + PATIENCE_S, reason.meanwhile))
+        self._waiting.setdefault(reason.awaited, []).append(Deferred(question, now + PATIENCE_S, reason.meanwhile))
         return True
 
-    def take(self, job: str, *, is_final: bool) -> list[T]:
-        """Remove and return the questions that wait for the final result of a job, or for the best so far."""
-        return [one.question for one in self._waiting.pop((job, is_final), [])]
+    def take(self, awaited: Awaited) -> list[Deferred[T]]:
+        """Remove and return the questions that have waited for `awaited`."""
+        return self._waiting.pop(awaited, [])
 
     def take_overdue(self, now: float) -> list[Deferred[T]]:
         """Remove and return the questions whose wait has ended and which have an answer `meanwhile`."""

@@ -218,14 +218,7 @@ class Background:
 
     def write_front(self, front: ViewFront) -> None:
         """Write the shown equation of a front for views; `FrontWritten` is posted."""
-
-        def write() -> FrontWritten:
-            try:
-                return FrontWritten(front, front.write())
-            except Exception as error:  # the loop counts it
-                return FrontWritten(front, {}, error)
-
-        self._act(lambda: self._post(write()))
+        self._act(lambda: self._post(front.write()))
 
     def compose_result(self, draft: Draft) -> None:
         """Compose the result of a job, which judges equations on all rows; `ResultComposed` is posted."""

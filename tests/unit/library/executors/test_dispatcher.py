@@ -1,5 +1,6 @@
 """Calls are computed once they come back, however often their workers die, and data travel once to each process."""
 
+import queue
 import random
 import threading
 from collections.abc import Callable
@@ -11,8 +12,8 @@ import pytest
 from atoll.executors import tasks
 from atoll.executors.dispatcher import Computed, Dispatcher, Finished
 from atoll.executors.executors import ExecutorError, InlineExecutor, workers_of
-from atoll.executors.tasks import MAX_LOSSES, Call, Done, FunctionFailed, Missing, perform
-from atoll_core.errors import UsageError
+from atoll.executors.tasks import MAX_LOSSES, Call, Done, FunctionFailed, Missing, OtherVersion, perform
+from atoll_core.errors import RefusedError, UsageError
 from atoll_core.task_frames import version
 
 
@@ -109,7 +110,55 @@ def test_a_process_without_the_data_asks_for_them() -> None:
 
 
 def test_a_worker_of_another_version_computes_nothing() -> None:
-    assert isinstance(perform(Call(1, "joined", (2, b"x"), of="0.0/0/0")), FunctionFailed)
+    assert perform(Call(1, "joined", (2, b"x"), of="0.0/0/0")) == OtherVersion(version())
+
+
+def test_another_version_is_refused_with_both_versions() -> None:
+    class Older(InlineExecutor):
+        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+            return super().submit(lambda: OtherVersion("0.0/0/0"))
+
+    with Dispatcher(Older(), 1) as dispatcher:
+        dispatcher.submit(1, "joined", (1,), b"ab")
+        with pytest.raises(RefusedError) as caught:
+            dispatcher.wait()
+    assert all(word in str(caught.value) for word in ("0.0/0/0", version(), "install"))
+    assert caught.value.exit_code == 2
+
+
+def test_a_lack_of_memory_is_not_an_internal_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def exhausts() -> None:
+        raise MemoryError
+
+    monkeypatch.setitem(tasks.FUNCTIONS, "exhausts", exhausts)  # type: ignore[arg-type]
+    outcome = perform(Call(1, "exhausts", (), of=version()))
+    assert isinstance(outcome, FunctionFailed)
+    assert outcome.failure == "memory"
+    assert "memory" in tasks.what_to_do(outcome.failure)
+
+
+def test_a_process_that_is_ended_for_idleness_is_not_given_a_task_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended: list[object] = []
+
+    class Idle:
+        """A task process that is idle; while it is ended, another thread needs a task process."""
+
+        def attach(self, post: Callable[[object], None]) -> None:
+            """Do nothing."""
+
+        def stop_if_idle(self) -> None:
+            with tasks.borrowed_process(queue.SimpleQueue()) as other:
+                assert other is not self
+            ended.append(self)
+
+    monkeypatch.setattr("atoll_island_worker.tasks.task_process.TaskProcess", Idle)
+    monkeypatch.setattr(tasks, "_free", [])
+    with tasks.borrowed_process(queue.SimpleQueue()) as first:
+        pass
+    tasks.end_idle_processes()
+    assert ended == [first]
+    with tasks.borrowed_process(queue.SimpleQueue()) as again:
+        assert isinstance(again, Idle), "they are used again"
 
 
 def test_a_broken_pool_is_replaced_if_the_user_gave_a_function() -> None:

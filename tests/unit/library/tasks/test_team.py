@@ -134,7 +134,7 @@ def test_two_threads_and_many_helpers_have_all_computed(said: Said) -> None:
                         continue
                 batch = answers[0].batch
                 if batch is not None:
-                    team.take(batch.number, compute(batch))
+                    team.take(batch.number, compute(batch).result)
                 break
 
     helpers = [threading.Thread(target=help_on, args=(number * 1_000_000,), daemon=True) for number in range(3)]
@@ -188,11 +188,20 @@ def test_what_breaks_in_a_batch_breaks_the_call_here_and_is_none_elsewhere(
     team = Team(said)
     with pytest.raises(ValueError, match="planted"):
         team.map("test: made", CONTEXT, ITEMS)
-    assert compute(TaskBatch(1, "test: made", DIGEST, CONTEXT, b"")) is None
+    assert compute(TaskBatch(1, "test: made", DIGEST, CONTEXT, b"")).result is None
     assert "a batch failed" in caplog.text
     team.ask(Ask(1))
     team.end()
     assert said.answer_to(1) is None  # the call that broke has no batches to give any more
+
+
+def test_a_batch_for_which_memory_does_not_suffice_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def exhausts(context: bytes, item: bytes) -> bytes:
+        raise MemoryError
+
+    monkeypatch.setitem(FUNCTIONS, "test: made", exhausts)
+    computed = compute(TaskBatch(1, "test: made", DIGEST, CONTEXT, b""))
+    assert (computed.result, computed.failure) == (None, "memory")
 
 
 def test_the_end_of_a_task_answers_who_waits(said: Said) -> None:

@@ -65,3 +65,31 @@ def test_nothing_is_written_before_there_is_a_front(job: Job) -> None:
     begun: list[ViewFront] = []
     assert ViewEquations(begun.append).fields(job, PREPARED, VariableOutcome("x", (), 0)) == {}
     assert begun == []
+
+
+def test_the_front_that_is_being_written_is_not_requested_again(job: Job) -> None:
+    begun: list[ViewFront] = []
+    shown = ViewEquations(begun.append)
+    for _ in range(2):
+        shown.fields(job, PREPARED, outcome(0.1))
+    shown.add_written(FrontWritten(begun[0], {"expression": "first"}), job)
+    assert len(begun) == 1
+
+
+def test_a_question_waits_for_the_fronts_of_its_job_and_not_for_later_ones(job: Job) -> None:
+    begun: list[ViewFront] = []
+    shown = ViewEquations(begun.append)
+    assert shown.awaited({"job"}) is None
+    shown.fields(job, PREPARED, outcome(0.1))
+    shown.fields(job, PREPARED, outcome(0.1, "y"))
+    number = shown.awaited({"job"})
+    assert shown.awaited({"other"}) is None
+    shown.fields(job, PREPARED, outcome(0.05))
+    shown.fields(job, PREPARED, outcome(0.05, "y"))  # written in place of the earlier one
+    while not begun or begun[-1].number != number:
+        shown.add_written(FrontWritten(begun[-1], {}), job)
+    assert [front.outcome.variable for front in begun] == ["x", "y"]
+    assert begun[-1].outcome.front[0].error == 0.05
+    shown.add_written(FrontWritten(begun[-1], {}), job)
+    shown.add_written(FrontWritten(begun[-1], {}), job)
+    assert shown.awaited({"job"}) is None
