@@ -525,7 +525,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         rows = np.count_nonzero(self._measurements.weights)
         possible = -0.5 * rows * math.log(min(remaining, 1.0))
         residuals = point.residuals if limit.errors is None else estimator.whiten(point.residuals, limit.errors)
-        return limit.misfit.total(estimator.squares(residuals)) - _UNFORESEEN * possible > limit.nats
+        return bool(limit.misfit.total(estimator.squares(residuals)) - _UNFORESEEN * possible > limit.nats)
 
     def result(self, point: _Point | None) -> TrajectoryFit | None:
         if point is None:
