@@ -100,7 +100,8 @@ def find_starting_system(
     """Return the best of a few systems made of the first programs of the lists; None if no system can be simulated.
 
     If rows are nearly without noise, all systems are fitted to short segments first, and only the best ones to longer
-    segments. Noise hides the differences between systems in short segments.
+    segments. If none of the best ones can be fitted to longer segments, all systems are. Noise hides the differences
+    between systems in short segments.
     Systems whose key is in `fitted` are not fitted again; the keys of the other systems are added to it.
     """
     first = [programs[0] for programs in lists]
@@ -123,6 +124,8 @@ def find_starting_system(
         in_segments = comparison.fit_all(systems, lengths=STAGES[:1])
         finalists = [model.programs for model in in_segments[: SETTINGS.effort.rounds[1][1]]]
     models = comparison.fit_all(finalists)
+    if finalists is not systems and not models:  # the best ones in segments cannot be simulated any further
+        models = comparison.fit_all(systems)
     if systems and not models and comparison.estimator.deadline.is_over:
         return comparison.fit_model(first)  # without a step, since the time is over
     return models[0] if models else None
