@@ -15,6 +15,7 @@ nor a commit: the driver has the states of all islands. *Doubts.* They are lost 
 import contextlib
 import hashlib
 import itertools
+import os
 import queue
 import threading
 import time
@@ -50,6 +51,7 @@ from atoll_coordinator.tasks.refining import Searched
 from atoll_core import task_frames as frames
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError
+from atoll_core.machine import usable_cores
 from atoll_core.wire.messages.epochs import EpochReport
 from atoll_core.wire.messages.tasks import TaskFunction
 from atoll_core.wire.messages.views import JobCounters, TaskView, Workforce
@@ -286,7 +288,7 @@ class JobDriver:
         failed: list[frames.Failure] = []
         while True:
             with borrowed_process(self._inbox) as process:
-                threads = min(MOST_THREADS, self._dispatcher.workers)
+                threads = min(MOST_THREADS, self._dispatcher.workers, usable_cores(os.environ)[0])
                 life = process.send(frames.Run(function, function, inputs, seconds, threads, self.job.id))
                 end = self._follow_task(process, function, life)
                 self._task = None

@@ -4,15 +4,16 @@ How it works. A `BatchFunction` has a name, a context (the data that all items s
 the results of items: threads of this process take the values directly; with workers, context and items are encoded as
 bytes, and any worker that pulls a batch (`Batches`) decodes and computes it. A worker keeps the last contexts that it
 has built. The result of an item depends on the item and the context alone. So results are equal to the bit: it does not
-matter which machine computes a batch, in which order, or how often. Work is divided on one level only, into whole fits,
-searches of laws, or folds; no function computes a part of a fit (ADR 0078).
+matter which machine computes a batch, in which order, or how often. Batches are whole fits, searches of laws, or folds;
+no batch is a part of a fit. Parts of a fit are integrated by threads of one process (`Spread.divide`), since one
+integration gives megabytes of sensitivities, which would have to be sent (ADR 0078).
 
 Doubts. The batch size follows from the numbers of workers and items, and not from the seconds that an item takes. So
 one slow item can delay a whole call.
 """
 
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -148,15 +149,18 @@ class Spread:
     """Distributes work over threads of this process, or in batches over all workers that pull them."""
 
     def __init__(
-        self, batches: Batches | None = None, executor: Executor | None = None, deadline: Deadline | None = None
-    ) -> None:
-        """Without `batches`, threads of `executor` do the work. Without both, items are computed one after another.
+        self, batches: Batches | None = None, executor: Executor | None = None, deadline: Deadline | None = None,
+        threads: int = 1,
+    ) -> None:  # fmt: skip
+        """Without `batches`, the `threads` threads of `executor` do the work. Without both, items are computed one
+        after another.
 
         Results that are missing at the `deadline` are None.
         """
         self._batches = batches
         self._executor = executor
         self._deadline = deadline or Deadline()
+        self.threads: Final = threads
 
     @property
     def is_shared(self) -> bool:
@@ -171,6 +175,31 @@ class Spread:
     def map_threads(self, function: Callable[[Item], Outcome], items: Sequence[Item]) -> Iterator[Outcome]:
         """Yield the results of items, in order, computed by threads of this process."""
         yield from map(function, items) if self._executor is None else self._executor.map(function, items)
+
+    def divide(self, function: Callable[[Item], Outcome], parts: Sequence[Item]) -> list[Outcome]:
+        """Return the results of the parts of one computation, in order.
+
+        This thread and idle threads of this process take one part after another. This thread never waits for a thread
+        that does other work: it computes the parts that no other thread has taken. So a part may be divided again, and
+        a thread of the pool may divide its own work.
+        """
+        waiting, results = deque(enumerate(parts)), dict[int, Outcome]()
+
+        def compute() -> None:
+            while waiting:
+                try:
+                    place, part = waiting.popleft()
+                except IndexError:  # another thread has taken the last part
+                    return
+                results[place] = function(part)
+
+        helpers = min(self.threads, len(parts)) - 1 if self._executor is not None else 0
+        others = [self._executor.submit(compute) for _ in range(helpers)] if self._executor is not None else []
+        compute()
+        for other in others:
+            if not other.cancel():
+                other.result()
+        return [results[place] for place in range(len(parts))]
 
     def map(
         self, function: BatchFunction[Context, Item, Outcome], context: Callable[[], Context], items: Sequence[Item],
@@ -234,4 +263,4 @@ class Spread:
 def spreading(batches: Batches | None, threads: int, deadline: Deadline) -> Iterator[Spread]:
     """Context manager: a `Spread` over `batches` and `threads` threads of this process."""
     with ThreadPoolExecutor(threads) as executor:
-        yield Spread(batches, executor, deadline)
+        yield Spread(batches, executor, deadline, threads)

@@ -86,7 +86,7 @@ def squared_errors(comparison: ModelComparison, fold: Fold) -> FloatArray:
 
 
 def _make_estimator(whole: MultipleShooting, measurements: TrajectoryMeasurements) -> MultipleShooting:
-    return MultipleShooting(measurements, whole.tolerance, whole.deadline)
+    return MultipleShooting(measurements, whole.tolerance, whole.deadline, spread=whole.integrator.spread)
 
 
 FOLDS: Final[BatchFunction[ModelComparison, Fold, FloatArray]] = BatchFunction(

@@ -189,7 +189,7 @@ class ModellingTask:
         restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
         restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
         return ModelComparison(
-            MultipleShooting(measurements, tolerance, self.deadline, measured_rows), self.dataset.names,
+            MultipleShooting(measurements, tolerance, self.deadline, measured_rows, self.spread), self.dataset.names,
             frozenset(fixed), tuple(self.leading(variables)), self.spread,
             Constraints(restrictions, self.grouped_rows(variables)),
         )  # fmt: skip

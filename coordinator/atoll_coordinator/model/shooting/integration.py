@@ -3,16 +3,20 @@
 Each segment of rows is integrated from its own initial state, together with the derivatives of the states by constants
 and initial states (variational equations). There are two methods: an explicit Runge-Kutta method (with a quick and a
 precise table of coefficients), and an implicit method for stiff systems. A caller tries the implicit method if the
-explicit method has used all its allowed steps. Doubt: the limits on the number of steps were tuned on one machine; they
-can reject a correct system that is very stiff. Letters: D states, P fitted numbers, L numbers of one segment (D initial
-states, then offsets), G segments, N rows, O measured states.
+explicit method has used all its allowed steps. Segments do not depend on each other, so a long integration is divided
+into groups of segments; threads of a `Spread` integrate them at the same time, and kernels release the interpreter's
+lock. Doubt: the limits on the number of steps were tuned on one machine; they can reject a correct system that is very
+stiff. Letters: D states, P fitted numbers, L numbers of one segment (D initial states, then offsets), G segments, N
+rows, O measured states.
 """
 
+import itertools
 from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
 
+from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments, largest_sizes
 from atoll_coordinator.model.shooting.kernels.rates import Table
@@ -37,6 +41,13 @@ _QUICK_STEPS: Final = 8
 _FINEST_IMPLICIT: Final = 1e-6
 """Least tolerated error of an implicit step, divided by the standard deviation of the state. For a smaller error, a
 method of low order needs too many steps."""
+
+_NUMBERS_OF_A_PART: Final = 10_000
+"""Fewest numbers (rows times integrated numbers) of a part of a divided integration. Another thread begins its part
+after about 0.1 ms; in this time about 1,000 numbers are integrated. So waiting for a thread takes at most a tenth of a
+part."""
+_PARTS_OF_A_THREAD: Final = 2
+"""Parts for each thread: some parts need more steps for each row than others."""
 
 Unsimulated = Literal["ran away", "out of steps"]
 """The reason why a simulation ended early: states left their range, or all allowed steps were used."""
@@ -75,8 +86,16 @@ class Integration:
 class Integrator:
     """Integrates systems along the segments of `measurements`."""
 
-    def __init__(self, measurements: TrajectoryMeasurements, tolerance: float, measured_rows: int = 0) -> None:
+    def __init__(
+        self,
+        measurements: TrajectoryMeasurements,
+        tolerance: float,
+        measured_rows: int = 0,
+        spread: Spread | None = None,
+    ) -> None:
         """`tolerance` is the error of a step, divided by the standard deviation of the state.
+
+        Threads of `spread` integrate parts of the segments; None: this thread integrates all segments.
 
         The number of allowed steps is proportional to the number of rows. The rows may represent a larger number of
         measured rows of the same time span. Then the number of allowed steps is proportional to this larger number,
@@ -85,6 +104,7 @@ class Integrator:
         self.measurements: Final = measurements
         self.tolerance: Final = tolerance
         self.measured_rows: Final = measured_rows
+        self.spread: Final = spread or Spread()
         self._rows_in_row: Final = max(1.0, measured_rows / measurements.rows)
         quick, precise, implicit = _FREE_STEPS
         most, scales = STEPS_PER_ROW, measurements.scales
@@ -117,15 +137,58 @@ class Integrator:
         self, method: Method, system: OdeSystem, segments: Ints, starts: FloatArray, simulated: FloatArray,
         sensitivities: FloatArray,
     ) -> tuple[int, int]:  # fmt: skip
-        """Write states and sensitivities in place; return the result of `integrate_segments` and the number of
-        steps."""
-        measurements, taken = self.measurements, np.zeros(1, dtype=np.int64)
+        """Write states and sensitivities in place; return the result of `integrate_segments` and the number of steps.
+
+        Threads integrate parts of the segments. The allowed number of steps belongs to all segments together. So if a
+        part fails, or if the parts take more steps together, all segments are integrated once more, one after another.
+        """
+        parts = self._parts(segments, len(system.outputs) * (1 + (sensitivities.shape[2] if len(sensitivities) else 0)))
+        if len(parts) > 1:
+            failed: list[bool] = []
+
+            def integrate(part: slice) -> int:
+                if failed:
+                    return 0
+                done, steps = self._integrate_part(
+                    method, system, segments[part], starts[part], simulated, sensitivities
+                )
+                if done < len(segments[part]):
+                    failed.append(True)
+                return steps
+
+            steps = sum(self.spread.divide(integrate, parts))
+            if not failed and steps <= self._budget(method, segments):
+                return len(segments), steps
+            for first, end in segments.tolist():
+                simulated[:, first:end], sensitivities[first:end] = np.nan, 0.0
+        return self._integrate_part(method, system, segments, starts, simulated, sensitivities)
+
+    def _parts(self, segments: Ints, numbers: int) -> list[slice]:
+        """Return parts of the segments with about the same number of rows; `numbers` are integrated along each row."""
+        if self.spread.threads < 2 or len(segments) < 2:
+            return []
+        rows = np.cumsum(segments[:, 1] - segments[:, 0])
+        most = int(rows[-1]) * (OVERHEAD_NUMBERS + numbers) // _NUMBERS_OF_A_PART
+        count = min(_PARTS_OF_A_THREAD * self.spread.threads, most, len(segments))
+        ends = np.unique(np.searchsorted(rows, rows[-1] * np.arange(1, count) / count) + 1)
+        bounds = [0, *ends[ends < len(segments)].tolist(), len(segments)]
+        return [slice(*bound) for bound in itertools.pairwise(bounds)]
+
+    def _budget(self, method: Method, segments: Ints) -> int:
+        """Return the most steps of all segments together."""
         rows = int((segments[:, 1] - segments[:, 0]).sum())
-        budget = 200 + int(method.steps * (self._rows_in_row * rows))
+        return 200 + int(method.steps * (self._rows_in_row * rows))
+
+    def _integrate_part(
+        self, method: Method, system: OdeSystem, segments: Ints, starts: FloatArray, simulated: FloatArray,
+        sensitivities: FloatArray,
+    ) -> tuple[int, int]:  # fmt: skip
+        measurements, taken = self.measurements, np.zeros(1, dtype=np.int64)
         done = integrate_segments(
             method.table, system.tape, system.owners,
             (measurements.times, measurements.inputs, measurements.input_slopes), segments, starts,
-            method.tolerance, measurements.limits, budget, len(sensitivities) > 0, simulated, sensitivities, taken,
+            method.tolerance, measurements.limits, self._budget(method, segments), len(sensitivities) > 0, simulated,
+            sensitivities, taken,
         )  # fmt: skip
         return done, int(taken[0])
 

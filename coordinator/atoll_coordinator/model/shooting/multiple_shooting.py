@@ -47,6 +47,7 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.least_squares import LEAST_DAMPING, SETTLED, Fitter, Solver, hold_numbers, minimize
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
@@ -110,9 +111,10 @@ class MultipleShooting:
         tolerance: float,
         deadline: Deadline | None = None,
         measured_rows: int = 0,
+        spread: Spread | None = None,
     ) -> None:
         """A fit takes no more steps after the `deadline`. See `Integrator` for the other arguments."""
-        self.integrator: Final = Integrator(measurements, tolerance, measured_rows)
+        self.integrator: Final = Integrator(measurements, tolerance, measured_rows, spread)
         self.measurements: Final = measurements
         self.tolerance: Final = tolerance
         self.measured_rows: Final = measured_rows
@@ -273,7 +275,9 @@ class MultipleShooting:
         this trajectory."""
         measurements = self.measurements
         is_own = measurements.owners_of_rows[fit.segments[:, 0]] == owner
-        return MultipleShooting(measurements.part([owner]), self.tolerance, self.deadline), fit.starts[is_own]
+        spread = self.integrator.spread
+        estimator = MultipleShooting(measurements.part([owner]), self.tolerance, self.deadline, spread=spread)
+        return estimator, fit.starts[is_own]
 
     # ------------------------------------------------------------------------------------------ residuals and errors
 

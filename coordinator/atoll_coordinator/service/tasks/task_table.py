@@ -25,9 +25,13 @@ LIMIT_S: Final = 3_600.0
 """Seconds after which a task is treated as hung and ended, unless its job has more time. Preparing and refining take
 far less."""
 
-MOST_THREADS: Final = 2
-"""Largest number of threads of a task. Outside kernels Python runs one thread at a time, so helpers, which are
-processes, use the other cores of a host."""
+MOST_THREADS: Final = 16
+"""Largest number of threads of a task. Threads integrate parts of a fit; the rest of a fit, about a tenth of its time,
+is Python, which one thread runs at a time. So more threads would mostly wait."""
+
+_BY_HELPERS: Final[frozenset[TaskFunction]] = frozenset({"prepare"})
+"""Functions that get helpers in place of threads: their batches are mostly Python, so that threads would wait for each
+other."""
 
 HELPED: frozenset[TaskFunction] = frozenset({"prepare", "refine", "profile"})
 """Functions whose work comes in batches, with which other workers can help."""
@@ -276,7 +280,8 @@ def plan_leases(
             left.remove(slot)
             made.recalled += [slot.worker] if slot.helps is not None else []
             idle = sum(other.host == slot.host and other.helps is None for other in left)
-            made.leases.append((task, slot.worker, 1 if task.is_alone else min(1 + idle, MOST_THREADS)))
+            has_threads = not task.is_alone and task.function not in _BY_HELPERS
+            made.leases.append((task, slot.worker, min(1 + idle, MOST_THREADS) if has_threads else 1))
             busy[slot.host] += 1
         if task.is_alone and left:
             free = slot or min(left, key=lambda one: (busy[one.host], one.host))

@@ -60,6 +60,29 @@ def test_threads_of_this_process_compute_the_same() -> None:
         assert spread.map(SQUARE, lambda: 3, ITEMS) == [item**3 for item in ITEMS]
 
 
+def test_threads_compute_parts_of_one_computation_at_the_same_time() -> None:
+    meeting = threading.Barrier(2, timeout=20)
+
+    def meet(part: int) -> int:
+        meeting.wait()
+        return part
+
+    with spreading(None, 2, Deadline()) as spread:
+        assert spread.divide(meet, ITEMS[:8]) == ITEMS[:8]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_a_thread_whose_work_is_divided_waits_for_no_thread_that_does_other_work(threads: int) -> None:
+    """Every thread of the pool divides its item, and the parts of the item, while no thread is idle."""
+
+    def squares(item: int) -> list[int]:
+        return spread.divide(lambda part: sum(spread.divide(lambda own: own * part, ITEMS[:item])), ITEMS)
+
+    with spreading(None, threads, Deadline()) as spread:
+        found = list(spread.map_threads(squares, ITEMS))
+    assert found == [[part * sum(ITEMS[:item]) for part in ITEMS] for item in ITEMS]
+
+
 def test_branches_go_on_at_the_same_time_only_where_others_take_their_batches() -> None:
     meeting = threading.Barrier(2, timeout=20)
     assert Spread(ScatteredBatches(2)).run_calls([meeting.wait, meeting.wait]) in ([0, 1], [1, 0])

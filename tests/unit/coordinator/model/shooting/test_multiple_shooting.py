@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.differentiation.smoothing import Signal, fit_robustly
+from atoll_coordinator.model.batches import Spread, spreading
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.shooting import multiple_shooting
+from atoll_coordinator.model.shooting import integration, multiple_shooting
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import covariance
 from atoll_coordinator.model.shooting.measurements import measurements_of
@@ -487,3 +488,57 @@ def test_sensitivities_are_those_of_finite_differences():
 
     expected = (moved(little) - moved(-little)) / (2.0 * little)
     assert np.abs(fit.integrated_sensitivities()[:, 0, 0] - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("threads", [2, 5])
+def test_threads_integrate_parts_of_a_fit_equal_to_the_bit(threads, monkeypatch):
+    monkeypatch.setattr(integration, "_NUMBERS_OF_A_PART", 1)
+    rows = lotka(noise=0.02)
+    alone = MultipleShooting(rows, 1e-6)
+    expected = fit_in_stages(alone, system(LOTKA, *FAR), (8, 25, None), 40)
+    with spreading(None, threads, Deadline()) as spread:
+        shared = MultipleShooting(rows, 1e-6, spread=spread)
+        fit = fit_in_stages(shared, system(LOTKA, *FAR), (8, 25, None), 40)
+    assert shared.work == alone.work
+    for name in ("starts", "simulated", "residuals", "squares"):
+        assert np.array_equal(getattr(fit, name), getattr(expected, name))
+    assert all(np.array_equal(*pair) for pair in zip(fit.blocks, expected.blocks, strict=True))
+
+
+class RecordedDivisions(Spread):
+    """Computes parts in this thread as for some threads, and counts the divisions."""
+
+    def __init__(self, threads):
+        super().__init__(threads=threads)
+        self.parts = []
+
+    def divide(self, function, parts):
+        self.parts.append(len(parts))
+        return super().divide(function, parts)
+
+
+@pytest.mark.parametrize(
+    ("text", "starts"),
+    [("0.1*x", [1.0, 2.0, 3.0]), ("x*x", [0.01, 3.0, 0.01, 5.0]), ("-1e5*x + 1e5", [3.0, 3.0, 1.0])],
+    ids=["integrated", "blows up in the second segment", "out of steps"],
+)
+@pytest.mark.parametrize("has_sensitivities", [True, False])
+def test_a_divided_integration_ends_as_an_undivided_one(text, starts, has_sensitivities, monkeypatch):
+    monkeypatch.setattr(integration, "_NUMBERS_OF_A_PART", 1)
+    rows = measurements(DECAY, [[start] for start in starts], TIMES)
+    spread, begin = RecordedDivisions(2), np.array(starts)[:, None]
+    courses = [
+        one.integrate(one.methods[0], system(DECAY, text), rows.bounds, begin, has_sensitivities=has_sensitivities)
+        for one in (integration.Integrator(rows, 1e-4), integration.Integrator(rows, 1e-4, spread=spread))
+    ]
+    assert max(spread.parts) > 1
+    expected, found = courses
+    assert (found.done, found.steps) == (expected.done, expected.steps)
+    assert np.array_equal(found.states, expected.states, equal_nan=True)
+    assert np.array_equal(found.sensitivities, expected.sensitivities)
+
+
+def test_a_short_integration_is_not_divided():
+    rows, spread = lotka(), RecordedDivisions(8)
+    MultipleShooting(rows, 1e-4, spread=spread).fit(system(LOTKA, *FAR), None, 3)
+    assert spread.parts == []

@@ -44,10 +44,17 @@ def test_a_task_goes_where_its_data_are_then_where_a_process_is_loaded_then_wher
 
 
 def test_a_task_may_use_the_cores_of_workers_of_its_host_that_have_nothing_to_do() -> None:
-    slots = [slot("w0", "a"), slot("w1", "a"), slot("w2", "a", helps="r"), slot("w3", "b")]
-    assert leases(plan_leases([task("t")], [], slots, Counter())) == [("t", "w0", 2)]
-    two = leases(plan_leases([task("t"), task("u")], [], slots, Counter()))
-    assert two == [("t", "w0", 2), ("u", "w1", 1)]
+    slots = [slot("w0", "a"), slot("w1", "a"), slot("w2", "a"), slot("w3", "a", helps="r"), slot("w4", "b")]
+    first, second = task("t", "refine"), task("u", "refine")
+    assert leases(plan_leases([first], [], slots, Counter())) == [("t", "w0", 3)]
+    two = leases(plan_leases([first, second], [], slots, Counter()))
+    assert two == [("t", "w0", 3), ("u", "w1", 2)]
+
+
+def test_preparing_gets_helpers_in_place_of_threads() -> None:
+    made = plan_leases([task("t", "prepare")], [], [slot("w0"), slot("w1")], Counter())
+    assert leases(made) == [("t", "w0", 1)]
+    assert helps(plan_leases([], [running("t", "prepare")], [slot("w1")], Counter({"lab": 1}))) == [("t", "w1")]
 
 
 def test_who_is_idle_helps_with_what_has_fewest_helpers_and_comes_in_batches() -> None:
@@ -90,8 +97,6 @@ def test_what_must_be_alone_has_no_helpers_and_no_neighbours() -> None:
 
 
 def test_the_only_other_worker_of_a_host_whose_core_a_task_has_by_a_thread_does_not_help() -> None:
-    two = task("a")
-    assert leases(plan_leases([two], [], [slot("w0"), slot("w1"), slot("w2")], Counter())) == [("a", "w0", 2)]
     one = running("b")
     one.threads = 2
     assert helps(plan_leases([], [one], [slot("w1")], Counter({"lab": 1}))) == []
