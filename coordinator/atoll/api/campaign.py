@@ -73,17 +73,17 @@ def discover_many(
     number = number_of(workers)
     if executor is None:
         check_service_options(options)
-        return _on_service(_Tables(tables), number, options)
+        return _on_service(_GivenTables(tables), number, options)
     from atoll.executors.executors import check_executor
 
     refuse_service_options(options)
     config_of(options)
     check_executor(executor)
-    return _on_executor(_Tables(tables), executor, number, options)
+    return _on_executor(_GivenTables(tables), executor, number, options)
 
 
 @dataclass(frozen=True, slots=True)
-class _Table:
+class _GivenTable:
     """One table; `error`: the item of the user was none."""
 
     name: Hashable
@@ -91,7 +91,7 @@ class _Table:
     error: AtollError | None = None
 
 
-class _Tables(Iterator[_Table]):
+class _GivenTables(Iterator[_GivenTable]):
     """The tables, read from the iterable of the user. An error of the iterable ends them; `end` raises it."""
 
     def __init__(self, tables: object) -> None:
@@ -104,7 +104,7 @@ class _Tables(Iterator[_Table]):
         self._items = enumerate(tables.items() if isinstance(tables, Mapping) else tables, start=1)
         self._error: Exception | None = None
 
-    def __next__(self) -> _Table:
+    def __next__(self) -> _GivenTable:
         if self._error is not None:
             raise StopIteration
         try:
@@ -122,13 +122,13 @@ class _Tables(Iterator[_Table]):
             raise self._error
 
 
-def _table_of(place: int, item: object) -> _Table:
+def _table_of(place: int, item: object) -> _GivenTable:
     if isinstance(item, (str, Path)):
-        return _Table(str(item), item)
+        return _GivenTable(str(item), item)
     if isinstance(item, tuple) and len(item) == 2 and _is_name(item[0]):
-        return _Table(item[0], item[1])
+        return _GivenTable(item[0], item[1])
     expected = "each table must be a file or a pair (name, data), with a text or a number as the name"
-    return _Table(f"table {place}", error=UsageError(f"{expected}, but {shown(item)} was given"))
+    return _GivenTable(f"table {place}", error=UsageError(f"{expected}, but {shown(item)} was given"))
 
 
 def _is_name(value: object) -> bool:
@@ -147,11 +147,11 @@ def _unexpected(error: Exception) -> AtollError:
     return found
 
 
-def _on_service(tables: _Tables, workers: int | None, options: Mapping[str, Any]) -> Iterator[Found]:
+def _on_service(tables: _GivenTables, workers: int | None, options: Mapping[str, Any]) -> Iterator[Found]:
     """Solve tables by the service, several at a time; jobs that still run when the caller stops are cancelled."""
     running: set[SubmittedJob] = set()
 
-    def solve(table: _Table) -> Found:
+    def solve(table: _GivenTable) -> Found:
         if table.error is not None:
             return table.name, table.error
         try:
@@ -183,7 +183,7 @@ def _on_service(tables: _Tables, workers: int | None, options: Mapping[str, Any]
 
 
 def _on_executor(
-    tables: _Tables, executor: object, workers: int | None, options: Mapping[str, object]
+    tables: _GivenTables, executor: object, workers: int | None, options: Mapping[str, object]
 ) -> Iterator[Found]:
     """Solve tables on an executor, each as one task, or, if there are few tables, each by all workers."""
     from atoll.executors.dispatcher import Dispatcher
@@ -197,7 +197,9 @@ def _on_executor(
         tables.end()
 
 
-def _one_by_one(tables: Iterable[_Table], dispatcher: "Dispatcher", options: Mapping[str, object]) -> Iterator[Found]:
+def _one_by_one(
+    tables: Iterable[_GivenTable], dispatcher: "Dispatcher", options: Mapping[str, object]
+) -> Iterator[Found]:
     from atoll.executors.driver import JobDriver, SubmittedTable
     from atoll.executors.executors import ExecutorError
 
@@ -221,7 +223,9 @@ def _one_by_one(tables: Iterable[_Table], dispatcher: "Dispatcher", options: Map
             raise KeyboardInterrupt
 
 
-def _each_as_task(tables: Iterator[_Table], dispatcher: "Dispatcher", options: Mapping[str, object]) -> Iterator[Found]:
+def _each_as_task(
+    tables: Iterator[_GivenTable], dispatcher: "Dispatcher", options: Mapping[str, object]
+) -> Iterator[Found]:
     from atoll.executors.driver import SubmittedTable
 
     open_tables, following = 0, next(tables, None)
@@ -241,7 +245,7 @@ def _each_as_task(tables: Iterator[_Table], dispatcher: "Dispatcher", options: M
             yield computed.tag, _found(computed)
 
 
-def _submitted(table: _Table, options: Mapping[str, object]) -> "SubmittedTable | AtollError":
+def _submitted(table: _GivenTable, options: Mapping[str, object]) -> "SubmittedTable | AtollError":
     """Return a table as a job for an executor, or the error why it is none."""
     if table.error is not None:
         return table.error

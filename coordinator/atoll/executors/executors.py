@@ -106,6 +106,7 @@ def adapted(given: object) -> Adapted:
         made = given()
         if isinstance(made, Executor):
             return Adapted(_forked(made), given, is_ours=_maker_of_loky(made) is None)  # loky's is for reuse
+        raise UsageError(f"{EXPECTED}; {shown(made)} was returned by the function")
     raise UsageError(f"{EXPECTED}; {shown(given)} was given")
 
 
