@@ -352,6 +352,14 @@ def test_an_interrupt_ends_the_campaign_after_the_present_table(monkeypatch: pyt
             next(campaign)
 
 
+def test_threads_give_up_their_tables_when_the_campaign_ends() -> None:
+    (endless,) = decays(1)
+    with ThreadPoolExecutor(1) as executor:  # waits at its end for all of its tasks
+        campaign = atoll.discover_many([endless, *BAD.items()], executor=executor, **ENDLESS)
+        assert next(campaign)[0] in BAD, "the table is being computed"
+        campaign.close()  # type: ignore[attr-defined]
+
+
 @pytest.mark.slow
 def test_tables_are_read_only_as_far_as_they_are_needed() -> None:
     read: list[str] = []

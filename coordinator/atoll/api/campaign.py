@@ -233,7 +233,7 @@ def _each_as_task(
         if following is not None and open_tables < AHEAD * dispatcher.workers:
             submitted = _submitted(following, options)
             if isinstance(submitted, SubmittedTable):
-                dispatcher.submit(following.name, "table", (submitted,))
+                dispatcher.submit(following.name, "table", (submitted, dispatcher.stop))
                 open_tables += 1
             else:
                 yield following.name, submitted
