@@ -1,5 +1,6 @@
-"""What real islands send: their reports of some epochs, and how many bytes an emigrant and a snapshot take."""
+"""What real islands send: reports, bytes of an emigrant and of a snapshot; and how many seconds an epoch takes."""
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Final
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_coordinator.tasks.defaults import resolve
+from atoll_core.data.table import Table
 from atoll_core.wire.codec import dataset_to_bytes, decode, encode
 from atoll_core.wire.messages.epochs import EpochReport, IslandReport, Reports
 from atoll_island_worker.compute.compute_thread import Engine
@@ -71,6 +73,34 @@ def sampled(noise: float = 0.0) -> Samples:
     key = TaskKey(_JOB, variable, 1, 0, EPOCHS)
     last = engine.begin(EpochTask(key, blocks[0], False, commit_order, takes_snapshot=True))
     return Samples(tuple(reports), round(sent / (ISLANDS * config.evolution.population)), len(last.snapshot or b""))
+
+
+def epoch_seconds(table: Table, islands: int, number: int) -> tuple[list[float], list[float]]:
+    """Measure epochs of one equation with so many islands: processor seconds of first epochs, and of second epochs.
+
+    All islands compute their first epoch; `number` of them continue with the immigrants from all others. The seconds
+    include what an island reads and writes: its immigrants, emigrants and report.
+    """
+    config = configured(budget={"target_error": UNMET}, islands=islands)
+    prepared = prepare(table, config)
+    config = resolve(config, prepared.dataset)
+    engine = Engine()
+    engine.load(_JOB, config, dataset_to_bytes(prepared.dataset))
+    variable, commit_order = prepared.dataset.targets[0].variable, commit_order_of(config)
+
+    def timed(island: int, epoch: int, blocks: Mapping[int, bytes] | None) -> tuple[float, EpochComputed]:
+        began = time.process_time()
+        key = TaskKey(_JOB, variable, 1, island, epoch)
+        computed = _computed(engine, EpochTask(key, blocks, False, commit_order))
+        return time.process_time() - began, computed
+
+    timed(0, 0, None)  # loads the kernels
+    first = [timed(island, 0, None) for island in range(islands)]
+    second = []
+    for island in range(0, islands, max(1, islands // number)):
+        sent = {at: computed.emigrants for at, (_, computed) in enumerate(first) if island in computed.emigrants}
+        second.append(timed(island, 1, {at: emigrants[island] for at, emigrants in sent.items()})[0])
+    return [seconds for seconds, _ in first], second
 
 
 def _computed(engine: Engine, task: EpochTask) -> EpochComputed:

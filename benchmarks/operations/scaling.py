@@ -26,7 +26,7 @@ from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import Searches, searching
 from benchmarks.harness.systems import TABLE_III, table_of, trajectories
 from benchmarks.harness.tables import grouped
-from benchmarks.operations.scale import measure_scale
+from benchmarks.operations.scale import TABLES, measure_scale
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,16 @@ def _numbers(text: str) -> list[int]:
         "what a coordinator takes, with workers whose islands only pretend",
         option("--simulated-islands", type=_numbers, metavar="16,64", help="numbers of islands"),
         option("--islands-each", type=whole, default=8, metavar="ISLANDS", help="of an archipelago (%(default)s)"),
-        option("--simulated-workers", type=whole, metavar="WORKERS", help="(one for eight islands)"),
+        option("--simulated-workers", type=_numbers, metavar="1,2,4", help="(one for eight islands)"),
         option("--period", type=positive, default=1.0, help="seconds of an epoch (%(default)g)"),
+        option("--epoch-times", choices=TABLES, help="workers compute one island at a time, epochs of this table"),
+        option(
+            "--rate",
+            type=positive,
+            default=150.0,
+            metavar="EPOCHS",
+            help="islands' epochs a second that this machine can simulate; more workers are made slower (%(default)g)",
+        ),
         option("--seconds", type=positive, default=15.0, help="length of a measurement (%(default)g)"),
         option("--noise", type=float, default=0.0, help="of the data that reports are from (%(default)g)"),
     ),

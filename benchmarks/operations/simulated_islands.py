@@ -5,6 +5,11 @@ real: sessions on the bus, greetings, heartbeats, placements, reports, emigrants
 its archipelago, itself included, the same number of emigrants, and waits for all of them. If there are more islands
 than solutions of an island, it sends one emigrant to as many islands as it has solutions.
 
+With `--epoch-times`, a worker computes one island at a time, as a real one does: its `RunQueue` is the real one, and a
+slice lasts its share of the time of an epoch. This time is drawn from measured times, by the name of the epoch.
+`--slower 8` makes all of them eight times longer, so that the simulated workers have the time to send their messages on
+a machine with few cores.
+
 Once a second a line of JSON says what happened in it: see `Counts`.
 """
 
@@ -30,6 +35,7 @@ from atoll_core.wire.bus.interface import Bus, Query
 from atoll_core.wire.bus.zenoh_bus import open_client
 from atoll_core.wire.messages.epochs import Addition, IslandReport
 from atoll_island_worker.compute.compute_thread import WarmedUp
+from atoll_island_worker.compute.run_queue import RunQueue
 from atoll_island_worker.session.interface import EpochComputed, EpochTask, JobReady, ShardKey, Snapshot, TaskKey
 from atoll_island_worker.worker import Worker
 from benchmarks.harness.command_line import option, program
@@ -46,7 +52,8 @@ class Counts:
     """What the workers of a process did until the second `at` (monotonic, the same in all processes).
 
     `epochs` of islands that ended; messages and bytes of reports and of answers to pulls (migrants); `waits`:
-    milliseconds from the end of an island's epoch to the beginning of its next one.
+    milliseconds from the end of an island's epoch to the beginning of its next one; `busy_s`: seconds in which workers
+    computed slices (with `--epoch-times`); `late_ms`: the longest delay of a slice by a lack of processors here.
     """
 
     at: float = 0.0
@@ -56,6 +63,9 @@ class Counts:
     mails: int = 0
     mail_bytes: int = 0
     waits: list[float] = field(default_factory=list)
+    busy_s: float = 0.0
+    late_ms: float = 0.0
+    processor_s: float = 0.0
 
 
 class Books:
@@ -64,6 +74,7 @@ class Books:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._counts = Counts()
+        self._processor_s = 0.0
 
     def note_put(self, key: str, size: int) -> None:
         """Count one message."""
@@ -80,6 +91,12 @@ class Books:
         with self._lock:
             self._counts.epochs += 1
 
+    def note_slice(self, seconds: float, late_s: float) -> None:
+        """Count one slice that was computed in so many seconds, and noticed so much later."""
+        with self._lock:
+            self._counts.busy_s += seconds
+            self._counts.late_ms = max(self._counts.late_ms, 1e3 * late_s)
+
     def note_wait(self, seconds: float) -> None:
         """Note how long an island waited between two epochs."""
         with self._lock:
@@ -90,6 +107,8 @@ class Books:
         with self._lock:
             taken, self._counts = self._counts, Counts()
         taken.at = time.monotonic()
+        processor_s = time.process_time()
+        taken.processor_s, self._processor_s = processor_s - self._processor_s, processor_s
         return taken
 
 
@@ -202,6 +221,14 @@ class PacedCompute:
         key = task.key
         if key.shard in self._dropped:
             return
+        self.progress += 1
+        self._books.note_epoch()
+        self._ended[key.shard, key.island] = time.monotonic()
+        self._post(self._computed(task))
+
+    def _computed(self, task: EpochTask) -> EpochComputed:
+        """Return what a real island would report and send after an epoch."""
+        key = task.key
         evolution = self._config[key.job].evolution
         report = pretended(self._samples, key.epoch, key.island, f"{key.job}/{key.variable}/{key.island}/{key.epoch}")
         block = bytes(self._samples.emigrant * max(1, evolution.population // evolution.islands))
@@ -210,10 +237,90 @@ class PacedCompute:
         partners = [(key.island + distance, key.island - distance) for distance in distances]
         emigrants = {} if task.is_last else {to % evolution.islands: block for to, _ in partners}
         senders = frozenset(sender % evolution.islands for _, sender in partners) if emigrants else frozenset()
+        return EpochComputed(key, report, emigrants, senders - {key.island})
+
+
+class SerialCompute(PacedCompute):
+    """Computes one slice at a time, in the order of the real queue; an epoch takes one of the `times`."""
+
+    def __init__(self, samples: Samples, times: Sequence[float], pacer: Pacer, books: Books) -> None:
+        super().__init__(samples, 0.0, pacer, books)
+        self._times = times
+        self._turns_lock = threading.Lock()
+        self._queue = RunQueue(self._begin, time.monotonic)
+        self._is_busy = False
+        self._spent_s = 0.0
+
+    def run(self, task: EpochTask) -> None:
+        """See `ComputeThread.run`."""
+        with self._turns_lock:
+            outcomes = self._queue.add(task)
+            starts, self._is_busy = not self._is_busy, True
+        for outcome in outcomes:
+            self._post(outcome)
+        if starts:
+            moment = time.monotonic()
+            self._pacer.at(moment, lambda: self._turn(moment))
+
+    def discard(self, shard: ShardKey) -> None:
+        """See `ComputeThread.discard`."""
+        with self._turns_lock:
+            self._queue.discard(shard)
+
+    def _begin(self, task: EpochTask) -> "SimulatedEpoch":
+        key = task.key
+        name = f"{key.job}/{key.variable}/{key.island}/{key.epoch}"
+        seconds = self._times[int(_fraction(name) * len(self._times))]
+        snapshot = _bytes_of(key, self._samples.snapshot) if task.takes_snapshot else None
+        return SimulatedEpoch(task, seconds, snapshot, self._computed, self._spend)
+
+    def _spend(self, seconds: float) -> None:
+        self._spent_s += seconds
+
+    def _turn(self, moment: float) -> None:
+        """Begin a slice at `moment`; post its results when it is over."""
+        with self._turns_lock:
+            if self._queue.is_idle:
+                self._is_busy = False
+                return
+            self._spent_s = 0.0
+            results = self._queue.turn()
+            seconds = self._spent_s
+            self.current = self._queue.current
+        end = moment + seconds
+        self._pacer.at(end, lambda: self._end_slice(end, seconds, results))
+
+    def _end_slice(self, end: float, seconds: float, results: Sequence[object]) -> None:
+        self._books.note_slice(seconds, time.monotonic() - end)
         self.progress += 1
-        self._books.note_epoch()
-        self._ended[key.shard, key.island] = time.monotonic()
-        self._post(EpochComputed(key, report, emigrants, senders - {key.island}))
+        for result in results:
+            if isinstance(result, EpochComputed):
+                self._books.note_epoch()
+            self._post(result)
+        self._turn(end)
+
+
+class SimulatedEpoch:
+    """An epoch that takes some seconds, which it tells `spend` slice by slice; see `RunningEpoch`."""
+
+    def __init__(
+        self, task: EpochTask, seconds: float, snapshot: bytes | None, computed: Callable[[EpochTask], EpochComputed],
+        spend: Callable[[float], None],
+    ) -> None:  # fmt: skip
+        self.generation = 0
+        self.snapshot = snapshot
+        self._task, self._seconds, self._make, self._spend = task, seconds, computed, spend
+
+    def advance(self) -> bool:
+        """See `RunningEpoch.advance`."""
+        order = self._task.commit_order
+        before, self.generation = self.generation, min(order.generations, self.generation + order.stride)
+        self._spend(self._seconds * (self.generation - before) / order.generations)
+        return self.generation == order.generations
+
+    def computed(self) -> EpochComputed:
+        """See `RunningEpoch.computed`."""
+        return self._make(self._task)
 
 
 def pretended(samples: Samples, epoch: int, island: int, name: str) -> IslandReport:
@@ -255,17 +362,25 @@ def _fraction(name: str) -> float:
     option("--first", type=int, required=True, help="number of the first worker"),
     option("--workers", type=int, required=True, help="how many"),
     option("--period", type=float, required=True, help="seconds of an epoch"),
+    option("--epoch-times", type=Path, help="JSON list of seconds of epochs, one of which is drawn for each epoch"),
+    option("--slower", type=float, default=1.0, help="factor of these times (%(default)g)"),
 )
 def main(options: Namespace) -> int:
     """Run the workers until SIGTERM; return 0."""
     samples, books, pacer, stop = Samples.load(options.samples), Books(), Pacer(), threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    times = json.loads(options.epoch_times.read_text("utf-8")) if options.epoch_times else []
+    times = [options.slower * seconds for seconds in times]
     with ExitStack() as stack:
         workers = []
         for number in range(options.first, options.first + options.workers):
             bus: Any = CountedBus(stack.enter_context(open_client(options.connect, CONNECT_LIMIT_S)), books)
-            compute: Any = PacedCompute(samples, options.period, pacer, books)
+            compute: Any = (
+                SerialCompute(samples, times, pacer, books)
+                if times
+                else PacedCompute(samples, options.period, pacer, books)
+            )
             workers.append(Worker(bus, compute, f"s{number:04}", WAIT_S, grace_s=0.0))
         threads = [threading.Thread(target=worker.run, name=worker.name, daemon=True) for worker in workers]
         for thread in threads:

@@ -83,9 +83,14 @@ class BatchComputed:
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """From the process, as its first message: its process id."""
+    """From the process, as its first message: its process id.
+
+    `is_complete`: it was started with the modules for all tasks, or loads them itself; otherwise, with those for
+    preparing alone.
+    """
 
     pid: int
+    is_complete: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -416,3 +416,26 @@ def test_ctrl_c_before_there_is_an_equation_is_raised() -> None:
 
     with Interrupting(2) as executor, pytest.raises(KeyboardInterrupt):
         next(atoll.discover_many(decays(3), executor=executor))
+
+
+KILLED_CALLER = """
+import sys
+from concurrent.futures import ProcessPoolExecutor
+sys.path[:0] = {path!r}
+import atoll
+from tests.integration.test_executors import decays
+if __name__ == "__main__":
+    for name, found in atoll.discover_many(decays(1000), executor=lambda: ProcessPoolExecutor(2), max_epochs=1):
+        print(name, flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="pools fork their processes")
+def test_the_processes_of_a_pool_end_when_their_caller_is_killed() -> None:
+    text = KILLED_CALLER.format(path=sys.path)
+    with subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE) as caller:
+        assert caller.stdout is not None
+        for _ in range(4):  # both processes have computed
+            assert caller.stdout.readline()
+        caller.kill()
+        caller.stdout.read()  # until the last process that can write to the pipe has ended

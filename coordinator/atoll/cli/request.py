@@ -93,6 +93,13 @@ class JobRequest:
         words = [without_secrets(word) for word in sys.argv[1:]]  # users may share the file
         return result.model_copy(update={"command": shlex.join(["coordinator", *words])})
 
+    def load_modules_of_result(self) -> None:
+        """Load what `result` and `show` need, so that the result is shown at once when the job ends. Repeatable."""
+        import atoll.text.render  # noqa: F401
+        from atoll_coordinator.result.result import Result
+
+        Result.model_rebuild()
+
     def show(self, result: "Result") -> None:
         """Print the equations on stdout, or the whole result as JSON."""
         from atoll.text.render import render_text

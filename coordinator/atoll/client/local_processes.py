@@ -155,7 +155,7 @@ class LocalCoordinator:
         self._thread.join(_COORDINATOR_STOP_S)
 
     def wait(self) -> None:
-        """Wait until the router listens; raises the error that prevented it."""
+        """Wait until the coordinator answers; raises the error that prevented it."""
         if not self._listening.wait(_OPEN_LIMIT_S):
             raise UnreachableError(f"the router did not listen on {self._endpoint} within {_OPEN_LIMIT_S:.0f} s")
         self.check()
@@ -176,8 +176,9 @@ class LocalCoordinator:
             with Store.open(None) as store, open_router(self._endpoint) as bus:
                 service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True)
                 self._wake = service.wake
-                self._listening.set()
-                service.run(self._stop)
+                service.start()
+                self._listening.set()  # only now a client's greeting is answered
+                service.work(self._stop)
         except BaseException as error:  # the main thread raises it
             self._error = error
         finally:

@@ -76,9 +76,11 @@ class Dispatcher:
         return self
 
     def __exit__(self, *_: object) -> None:
+        has_open_calls = bool(self._open)
         self.cancel()
         if self._adapted.is_ours:
-            self._executor.shutdown(wait=False)
+            # A process pool that is not waited for may print an error of its own when the interpreter ends.
+            self._executor.shutdown(wait=not has_open_calls)
 
     def submit(self, tag: object, function: str, arguments: tuple[Any, ...], *shared: bytes) -> None:
         """Submit a call of a function of `tasks.FUNCTIONS`.

@@ -9,10 +9,14 @@ settings of linear algebra, so that the bits do not depend on what the executor'
 process is the one that the system ends if memory runs out. Then it is started again, and the executor notices nothing.
 It ends with the executor's process, or after two minutes without a task.
 
+A process of a pool waits for calls forever if its caller is killed, because the other processes of the pool hold the
+pipe open. So `perform` lets such a process end when its parent has ended. Dask, MPI and Ray end their own workers.
+
 Doubtful: an executor that starts another process for each task would also start a task process for each task.
 """
 
 import functools
+import multiprocessing
 import os
 import platform
 import queue
@@ -98,12 +102,14 @@ class BatchFailedError(AtollError):
         self.failure: Final = failure
 
 
+_PARENT_CHECK_S: Final = 1.0
 _shared: Final = ByteCache()
 _lock: Final = threading.Lock()
 
 
 def perform(call: Call) -> Done | Missing | OtherVersion | FunctionFailed:
     """Return the outcome of a call. No exception is raised, so an exception of a future is always a lost task."""
+    _end_with_parent(os.getpid())
     if call.of != version():
         return OtherVersion(version())
     with _lock:
@@ -121,6 +127,25 @@ def perform(call: Call) -> Done | Missing | OtherVersion | FunctionFailed:
         return FunctionFailed(f"memory ran out on a worker of the executor ({platform.node()})", "memory")
     except Exception as error:
         return FunctionFailed(str(error) if isinstance(error, AtollError) else f"{type(error).__name__}: {error}")
+
+
+@functools.cache
+def _end_with_parent(pid: int) -> None:
+    """Let a process of a pool end when its parent has ended; called by each process `pid`, does so once.
+
+    A process of a pool is one that multiprocessing or loky has started, and that computes in its main thread. No other
+    process is ended: a worker of Dask may have been started by a shell that has ended since.
+    """
+    if multiprocessing.parent_process() is None or threading.current_thread() is not threading.main_thread():
+        return
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_PARENT_CHECK_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="watching the parent", daemon=True).start()
 
 
 # ---------------------------------------------------------------------------------------------------------- functions

@@ -1,7 +1,7 @@
 """The table of task functions by name: for each function its call and the modules and kernels that it needs."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -26,20 +26,29 @@ class TaskHandler:
     call: Call
 
 
-def load_ahead() -> None:
-    """Load the modules for preparing and refining, and their kernels if they are compiled; forks then inherit all.
+def load_ahead() -> Iterator[None]:
+    """Load the modules for preparing, yield, and load those for refining, in steps; forks inherit what is loaded.
 
-    Kernels that are not compiled yet are left to the tasks, since compiling takes tens of seconds.
+    Kernels are also loaded if they are compiled; otherwise they are left to the tasks, since compiling takes tens of
+    seconds.
     """
-    import scipy.special  # noqa: F401
-
+    import atoll.tasks.process  # noqa: F401
     import atoll_coordinator.data.prepare
-    import atoll_coordinator.model.pipeline
     import atoll_coordinator.tasks.preparing
-    import atoll_coordinator.tasks.refining  # noqa: F401
     from atoll_core.compilation.cache import is_compiled
 
-    if is_compiled("atoll_coordinator"):
+    has_kernels = is_compiled("atoll_coordinator")
+    if has_kernels:
+        ready_preparation()
+    yield
+    import scipy.special  # noqa: F401
+
+    yield
+    import atoll_coordinator.model.pipeline
+    import atoll_coordinator.tasks.refining  # noqa: F401
+
+    yield
+    if has_kernels:
         load_refinement()
 
 

@@ -286,8 +286,13 @@ def main(descriptor: int, level: int, of: str) -> None:
     serve(Connection(descriptor), level)
 
 
-def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level: int) -> None:
-    """Run the tasks that come through a pipe until the worker at its other end has ended."""
+def serve(
+    connection: "Connection[frames.FromProcess, frames.ToProcess]", level: int, *, is_complete: bool = True
+) -> None:
+    """Run the tasks that come through a pipe until the worker at its other end has ended.
+
+    `is_complete`: see `frames.Started`.
+    """
     ignore(ENDING)  # signals to the process group are for the worker
     os.environ.setdefault(
         "OPENBLAS_NUM_THREADS", "1"
@@ -301,7 +306,7 @@ def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level:
     os.dup2(nothing, _STDIN)
     os.close(nothing)
     os.dup2(_STDERR, _STDOUT)
-    TaskLoop(connection, level).work()
+    TaskLoop(connection, level).work(is_complete)
 
 
 class TaskLoop:
@@ -315,9 +320,9 @@ class TaskLoop:
         self._team: Final = Team(self._send)
         logging.basicConfig(level=level, handlers=[_LogSender(self._send)], force=True)
 
-    def work(self) -> None:
+    def work(self, is_complete: bool = True) -> None:
         """Run tasks and batches one after another, without end; the end of the pipe ends the process."""
-        self._send(frames.Started(os.getpid()))
+        self._send(frames.Started(os.getpid(), is_complete))
         threading.Thread(target=self._read, name="reading tasks", daemon=True).start()
         while True:
             match self._waiting.get():

@@ -6,8 +6,6 @@ import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 
-from pydantic_core import to_jsonable_python
-
 from atoll_core.command_line import unwritable
 from atoll_core.quoting import visible, visible_line
 
@@ -42,6 +40,8 @@ def as_json(value: object) -> str:
 
 def plain(value: Mapping[str, object]) -> dict[str, object]:
     """Return dataclasses, arrays and tuples as plain data for JSON, with None for numbers that are not finite."""
+    from pydantic_core import to_jsonable_python  # slow to import; local runs start their workers before it
+
     data: dict[str, object] = to_jsonable_python(value, inf_nan_mode="null", fallback=lambda array: array.tolist())
     return data
 

@@ -129,6 +129,7 @@ def least_term_length(constant_nats: float) -> float:
     return 4.0 * SETTINGS.criterion.common + constant_nats
 
 
+@lru_cache(maxsize=1_000)
 def constant_nats_of(rows: float) -> float:
     """Return the nats of a constant, 1/2 ln N. `rows` is N, the number of rows divided by their correlation length."""
     return 0.5 * log(max(rows, 2.0))

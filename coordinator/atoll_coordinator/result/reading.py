@@ -80,6 +80,10 @@ def _is_result(content: Mapping[str, object]) -> bool:
     )
 
 
+_PLAIN: Final = frozenset({float, int, bool, type(None)})
+"""Types of values without texts; curves have thousands of them."""
+
+
 def _escape_characters(value: object) -> object:
     """Return a value with the characters `_UNWRITABLE` escaped in all texts and names; values without texts are
     unchanged."""
@@ -87,7 +91,7 @@ def _escape_characters(value: object) -> object:
         return _UNWRITABLE.sub(lambda match: match[0].encode("unicode_escape").decode(), value)
     if isinstance(value, Mapping):
         return {_escape_characters(name): _escape_characters(part) for name, part in value.items()}
-    if isinstance(value, list | tuple) and any(isinstance(part, str | Mapping | list | tuple) for part in value):
+    if isinstance(value, list | tuple) and not _PLAIN.issuperset(map(type, value)):
         return [_escape_characters(part) for part in value]
     return value
 

@@ -5,8 +5,14 @@ user with the least charge, then to the job of this user with the least charge p
 this job in the commit order (`atoll_core.search.commit_order`). So users have equal shares of a worker, for any number
 and priority of jobs, and the weights divide the share of one user. When the target is met, tasks that are no longer
 needed are dropped at once, and tasks that have reached the hit are reported.
+
+Each job has a heap of its tasks in the commit order, because a worker may have a thousand islands of a job: looking at
+all of them before each slice would take as long as computing.
 """
 
+import heapq
+import itertools
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
@@ -44,7 +50,7 @@ Begin = Callable[[io.EpochTask], RunningEpoch]
 """Begins an island's epoch; raises RemoteProtocolError if the immigrants are malformed."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Open:
     """A task; `work` is None before its first turn."""
 
@@ -54,6 +60,13 @@ class _Open:
     @property
     def generation(self) -> int:
         return self.work.generation if self.work is not None else 0
+
+
+_Rank = tuple[int, int, int]
+"""Epoch, group and generation of the next slice of a task, see `CommitOrder.rank`."""
+
+_Entry = tuple[_Rank, str, int, int, _Open]
+"""A task in the heap of its job: rank, variable, island, a unique number, the task."""
 
 
 class RunQueue:
@@ -69,6 +82,9 @@ class RunQueue:
         self._begin = begin
         self._clock = clock
         self._open: dict[io.TaskKey, _Open] = {}
+        self._heaps: dict[str, list[_Entry]] = {}  # by job; tasks that are not open any more may still be in there
+        self._number_of_open: Counter[str] = Counter()
+        self._numbers = itertools.count()
         self._hits: dict[io.ShardKey, Position] = {}
         self._charged: dict[str, float] = {}
         self._charged_users: dict[str, float] = {}
@@ -90,7 +106,10 @@ class RunQueue:
     def add(self, task: io.EpochTask) -> list[io.Outcome]:
         """Add a task; return an Abandoned if it is not needed."""
         self._join_shares(task.key.job)
-        self._open[task.key] = _Open(task)
+        self._remove(task.key)
+        self._open[task.key] = open_task = _Open(task)
+        self._number_of_open[task.key.job] += 1
+        self._push(open_task)
         return self._close_finished([task.key])
 
     def stop_at(self, shard: io.ShardKey, hit: Position, commit_order: CommitOrder) -> list[io.Outcome]:
@@ -103,9 +122,8 @@ class RunQueue:
 
         Return its snapshot, and outcomes of tasks that the slice ends.
         """
-        key = min(self._open, key=self._rank)
-        open_task = self._open[key]
-        task = open_task.task
+        open_task = self._pop()
+        task, key = open_task.task, open_task.task.key
         self.current = key
         began = self._clock()
         results: list[io.Snapshot | io.Outcome] = []
@@ -125,8 +143,9 @@ class RunQueue:
             )
         self._charge(key.job, self._clock() - began)
         if outcome is None and not task.is_at_barrier:
+            self._push(open_task)
             return results + self._close_finished([key])
-        del self._open[key]
+        self._remove(key)
         if outcome is not None:
             results.append(outcome)
         if isinstance(outcome, io.EpochComputed) and outcome.report.hit is not None:
@@ -138,11 +157,12 @@ class RunQueue:
         """Forget the tasks of an archipelago's term."""
         self._hits.pop(shard, None)
         for key in [key for key in self._open if key.shard == shard]:
-            del self._open[key]
+            self._remove(key)
 
     def discard_job(self, job: str) -> None:
         """Forget the tasks of a job and its charge."""
-        self._open = {key: open_task for key, open_task in self._open.items() if key.job != job}
+        for key in [key for key in self._open if key.job == job]:
+            self._remove(key)
         self._hits = {shard: hit for shard, hit in self._hits.items() if shard.job != job}
         self._charged.pop(job, None)
         self._weights.pop(job, None)
@@ -153,7 +173,7 @@ class RunQueue:
     def _join_shares(self, job: str) -> None:
         """Give a job without tasks at least the smallest charge among its user's jobs with tasks, and a user without
         tasks at least the smallest charge among users with tasks. So idle time gives no credit."""
-        user, open_jobs = self._users.get(job, ""), {key.job for key in self._open}
+        user, open_jobs = self._users.get(job, ""), self._number_of_open.keys()
         if job not in open_jobs:
             own = [self._charged[other] for other in open_jobs if self._users.get(other, "") == user]
             self._charged[job] = max(self._charged.get(job, 0.0), min(own, default=0.0))
@@ -168,12 +188,31 @@ class RunQueue:
         self._charged_users[user] = self._charged_users.get(user, 0.0) + seconds
         self.seconds[user] = self.seconds.get(user, 0.0) + seconds
 
-    def _rank(self, key: io.TaskKey) -> tuple[float, float, int, int, int, str, str, int]:
-        open_task = self._open[key]
-        at = Position(key.epoch, open_task.generation, key.island)
-        epoch, group, generation, island = open_task.task.commit_order.rank(at)
-        of_user = self._charged_users.get(self._users.get(key.job, ""), 0.0)
-        return (of_user, self._charged[key.job], epoch, group, generation, key.job, key.variable, island)
+    def _push(self, open_task: _Open) -> None:
+        """Put a task into the heap of its job; to be called again whenever its generation has changed."""
+        key = open_task.task.key
+        rank = open_task.task.commit_order.rank(Position(key.epoch, open_task.generation, key.island))[:3]
+        heap = self._heaps.setdefault(key.job, [])
+        heapq.heappush(heap, (rank, key.variable, key.island, next(self._numbers), open_task))
+
+    def _pop(self) -> _Open:
+        """Take the task whose turn it is out of the heap of its job."""
+        for heap in self._heaps.values():
+            while self._open.get(heap[0][-1].task.key) is not heap[0][-1]:
+                heapq.heappop(heap)
+        return heapq.heappop(self._heaps[min(self._heaps, key=self._turn_of)])[-1]
+
+    def _turn_of(self, job: str) -> tuple[float, float, _Rank, str]:
+        of_user = self._charged_users.get(self._users.get(job, ""), 0.0)
+        return (of_user, self._charged[job], self._heaps[job][0][0], job)
+
+    def _remove(self, key: io.TaskKey) -> None:
+        """Remove a task if it is open."""
+        if self._open.pop(key, None) is None:
+            return
+        self._number_of_open[key.job] -= 1
+        if not self._number_of_open[key.job]:
+            del self._number_of_open[key.job], self._heaps[key.job]
 
     def _close_finished(self, keys: Iterable[io.TaskKey]) -> list[io.Outcome]:
         """Close the given tasks that need no more computation, and return their outcomes."""
@@ -182,7 +221,7 @@ class RunQueue:
             open_task, hit = self._open[key], self._hits.get(key.shard)
             if hit is None or self._is_needed(open_task, hit):
                 continue
-            del self._open[key]
+            self._remove(key)
             part = open_task.work if key.epoch == hit.epoch else None
             outcomes.append(part.computed() if part is not None else io.Abandoned(key))
         return outcomes

@@ -185,7 +185,7 @@ class Shard:
             for destination in done.emigrants.keys() & self.islands.keys():
                 data = done.emigrants[destination]
                 self._deliver(key.epoch, epochs.Block(source=key.island, destination=destination, data=data))
-            actions = [*self._answers(), *self._missing()]
+            actions = [*self._answers(), *self._missing_of(local)]
         self._end_late_islands()
         if key.epoch <= self.stop_epoch:
             self._buffer.keep_report(key.epoch, done.report)
@@ -278,6 +278,16 @@ class Shard:
             states = epochs.PullStates(**self._names, epoch=first, islands=wanted, offset=self._states.offset)
             pulls.append(io.SendPull(None, states))
         return pulls + self._missing()
+
+    def _missing_of(self, local: LocalIsland) -> list[io.SendPull]:
+        """Return missing pulls if an island that begins to wait needs one that is not under way.
+
+        The other islands do not matter: their pulls were sent when they began to wait, when a pull ended, or at a tick.
+        """
+        peers = {self.placement.workers[source] for source in local.needs - local.arrived.keys()} - {self.worker}
+        if all((peer, local.epoch - 1) in self._under_way for peer in peers):
+            return []
+        return self._missing()
 
     def _missing(self) -> list[io.SendPull]:
         """Return pulls of the migrants that islands here wait for, except pulls that are under way.

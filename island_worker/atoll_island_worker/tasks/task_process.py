@@ -44,10 +44,11 @@ END_LIMIT_S: Final = 2.0
 IDLE_S: Final = 120.0
 """After this time without a task a process is ended to free its memory."""
 
-MAX_TASKS: Final = 100
+MAX_TASKS: Final = 1000
 MAX_MEMORY: Final = 1 << 30
 """After this number of tasks, or above this memory in bytes, a process runs no further task, because of memory
-leaks."""
+leaks. Another process takes two seconds to start, and its caches are empty: with tasks of 0.2 s that is 1 % of the time
+after 1,000 tasks, and was 10 % after 100."""
 
 _PROGRAM: Final = """
 import sys
@@ -157,7 +158,9 @@ class TaskProcess:
         If the system starts no more processes, `Ended` is posted.
         """
         self._used_at = self._clock()
-        if isinstance(message, frames.Run) and (self._done >= MAX_TASKS or self._memory >= MAX_MEMORY):
+        if isinstance(message, frames.Run) and (
+            self._done >= MAX_TASKS or self._memory >= MAX_MEMORY or self._should_replace
+        ):
             self.stop()
         if not self.is_started and isinstance(message, frames.Run | frames.TaskBatch):
             self._start()
@@ -166,9 +169,17 @@ class TaskProcess:
         return self._life
 
     def load_next(self, function: str) -> None:
-        """Let a running process load the modules for tasks of this function."""
-        if self.is_started:
+        """Let a running process load the modules for tasks of this function, or replace it by one that has them."""
+        if self.is_started and self._should_replace:
+            self.stop()
+            self._start()
+        elif self.is_started:
             self.send(frames.Load(function))
+
+    @property
+    def _should_replace(self) -> bool:
+        """Whether the server now forks processes with more modules than the running one, which has done its task."""
+        return self._done > 0 and self._running is not None and not self._running.is_complete
 
     def stop(self) -> None:
         """End the process and its task; the end is not posted."""
@@ -212,6 +223,7 @@ class _Running:
         self._outgoing: queue.SimpleQueue[frames.ToProcess | None] = queue.SimpleQueue()
         self._take = take
         self._is_stopped = False
+        self.is_complete = True
         try:
             self._process = starter.start(theirs)
         finally:
@@ -273,6 +285,7 @@ class _Running:
                 message = self._connection.recv()
                 if isinstance(message, frames.Started):
                     self._process.set_pid(message.pid)
+                    self.is_complete = message.is_complete
                 else:
                     self._take(message)
         except (EOFError, OSError):
@@ -377,6 +390,7 @@ class _Server:
 
     def __init__(self, requests: socket.socket) -> None:
         self._requests = requests
+        self._is_complete = False
         self._forks: dict[int, tuple[int, Connection[object, object]]] = {}
         self._poll = select.poll()
         self._poll.register(requests, select.POLLIN)
@@ -388,14 +402,24 @@ class _Server:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # otherwise exit codes would be lost
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # otherwise numpy's library starts threads
         with contextlib.suppress(Exception):  # the process that runs a task will report the error
-            importlib.import_module("atoll.tasks.functions").load_ahead()
-        gc.freeze()  # all forks share this memory as long as the garbage collector does not write to it
-        while True:
-            for descriptor, _ in self._poll.poll():
-                if descriptor in self._forks:
-                    self._send_exit_code(descriptor)
-                elif not self._handle():
+            for _ in importlib.import_module("atoll.tasks.functions").load_ahead():
+                gc.freeze()
+                if not self._handle_all(0):
                     return 0
+        gc.freeze()  # all forks share this memory as long as the garbage collector does not write to it
+        self._is_complete = True
+        while self._handle_all(None):
+            pass
+        return 0
+
+    def _handle_all(self, wait_ms: int | None) -> bool:
+        """Handle all requests and ends of forks, waiting for one (None: without limit); False: no worker is left."""
+        for descriptor, _ in self._poll.poll(wait_ms):
+            if descriptor in self._forks:
+                self._send_exit_code(descriptor)
+            elif not self._handle():
+                return False
+        return True
 
     def _handle(self) -> bool:
         """Handle a request; return False if no worker is left."""
@@ -416,7 +440,8 @@ class _Server:
                 channel.close()
             os.close(sentinel)
             telling.close()
-            importlib.import_module("atoll.tasks.process").main(descriptor, level, version())
+            program = importlib.import_module("atoll.tasks.process")
+            program.serve(Connection(descriptor), level, is_complete=self._is_complete)
             return 0
 
         try:

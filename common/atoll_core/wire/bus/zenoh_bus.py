@@ -117,10 +117,11 @@ a further wait of `_CLOSING_S` is short in comparison."""
 _CLOSING_S: Final = 0.1
 _LEASE_MS: Final = 4_000
 _ATTEMPT_MS: Final = 3_000
-_FIRST_PAUSE_S: Final = 0.01
-_PAUSE_S: Final = 0.2
-"""Pause between two attempts to connect: short at first, for workers that are started together with their coordinator,
-and doubled up to `_PAUSE_S`."""
+_SHORTEST_PAUSE_S: Final = 0.01
+_LONGEST_PAUSE_S: Final = 0.2
+_PAUSE_SHARE: Final = 0.02
+"""Pause between two attempts to connect: this share of the time already waited, within both limits. So a worker that is
+started together with its coordinator connects at once, and one that waits for long asks five times in a second."""
 _QUICK_S: Final = 0.1
 _SLOW_S: Final = 1.0
 _CLOSE_LIMIT_S: Final = 5.0
@@ -129,6 +130,8 @@ _RUNTIME: Final = "ZENOH_RUNTIME"
 _THREADS: Final = 8
 """Number of reading threads of a router, and of its writing threads. Each link that is closing may block one thread."""
 
+_SCOUTING_MS: Final = 1
+"""Time for scouting, which is off; by default a router opens half a second late for it."""
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
 Settings = Mapping[str, object]
@@ -195,8 +198,9 @@ def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Setti
     """
     to = connect if isinstance(connect, Destination) else destination(connect)
     further = {**_tls_settings(to), **(settings or {})}
-    end = time.monotonic() + wait_s
-    for attempt in itertools.count():
+    began = time.monotonic()
+    end = began + wait_s
+    while True:
         reasons: list[str] = []
         for place, address in enumerate(to.addresses):
             in_turn = [str(each) for each in (*to.addresses[place:], *to.addresses[:place])]
@@ -211,9 +215,9 @@ def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Setti
                 f"no coordinator answers at {to}{waited}: {reason}; "
                 "check the address, or start one with `coordinator serve`"
             )
-        pause_s = min(_PAUSE_S, _FIRST_PAUSE_S * 2.0 ** min(attempt, 10))
-        time.sleep(min(pause_s, max(0.0, end - time.monotonic())))
-    raise AssertionError
+        now = time.monotonic()
+        pause_s = min(_LONGEST_PAUSE_S, max(_SHORTEST_PAUSE_S, _PAUSE_SHARE * (now - began)))
+        time.sleep(min(pause_s, max(0.0, end - now)))
 
 
 def _dial(address: Address, to: Destination, config: zenoh.Config) -> "ZenohBus | str":
@@ -442,7 +446,7 @@ def _config(mode: str, listen: list[str], connect: list[str], settings: Settings
         "low_pass_filter": filters if mode == "router" else [],
         "listen": {"endpoints": listen},
         "connect": {"endpoints": connect, "timeout_ms": _ATTEMPT_MS, "exit_on_failure": True, "retry": retry},
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}, "delay": _SCOUTING_MS},
         "transport": {
             "shared_memory": {"enabled": False},
             "unicast": {"max_sessions": 10_000, "open_timeout": _ATTEMPT_MS, "accept_timeout": 10_000},

@@ -15,7 +15,6 @@ from typing import Final
 from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from atoll.cli.parser import job_id
 from atoll.cli.result_files import refuse_existing_result
-from atoll.cli.verbs.web import web_process
 from atoll.client.local_processes import local_processes
 from atoll_core.errors import DataError, UsageError
 from atoll_core.logs import configure
@@ -41,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
         _log_in(folder),
         raising_interrupts(),
         local_processes(number, folder / _WORKER_LOG) as (endpoint, workers),
-        web_process(endpoint, options.web),
+        _web_process(endpoint, options.web),
     ):
         from atoll.cli.verbs.submit import run_locally
 
@@ -49,6 +48,15 @@ def run(options: argparse.Namespace) -> int:
     if code in (BAD_INPUT, INTERRUPTED):
         _remove_logs(folder)
     return code
+
+
+def _web_process(endpoint: str, listen: tuple[str, int] | None) -> contextlib.AbstractContextManager[None]:
+    """Run ``coordinator web`` during the block if `listen` is given. Its modules are loaded only then."""
+    if listen is None:
+        return contextlib.nullcontext()
+    from atoll.cli.verbs.web import web_process
+
+    return web_process(endpoint, listen)
 
 
 @contextlib.contextmanager

@@ -174,6 +174,7 @@ def _without(words: Sequence[str], option: str) -> list[str]:
 
 _CONNECT_LIMIT_S: Final = 20.0
 _WORTH_SAYING_S: Final = 0.05
+_REFINING: Final = "refining"
 
 
 def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, workers: LocalWorkers, started: float) -> int:
@@ -189,6 +190,8 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
 
         def check_processes() -> list[str]:
             coordinator.check()
+            if _REFINING in follower.phases:  # no process of this run has anything else to do on one of two cores
+                request.load_modules_of_result()
             return workers.check()
 
         with connected(endpoint, _CONNECT_LIMIT_S) as client:
@@ -249,8 +252,8 @@ def _times(result: Result, phases: dict[str, float], total: float) -> str:
     """Return the seconds of each phase of a run."""
     parts = {name: phases.get(name, 0.0) for name in ("compiling kernels", "loading kernels")}
     parts["search"] = result.search_seconds or 0.0
-    refining = phases.get("refining", 0.0)
-    parts["refining"] = refining if refining >= _WORTH_SAYING_S else 0.0
+    refining = phases.get(_REFINING, 0.0)
+    parts[_REFINING] = refining if refining >= _WORTH_SAYING_S else 0.0
     rest = max(0.0, total - sum(parts.values()))
     durations = [f"{name} {duration(seconds)}" for name, seconds in parts.items() if seconds]
     return ", ".join([f"start-up {duration(rest)}", *durations, f"total {duration(total)}"])

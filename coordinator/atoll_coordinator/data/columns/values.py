@@ -7,9 +7,10 @@ ways, so the user should know these columns.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -356,30 +357,35 @@ def linear_relations(columns: ExaminedColumns) -> list[Relation]:
     some = rows[:: -(-len(rows) // SETTINGS.rows.in_sums) or 1]
     sampled = {name: columns.whole[name][some] for name in names}
     whole = {name: columns.whole[name][rows] for name in names}
-    basis = _Basis()
+    basis = _Basis(sampled, whole)
     relations: list[Relation] = []
     for name in names:
         spread = variance(sampled[name])
         if len(rows) <= len(basis.names) + SETTINGS.common.few_values or not spread > 0.0:
             continue
-        found = basis.relation(name, sampled, whole, math.sqrt(spread))
+        found = basis.relation(name, math.sqrt(spread))
         if found is None:
-            basis.add(name, sampled[name])
+            basis.add(name)
         else:
             relations.append(found)
     return relations
 
 
 class _Basis:
-    """Orthonormal columns, and their coefficients in terms of the table's columns, all with means subtracted."""
+    """Orthonormal columns, and their coefficients in terms of the table's columns, all with means subtracted.
 
-    def __init__(self) -> None:
+    `sampled` are the values of some rows. `whole` are the values of all rows, in which an exact relation must hold.
+    """
+
+    def __init__(self, sampled: Values, whole: Values) -> None:
         self.names: list[str] = []
+        self._sampled, self._whole = sampled, whole
+        self._step_of = cache(lambda name: _step(sampled[name]))
         self._units: list[FloatArray] = []
         self._coefficients: list[list[float]] = []
 
-    def add(self, name: str, values: FloatArray) -> None:
-        shares, rest = self._projected(values)
+    def add(self, name: str) -> None:
+        shares, rest = self._projected(self._sampled[name])
         size = math.sqrt(dot(rest, rest))
         own = [-value for value in self._combined(shares)]
         self.names.append(name)
@@ -402,27 +408,29 @@ class _Basis:
             for place in range(len(self.names))
         ]
 
-    def relation(self, name: str, sampled: Values, whole: Values, deviation: float) -> Relation | None:
-        """Return how a column depends on the columns of the basis; None: it does not depend on them.
-
-        `sampled` are the values of some rows. `whole` are the values of all rows, in which an exact relation must hold.
-        """
-        shares, rest = self._projected(sampled[name])
+    def relation(self, name: str, deviation: float) -> Relation | None:
+        """Return how a column with this standard deviation depends on the columns of the basis; None: it does not
+        depend on them."""
+        shares, rest = self._projected(self._sampled[name])
         if not self.names or math.sqrt(variance(rest)) / deviation > LIMITS.alike:
             return None
         coefficients = dict(zip(self.names, self._combined(shares), strict=True))
-        exact = _exact(name, coefficients, sampled, whole, deviation)
-        return exact or _noisy(name, coefficients, sampled, deviation, rest)
+        exact = _exact(name, coefficients, self._sampled, self._whole, deviation, self._step_of)
+        return exact or _noisy(name, coefficients, self._sampled, deviation, rest)
 
 
 def _exact(
-    name: str, coefficients: Mapping[str, float], sampled: Values, whole: Values, deviation: float
-) -> Relation | None:
-    """Return the relation if it holds in every row up to rounding errors of arithmetic or of the written digits."""
+    name: str, coefficients: Mapping[str, float], sampled: Values, whole: Values, deviation: float,
+    step_of: Callable[[str], float],
+) -> Relation | None:  # fmt: skip
+    """Return the relation if it holds in every row up to rounding errors of arithmetic or of the written digits.
+
+    `step_of` returns the rounding step of a column, see `_step`.
+    """
     least = SETTINGS.common.negligible * deviation
     for terms in (_without_small(coefficients, sampled, least) or coefficients, coefficients):
-        steps = [abs(factor) * _step(sampled[other]) for other, factor in terms.items()]
-        written = 2.0 * (_step(sampled[name]) + sum(steps))
+        steps = [abs(factor) * step_of(other) for other, factor in terms.items()]
+        written = 2.0 * (step_of(name) + sum(steps))
         tolerance = written if written <= least else SETTINGS.smoothing.smallest_noise * deviation
         rest = whole[name] - _weighted_sum(terms, whole)
         constant = mean(sampled[name] - _weighted_sum(terms, sampled))

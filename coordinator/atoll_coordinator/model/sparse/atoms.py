@@ -11,7 +11,7 @@ Letters: K terms, R rows, V variables.
 
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from itertools import combinations, combinations_with_replacement
 from typing import Final, cast
 
@@ -294,8 +294,12 @@ class Shape:
     def price(self, rows: float) -> float:
         """Return the nats of the term in a sum: the price of its structure, and 1/2 ln N for each constant, where N is
         `rows`."""
-        structure, constants = _structure_and_constants(self.expression(1.5))
+        structure, constants = self._structure_and_constants
         return structure + constants * constant_nats_of(rows)
+
+    @cached_property
+    def _structure_and_constants(self) -> tuple[float, int]:
+        return _structure_and_constants(self.expression(1.5))
 
 
 def shape_over(inputs: FloatArray, factors: Product, function: Function | None, argument: Expression) -> Shape:

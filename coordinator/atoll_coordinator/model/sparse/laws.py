@@ -31,11 +31,11 @@ from atoll_coordinator.model.sparse.atoms import (
     products,
     products_of,
     program_atom,
-    values_of_products,
 )
 from atoll_coordinator.model.sparse.many_variables import UnknownEquation, find_short_laws, window_rows
 from atoll_coordinator.model.sparse.regression import (
     SparseRegression,
+    WeightedProducts,
     eliminate_columns,
     select_forward,
 )
@@ -411,11 +411,10 @@ def screen_columns(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
         return tuple(columns)
     trusted = rows.trusted
     terms = [*products(columns, 2), *((variable,) * 3 for variable in columns)]
-    values = values_of_products(terms, trusted.inputs)
     _, deviation = moments(trusted.sides)
     errors = trusted.side_errors
     weights = 1.0 / np.sqrt(errors * errors + (SETTINGS.common.negligible * deviation) ** 2)
-    weighted, side = values * weights, trusted.sides * weights
+    weighted, side = WeightedProducts(trusted.inputs[list(columns)], weights), trusted.sides * weights
     taken: list[int] = []
     chance, before = 2.0 * log(float(len(terms))) / len(side), math.fsum((side * side).tolist())
     for place, after in islice(select_forward(weighted, side), 3 * SETTINGS.sparse.screened):
@@ -428,7 +427,7 @@ def screen_columns(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     if not taken:
         return ()
     kept: list[int] = []
-    for index in reversed(eliminate_columns(weighted[taken], side).order):
+    for index in reversed(eliminate_columns(np.array([weighted.column(place) for place in taken]), side).order):
         new = [variable for variable in dict.fromkeys(terms[taken[index]]) if variable not in kept]
         if len(kept) + len(new) > SETTINGS.sparse.screened:
             break

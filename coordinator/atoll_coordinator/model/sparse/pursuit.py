@@ -16,7 +16,8 @@ Letters: A atoms, K terms, N rows.
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -30,6 +31,7 @@ from atoll_coordinator.model.sparse.rows import NORMAL_DEVIATION, RegressionRows
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
+from atoll_core.expression.kernels.tape import Ints
 from atoll_core.expression.operators import ADD, MULTIPLY
 from atoll_core.expression.program import Program, operators_in
 
@@ -41,11 +43,11 @@ column's squared length, the part is a rounding error."""
 _NEARLY_ALIKE = 1e-8
 """A pair of columns is not tried if the squared sine of the angle between them is smaller, since rounding errors would
 decide the rank of this pair."""
-_RANKED_PAIRS: Final = 2000
-"""Number of pairs of atoms that are sorted: one pair of shapes gives dozens of pairs with different inner constants."""
 _MOST_ATOMS: Final = SETTINGS.sparse.most_atoms // 10
-"""Most atoms of a dictionary, and most atoms for which pairs are tried: the matrix of the gains of all pairs takes 128
-MB. With all operators, a dictionary for two states has 1,570 atoms, for three states 3,980."""
+"""Most atoms of a dictionary: the time for all pairs grows with the square of their number. With all operators, a
+dictionary for two states has 1,570 atoms, for three states 3,980."""
+_BLOCK: Final = 128
+"""Number of columns that are compared with all columns at a time: the sums of a block stay in the second cache."""
 
 # --------------------------------------------------------------------------------------------- a sum with constants
 
@@ -68,10 +70,10 @@ def fit_inner_constants(fit: Sum) -> Sum:
         assert fit.assessment is not None
         atoms = fit.atoms
         wider = SparseRegression(rows, [*atoms, *(atoms[place].derivative_by_constant() for place in inner)])
-        both = wider.refit(range(len(wider.atoms)), fit.assessment.weights) if wider.is_solvable else None
-        if both is None:
+        factors = wider.refit_coefficients(fit.assessment.weights) if wider.is_solvable else None
+        if factors is None:
             break
-        factors, slopes = both.coefficients, iter(both.coefficients[len(atoms) :])
+        slopes = iter(factors[len(atoms) :])
         steps = {place: next(slopes) / factors[place] if factors[place] else 0.0 for place in inner}
         better = None
         for share in _SHARES_OF_STEPS:
@@ -105,82 +107,201 @@ class ResidualGains:
     """
 
     def __init__(self, rows: RegressionRows, atoms: Sequence[Atom]) -> None:
-        columns, values, errors = rows.columns(atoms), rows.sides, rows.side_errors
-        missing, weights = float(values.std()), np.ones(len(values))
-        for _ in range(SETTINGS.effort.steps):
-            weights = 1.0 / np.sqrt(errors**2 + missing**2)
-            left = values - coefficients_of(columns * weights, values * weights) @ columns
-            square = (NORMAL_DEVIATION * float(np.median(np.abs(left)))) ** 2 - float(np.median(errors)) ** 2
-            before, missing = missing, math.sqrt(max(square, 0.0))
-            if abs(missing - before) <= 1e-2 * before:
-                break
-        sizes = np.sqrt(((columns * weights) ** 2).sum(axis=1))[:, None]
-        basis = np.linalg.qr((columns * weights / np.where(sizes > 0.0, sizes, 1.0)).T)[0]
-        left = values * weights
+        columns = rows.columns(atoms)
+        self._weights = _weights_with_missing_terms(rows, columns)
+        sizes = np.sqrt(((columns * self._weights) ** 2).sum(axis=1))[:, None]
+        self._basis = np.linalg.qr((columns * self._weights / np.where(sizes > 0.0, sizes, 1.0)).T)[0].T
+        left = rows.sides * self._weights
         for _ in range(2):  # the second time for rounding errors of the first
-            left = left - basis @ (basis.T @ left)
-        self.squares, self._basis, self._left = weights**2, weights[:, None] * basis, weights * left
-        self._squared_residuals = max(float(left @ left), 1e-300)
+            left = left - (self._basis @ left) @ self._basis
+        self._residuals = left / math.sqrt(max(float(left @ left), 1e-300))
+
+    @property
+    def squares(self) -> FloatArray:
+        """The weights (N,) of squared columns."""
+        return np.asarray(self._weights**2)
 
     @property
     def vectors(self) -> FloatArray:
         """The residuals, divided by their length, and an orthonormal basis of the terms; both weighted: (1 + K, N)."""
-        return np.vstack([self._left / math.sqrt(self._squared_residuals), self._basis.T])
+        return np.asarray(self._weights * np.vstack([self._residuals, self._basis]))
 
     def gains(self, columns: FloatArray) -> FloatArray:
         """Return the share (A,) of the squared residuals that each of the columns (A, N) explains. The share is 0 if
         the part of the column orthogonal to the terms is a rounding error."""
-        gains = (columns @ self._left / self._norms(columns)) ** 2 / self._squared_residuals
-        return np.asarray(np.where(np.isfinite(gains), gains, 0.0))
+        return np.asarray(gains_of_terms([self], columns)[0])
 
-    def gains_of_pairs(self, columns: FloatArray) -> FloatArray:
-        """Return the share (A, A) of the squared residuals that columns i and j (A, N) explain together. Elements with
-        i >= j are 0.
+    def orthogonal_parts(self, columns: FloatArray) -> "OrthogonalParts":
+        """Return the parts of the columns (A, N) that are orthogonal to the terms, scaled to unit length. A part that
+        is a rounding error becomes 0."""
+        parts = columns * self._weights
+        squares = (parts**2).sum(axis=1)
+        parts -= (parts @ self._basis.T) @ self._basis
+        orthogonal = (parts**2).sum(axis=1)
+        parts /= np.sqrt(np.where(orthogonal > _SMALLEST_PART * squares, orthogonal, math.inf))[:, None]
+        return OrthogonalParts(parts, parts @ self._residuals)
 
-        The parts of the two columns orthogonal to the terms are scaled to unit length. Their scalar products with the
-        residuals are a and b, and their scalar product with each other is c. Together they explain (a^2 + b^2 - 2 a b
-        c)/(1 - c^2).
+
+def _weights_with_missing_terms(rows: RegressionRows, columns: FloatArray) -> FloatArray:
+    """Return the weights (N,) of rows for sums of `columns` (K, N), see `ResidualGains`. If all errors are equal, all
+    weights are 1, because a common factor changes no share."""
+    values, errors = rows.sides, rows.side_errors
+    missing, weights = float(values.std()), np.ones(len(values))
+    for _ in range(0 if (errors == errors[0]).all() else SETTINGS.effort.steps):
+        weights = 1.0 / np.sqrt(errors**2 + missing**2)
+        left = values - coefficients_of(columns * weights, values * weights) @ columns
+        square = (NORMAL_DEVIATION * float(np.median(np.abs(left)))) ** 2 - float(np.median(errors)) ** 2
+        before, missing = missing, math.sqrt(max(square, 0.0))
+        if abs(missing - before) <= 1e-2 * before:
+            break
+    return weights
+
+
+@dataclass(frozen=True, eq=False)
+class OrthogonalParts:
+    """Unit vectors `parts` (A, N), and their scalar products (A,) with the normalised residuals."""
+
+    parts: FloatArray
+    along: FloatArray
+
+    def __getitem__(self, places: slice | Ints) -> "OrthogonalParts":
+        return OrthogonalParts(self.parts[places], self.along[places])
+
+    def gains_with(self, others: "OrthogonalParts") -> FloatArray:
+        """Return the share (A, B) of the squared residuals that each of these vectors explains together with each of
+        the others.
+
+        Two vectors have the scalar products a and b with the residuals, and c with each other. Together they explain
+        a^2 + (b - a c)^2/(1 - c^2). The share is 0 if they are nearly parallel.
         """
-        norms, along = self._norms(columns), columns @ self._basis
-        products = columns @ self._left / norms
-        cosines = ((columns * self.squares) @ columns.T - along @ along.T) / np.outer(norms, norms)
-        free = 1.0 - cosines * cosines
-        gains = (products[:, None] ** 2 + products**2 - 2.0 * np.outer(products, products) * cosines) / free
-        return np.asarray(np.triu(np.where(free > _NEARLY_ALIKE, gains, 0.0), 1) / self._squared_residuals)
-
-    def _norms(self, columns: FloatArray) -> FloatArray:
-        """Return the lengths (A,) of the parts of columns that are orthogonal to the terms. The length is infinite if
-        the part is a rounding error."""
-        squares = columns**2 @ self.squares
-        orthogonal = squares - ((columns @ self._basis) ** 2).sum(axis=1)
-        return np.asarray(np.sqrt(np.where(orthogonal > _SMALLEST_PART * squares, orthogonal, math.inf)))
+        gains = self.parts @ others.parts.T
+        free = 1.0 - gains * gains
+        is_free = free > _NEARLY_ALIKE
+        gains *= others.along
+        np.subtract(self.along[:, None], gains, out=gains)
+        gains *= gains
+        np.divide(gains, free, out=gains, where=is_free)
+        gains += others.along**2
+        gains *= is_free
+        return gains
 
 
-Grid = tuple[Sequence[Atom], FloatArray]
-"""Terms with inner constants from a grid, and their columns (A, N)."""
+def gains_of_terms(sums: Sequence[ResidualGains], columns: FloatArray) -> FloatArray:
+    """Return the share (S, A) of the squared residuals of each of the sums that each of the columns (A, N) explains.
+    The share is 0 if the part of the column orthogonal to the terms is a rounding error."""
+    vectors, squares = [one.vectors for one in sums], np.array([one.squares for one in sums]).T
+    first = np.cumsum([0, *map(len, vectors[:-1])])
+    stacked, gains = np.ascontiguousarray(np.concatenate(vectors).T), np.empty((len(columns), len(sums)))
+    for start in range(0, len(columns), _BLOCK):
+        block = columns[start : start + _BLOCK]
+        along, sizes = (block @ stacked) ** 2, block**2 @ squares
+        explained = along[:, first]
+        orthogonal = sizes + explained - np.add.reduceat(along, first, axis=1)
+        is_free = orthogonal > _SMALLEST_PART * sizes
+        gains[start : start + _BLOCK] = np.where(is_free, explained / np.where(is_free, orthogonal, 1.0), 0.0)
+    return np.ascontiguousarray(gains.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Terms with inner constants from a grid, `atoms`, and their columns (A, N). The terms of a shape are consecutive;
+    `first` (S,) has the place of the first term of each shape."""
+
+    atoms: Sequence[Atom]
+    columns: FloatArray
+    first: Ints
+
+    @cached_property
+    def shapes(self) -> list[Shape]:
+        """The shapes (S,) that have terms."""
+        return [self.atoms[place].shape for place in self.first.tolist()]
+
+    @cached_property
+    def ranges(self) -> list[slice]:
+        """The places of the terms of each shape."""
+        return [slice(*ends) for ends in pairwise([*self.first.tolist(), len(self.atoms)])]
 
 
 def make_grid(rows: RegressionRows, shapes: Iterable[Shape]) -> Grid:
-    """Return a term for each shape and each start value of its inner constant, if its values are finite."""
-    with np.errstate(all="ignore"):
-        pairs = [(atom, atom.values) for shape in shapes for atom in map(partial(Atom, shape), shape.constants())]
-    pairs = [(atom, values) for atom, values in pairs if np.isfinite(values).all()]
-    values = np.array([values for _, values in pairs]).reshape(len(pairs), rows.inputs.shape[1])
-    return [atom for atom, _ in pairs], rows.columns_of(values)
+    """Return a term for each shape and each start value of its inner constant, if its values are finite.
+
+    The values of a function are computed once for all its products.
+    """
+    functions: dict[tuple[int, int, float], FloatArray] = {}
+    atoms, columns, first = list[Atom](), list[FloatArray](), list[int]()
+    for shape in shapes:
+        begin = len(atoms)
+        for constant in shape.constants():
+            values = shape.product
+            if shape.function is not None:
+                key = (id(shape.function), id(shape.u), constant)
+                if key not in functions:
+                    functions[key] = shape.function_values(constant)
+                values = values * functions[key]
+            if np.isfinite(values).all():
+                atoms.append(Atom(shape, constant))
+                columns.append(values)
+        first += [begin] if len(atoms) > begin else []
+    stacked = np.array(columns).reshape(len(atoms), rows.inputs.shape[1])
+    return Grid(atoms, rows.columns_of(stacked), np.array(first, np.int64))
 
 
 def rank_further_terms(
     rows: RegressionRows, sums: Sequence[Sequence[Atom]], grid: Grid, count: int
 ) -> Iterator[list[tuple[float, Atom]]]:
-    """Yield for each of the sums `sums` the `count` best further terms of a grid, as pairs (share of squared residuals
-    explained, term)."""
-    atoms, columns = grid
-    for own in sums:
-        found: dict[Shape, tuple[float, Atom]] = {}
-        gains = ResidualGains(rows, own).gains(columns) if atoms else np.zeros(0)
-        for place in np.argsort(-gains, kind="stable").tolist():
-            found.setdefault(atoms[place].shape, (float(gains[place]), atoms[place]))
-        yield sorted((pair for pair in found.values() if pair[0] > 0.0), key=lambda pair: -pair[0])[:count]
+    """Yield for each of the sums `sums` the `count` best further terms of a grid, the best term of a shape each, as
+    pairs (share of squared residuals explained, term)."""
+    if not (sums and grid.atoms):
+        yield from ([] for _ in sums)
+        return
+    ranges = grid.ranges
+    for gains in gains_of_terms([ResidualGains(rows, atoms) for atoms in sums], grid.columns):
+        best = np.maximum.reduceat(gains, grid.first)
+        shapes = [shape for shape in np.argsort(-best, kind="stable")[:count].tolist() if best[shape] > 0.0]
+        places = [ranges[shape].start + int(np.argmax(gains[ranges[shape]])) for shape in shapes]
+        yield [(float(gains[place]), grid.atoms[place]) for place in places]
+
+
+def rank_pairs(
+    gains: ResidualGains, grid: Grid, prices: FloatArray, most: float, count: int
+) -> Iterator[tuple[float, tuple[Atom, Atom]]]:
+    """Yield the `count` best pairs of terms of a grid, the best pair of two shapes each, as (share of squared residuals
+    explained, pair).
+
+    `prices` (S,) are the prices of the shapes; only pairs whose price is at most `most` are computed. Shapes are sorted
+    by price, so that the possible partners of a shape are consecutive. The gains of all terms of two shapes are
+    computed in blocks that fit into the cache. Only the largest gain of two shapes is kept, and the gains of the best
+    shapes are computed again.
+    """
+    order = np.argsort(prices, kind="stable")
+    prices, ranges = prices[order], [grid.ranges[shape] for shape in order.tolist()]
+    vectors = gains.orthogonal_parts(np.concatenate([grid.columns[places] for places in ranges]))
+    first = np.cumsum([0, *(places.stop - places.start for places in ranges)])
+    best, begin = np.zeros((len(order), len(order))), 0
+    while begin < len(order) and 2.0 * prices[begin] <= most:
+        end = max(int(np.searchsorted(first, first[begin] + _BLOCK, side="right")) - 1, begin + 1)
+        last = max(int(np.count_nonzero(prices + prices[begin] <= most)), end)
+        block = vectors[first[begin] : first[last]].gains_with(vectors[first[begin] : first[end]])
+        _keep_below_diagonal(block)
+        over_rows = np.maximum.reduceat(block, first[begin:last] - first[begin], axis=0)
+        best[begin:last, begin:end] = np.maximum.reduceat(over_rows, first[begin:end] - first[begin], axis=1)
+        begin = end
+    best[prices[:, None] + prices > most] = 0.0
+    for place in np.argsort(-best, axis=None, kind="stable")[:count].tolist():
+        one, other = divmod(place, len(order))
+        if not best[one, other] > 0.0:
+            break
+        block = vectors[first[one] : first[one + 1]].gains_with(vectors[first[other] : first[other + 1]])
+        if one == other:
+            _keep_below_diagonal(block)
+        row, column = divmod(int(np.argmax(block)), block.shape[1])
+        terms = sorted((ranges[one].start + row, ranges[other].start + column))
+        yield float(block[row, column]), (grid.atoms[terms[0]], grid.atoms[terms[1]])
+
+
+def _keep_below_diagonal(block: FloatArray) -> None:
+    """Set the elements of the block (A, B), A >= B, on and above the diagonal to 0."""
+    block[np.triu_indices(block.shape[1])] = 0.0
 
 
 def rank_functions(
@@ -331,24 +452,16 @@ class _Pursuit:
         for fit, terms in zip(beam, further, strict=True):
             square = self._squared_residuals(fit)
             grown += [(square * (1.0 - share), (*fit.atoms, atom)) for share, atom in terms]
-        if has_pairs and 0 < len(self._grid[0]) <= _MOST_ATOMS:
-            grown += self._pairs()
+        if has_pairs and self._grid.atoms:
+            square = float(self._rows.sides @ self._rows.sides)
+            prices = np.array([self._prices[shape] for shape in self._grid.shapes])
+            pairs = rank_pairs(ResidualGains(self._rows, ()), self._grid, prices, self._most, width)
+            grown += [(square * (1.0 - share), pair) for share, pair in pairs]
         by_terms: dict[_Terms, tuple[Atom, ...]] = {}
         for _, atoms in sorted(grown, key=lambda pair: pair[0]):
             if self._is_short(atoms):
                 by_terms.setdefault(_terms(atoms), atoms)
         return self._shortest(self._fit_sums([*by_terms.values()][:width]))
-
-    def _pairs(self) -> Iterator[tuple[float, tuple[Atom, ...]]]:
-        """Yield the best pairs of terms, as (squared residuals, pair)."""
-        atoms, columns = self._grid
-        gains = ResidualGains(self._rows, ()).gains_of_pairs(columns)
-        count, square = min(_RANKED_PAIRS, gains.size), float(self._rows.sides @ self._rows.sides)
-        least = -np.partition(-gains, count - 1, axis=None)[count - 1]
-        best = np.flatnonzero((gains >= least) & (gains > 0.0))
-        for share, place in zip(gains.flat[best].tolist(), best.tolist(), strict=True):
-            first, second = divmod(place, len(atoms))
-            yield square * (1.0 - share), (atoms[first], atoms[second])
 
     def _is_short(self, atoms: Sequence[Atom]) -> bool:
         return math.fsum(self._prices[atom.shape] for atom in atoms) <= self._most

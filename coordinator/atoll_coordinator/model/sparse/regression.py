@@ -33,6 +33,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -43,6 +44,7 @@ from atoll_coordinator.model.sparse.kernels.elimination import (
     eliminate,
     find_shortest_with_each,
     scalar_products,
+    sum_products,
 )
 from atoll_coordinator.model.sparse.rows import Assessment, Errors, RegressionRows
 from atoll_coordinator.settings import SETTINGS
@@ -101,28 +103,87 @@ def eliminate_columns(
     return Elimination(order.tolist(), np.maximum(squares - added + added[0], squares[0]), coefficients)
 
 
-def select_forward(columns: FloatArray, side: FloatArray) -> Iterator[tuple[int, float]]:
-    """Select one column after another. Yield its index in `columns` (K, N), and the sum of squared residuals of the fit
-    with this column.
+class Columns(Protocol):
+    """Columns (K, N) from which `select_forward` selects; they need not be in memory."""
+
+    def column(self, place: int) -> FloatArray:
+        """Return a column (N,)."""
+        ...
+
+    def dots(self, vector: FloatArray) -> FloatArray:
+        """Return the products (K,) of all columns with a vector (N,)."""
+        ...
+
+    def squares(self) -> FloatArray:
+        """Return the squared lengths (K,) of all columns."""
+        ...
+
+
+class WeightedProducts:
+    """The products of up to two `factors` (V, N), then the cubes of the factors, times the `weights` (N,): (K, N)
+    columns.
+
+    Products are in the order of `products(..., 2)`. The product of a vector with all of them is the matrix of products
+    of the factors, weighted by the vector.
+    """
+
+    def __init__(self, factors: FloatArray, weights: FloatArray) -> None:
+        self._rows = np.ascontiguousarray(np.vstack([np.ones_like(weights), factors]).T)
+        self._cubes, self._weights = factors * factors * factors, weights
+        self._pairs = np.triu_indices(self._rows.shape[1])
+
+    def column(self, place: int) -> FloatArray:
+        """Return a column (N,)."""
+        pairs = len(self._pairs[0])
+        if place >= pairs:
+            return np.asarray(self._cubes[place - pairs] * self._weights)
+        first, second = (int(factors[place]) for factors in self._pairs)
+        return np.asarray(self._rows[:, first] * self._rows[:, second] * self._weights)
+
+    def dots(self, vector: FloatArray) -> FloatArray:
+        """Return the products (K,) of all columns with a vector (N,)."""
+        return self._sums(self._rows, self._cubes, self._weights * vector)
+
+    def squares(self) -> FloatArray:
+        """Return the squared lengths (K,) of all columns."""
+        return self._sums(self._rows * self._rows, self._cubes * self._cubes, self._weights * self._weights)
+
+    def _sums(self, rows: FloatArray, cubes: FloatArray, weights: FloatArray) -> FloatArray:
+        sums = np.empty((rows.shape[1], rows.shape[1]))
+        sum_products(rows, weights, sums)
+        return np.concatenate([sums[self._pairs], _dots(cubes, weights)])
+
+
+def select_forward(columns: Columns, side: FloatArray) -> Iterator[tuple[int, float]]:
+    """Select one column after another. Yield its index, and the sum of squared residuals of the fit with this column.
 
     Each step selects the column that explains most of the residuals of `side` (N,): orthogonal matching pursuit. The
     selection ends when no column explains anything. Numbers are added in a fixed order, so that results are equal to
-    the bit.
+    the bit. The columns are not changed: each step reads them twice, for their products with the residuals and with the
+    new direction. The squared length of a column's part that is orthogonal to the selected columns is updated.
     """
-    sizes = np.sqrt(_dots(columns * columns, np.ones_like(side)))
-    rest, left = columns / np.where(sizes > 0.0, sizes, 1.0)[:, None], side
-    free = np.where(sizes > 0.0, 1.0, 0.0)
+    sizes = np.sqrt(columns.squares())
+    sizes[sizes == 0.0] = math.inf
+    free, left, units = np.where(sizes < math.inf, 1.0, 0.0), side, np.zeros((0, len(side)))
     while True:
-        gains = np.where(free > DEPENDENT, _dots(rest, left) ** 2 / np.maximum(free, DEPENDENT), 0.0)
+        gains = np.where(free > DEPENDENT, (columns.dots(left) / sizes) ** 2 / np.maximum(free, DEPENDENT), 0.0)
         best = int(np.argmax(gains))
         if not gains[best] > 0.0:
             return
-        unit = rest[best] / np.sqrt(free[best])
+        unit = _orthogonal_unit(columns.column(best) / sizes[best], units)
+        units = np.vstack([units, unit])
         left = left - _dots(left[None], unit) * unit
-        rest = rest - _dots(rest, unit)[:, None] * unit
-        free = _dots(rest * rest, np.ones_like(side))
+        free = free - (columns.dots(unit) / sizes) ** 2
         free[best] = 0.0
         yield best, float(_dots(left[None], left)[0])
+
+
+def _orthogonal_unit(column: FloatArray, units: FloatArray) -> FloatArray:
+    """Return the part of a column (N,) that is orthogonal to the orthonormal `units` (M, N), scaled to unit length."""
+    for _ in range(2):  # the second time for rounding errors of the first
+        for unit in units:
+            column = column - _dots(column[None], unit) * unit
+    return np.asarray(column / np.sqrt(_dots(column[None], column)))
 
 
 def _dots(columns: FloatArray, vector: FloatArray) -> FloatArray:
@@ -148,7 +209,7 @@ class Sum:
     nats: float
     assessment: Assessment | None = None
 
-    @property
+    @cached_property
     def atoms(self) -> tuple[Atom, ...]:
         """The terms without their coefficients."""
         return tuple(self.regression.atoms[place] for place in self.kept)
@@ -195,9 +256,12 @@ class SparseRegression:
         self.atoms = tuple(atoms)
         self.shared = shared
         self._columns, self._gradients = rows.columns(atoms), rows.gradients(atoms)
-        own = constant_nats_of(rows.independent)
-        use = SETTINGS.criterion.common + own
-        self._prices = [use if atom in shared else atom.shape.price(rows.independent) for atom in atoms]
+
+    @cached_property
+    def _prices(self) -> list[float]:
+        rows = self.rows.independent
+        use = SETTINGS.criterion.common + constant_nats_of(rows)
+        return [use if atom in self.shared else atom.shape.price(rows) for atom in self.atoms]
 
     @cached_property
     def is_finite(self) -> bool:
@@ -267,6 +331,14 @@ class SparseRegression:
                 break
             before = fit.excess
         return fit
+
+    def refit_coefficients(self, weights: FloatArray) -> list[float] | None:
+        """Return the coefficients of the sum of all terms after `refit`; None if a residual has no variance."""
+        every = range(len(self.atoms))
+        if self.rows.reweightings == 1:
+            return self._path(every, weights, self._errors(weights, every), steps=1).factors(0)
+        fit = self.refit(every, weights)
+        return None if fit is None else fit.coefficients
 
     def elimination_path(
         self, places: Sequence[int], weights: FloatArray, errors: Errors | None = None

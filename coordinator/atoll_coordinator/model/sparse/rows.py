@@ -24,7 +24,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, Generic, TypeVar
+from typing import ClassVar, Final, Generic, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -259,7 +259,8 @@ def measured_rows_of(recording: Recording, names: Sequence[str]) -> MeasuredRows
     states = np.concatenate([part.measured for part in parts], axis=1)
     smoothed = np.concatenate([part.smoothed for part in parts], axis=1)
     inputs = np.concatenate([_mean_inputs(part) for part in parts], axis=1)
-    noise = [_noise(parts, place, smoothing) for place, smoothing in enumerate(recording.smoothing)]
+    if recording not in _NOISE:
+        _NOISE[recording] = [_noise(parts, place, smoothing) for place, smoothing in enumerate(recording.smoothing)]
     block_ranges = _select_blocks([len(part.times) for part in parts])
     rows = np.concatenate([np.arange(first, end) for first, end in block_ranges])
     ends = np.cumsum([end - first for first, end in block_ranges]).tolist()
@@ -268,8 +269,13 @@ def measured_rows_of(recording: Recording, names: Sequence[str]) -> MeasuredRows
         tuple(zip([0, *ends[:-1]], ends, strict=True)),
         np.concatenate([np.where(np.isfinite(states), states, smoothed), inputs])[places][:, rows],
         np.concatenate([smoothed, inputs])[places][:, rows],
-        np.array([*noise, *([0.0] * len(inputs))])[places],
+        np.array([*_NOISE[recording], *([0.0] * len(inputs))])[places],
     )
+
+
+_NOISE: Final = WeakKeyDictionary[Recording, list[float]]()
+"""The noise of all states of a recording, see `_noise`. It is computed once for all equations. Threads may compute it
+twice, with equal results."""
 
 
 def _mean_inputs(part: Trajectory) -> FloatArray:

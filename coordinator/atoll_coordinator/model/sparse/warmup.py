@@ -12,6 +12,7 @@ from atoll_coordinator.model.sparse.kernels.elimination import (
     scalar_products,
     spread_window_weights,
     sum_error_products,
+    sum_products,
     windowed_sums,
 )
 from atoll_core.data.dataset import FloatArray
@@ -25,6 +26,7 @@ def warm_up() -> list[FloatArray]:
     first, ones = np.zeros(1, np.int64), np.ones((1, 3))
     windowed_sums(first, ones, values, windows := np.zeros((2, 1)))
     scalar_products(side, values, dots := np.zeros(2))
+    sum_products(np.ascontiguousarray(values.T), side, products := np.zeros((2, 2)))
     spread_window_weights(first, ones, ones, np.ones(1), weights := np.zeros(3), halves := np.zeros(3))
     sum_error_products(
         np.ones((2, 1, 3)), np.ones(1), 0, np.zeros(3), np.zeros(3), sums := np.zeros((2, 2)), cross := np.zeros(2)
@@ -38,4 +40,4 @@ def warm_up() -> list[FloatArray]:
         values, values, np.arange(3), np.ones((3, 1)), ones, 0.1 * values, first + 2, 0.0, shares := np.zeros((1, 2, 2))
     )
     solve_damped(np.array([[2.0, 1.0], [1.0, 3.0]]), 0.0, solution := np.array([1.0, 5.0]))
-    return [windows, dots, weights, halves, sums, cross, squares, found, nats, shares, solution]
+    return [windows, dots, products, weights, halves, sums, cross, squares, found, nats, shares, solution]

@@ -1,5 +1,6 @@
 """The queue: turns of one slice, and what a hit ends."""
 
+import random
 from dataclasses import dataclass, field
 
 import pytest
@@ -114,6 +115,34 @@ def test_islands_take_turns_slice_by_slice() -> None:
         for name, island in zip("xxy", (0, 1, 0), strict=True)
     ]
     assert bench.slices == expected + [("job", "x", 1, end, 2) for end in range(10, 51, 10)]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_next_slice_is_the_first_in_commit_order_while_tasks_come_and_go(seed: int) -> None:
+    draw, bench = random.Random(seed), Bench()
+    queue, generations = queue_of(bench), dict[TaskKey, int]()
+    for _ in range(400):
+        step = draw.random()
+        new = key(draw.randrange(8, 200), draw.randrange(3), variable=draw.choice("xyz"))
+        if step < 0.4 and new not in generations:
+            add_all(queue, new)
+            generations[new] = 0
+        elif step < 0.42:
+            queue.discard(new.shard)
+            generations = {one: done for one, done in generations.items() if one.shard != new.shard}
+        elif generations:
+            first = min(generations, key=lambda one: rank(one, generations[one]))
+            queue.turn()
+            generations[first] += 10
+            assert bench.slices[-1] == ("job", first.variable, first.epoch, generations[first], first.island)
+            if generations[first] == LAST:
+                del generations[first]
+        assert queue.is_idle == (not generations)
+
+
+def rank(one: TaskKey, generation: int) -> tuple[int, int, int, str, int]:
+    """Return the sort key of the next slice: in epoch 0, islands begin in groups of eight."""
+    return (one.epoch, one.island // 8 if one.epoch == 0 else 0, generation, one.variable, one.island)
 
 
 def test_a_job_that_comes_later_does_not_make_up_for_what_the_others_had() -> None:

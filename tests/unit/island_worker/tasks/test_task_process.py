@@ -189,6 +189,26 @@ def test_what_most_likely_follows_is_loaded_meanwhile(worker: Worker, caplog: py
     assert isinstance(worker.hear(), Ended)
 
 
+@pytest.mark.parametrize("is_announced", [True, False])
+def test_a_process_that_lacks_modules_runs_one_task(
+    worker: Worker, monkeypatch: pytest.MonkeyPatch, is_announced: bool
+) -> None:
+    lacking = KNOWING.replace("import main", "import Connection, serve")
+    lacking = lacking.replace(
+        "main(int(descriptor), int(level), version)", "serve(Connection(int(descriptor)), 0, is_complete=False)"
+    )
+    assert "is_complete" in lacking
+    monkeypatch.setattr(module, "_PROGRAM", lacking)
+    first = int(worker.result("pid"))
+    monkeypatch.setattr(module, "_PROGRAM", KNOWING)
+    if is_announced:
+        worker.process.load_next("to load")
+        assert worker.process.is_started
+    second = int(worker.result("pid"))
+    assert first != second == int(worker.result("pid"))
+    until(lambda: is_gone(first))
+
+
 def test_a_question_for_batches_is_answered_once_the_task_has_ended(worker: Worker, tmp_path: Path) -> None:
     assert worker.process.send(Ask(1)) == 0
     assert not worker.process.is_started

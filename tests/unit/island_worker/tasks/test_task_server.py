@@ -75,6 +75,10 @@ def test_what_a_task_prints_and_logs_goes_its_own_ways(start: Start, kind: str) 
     assert "not to be heard" not in err
 
 
+def test_a_server_that_is_still_loading_starts_processes(start: Start) -> None:
+    assert "result=b'a word'" in last_line(start("loading", "echo", "a word"))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("function", ["spin", "sleep"])
 def test_a_task_process_ends_with_its_worker_however_that_ends(

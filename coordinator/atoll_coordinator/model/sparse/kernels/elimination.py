@@ -148,6 +148,24 @@ def scalar_products(column: FloatArray, vectors: FloatArray, dots: FloatArray) -
 
 
 @kernel
+def sum_products(rows: FloatArray, weights: FloatArray, sums: FloatArray) -> None:
+    """Write the weighted sums over `rows` (N, V) of the products of columns i and j into `sums` (V, V) for i <= j, 0
+    for i > j.
+
+    The sums with all columns j are computed side by side, each of them in the order of the rows.
+    """
+    for i in range(rows.shape[1]):
+        sums[i, :i] = 0.0
+        totals = sums[i, i:]
+        totals[:] = 0.0
+        for n in range(rows.shape[0]):
+            others = rows[n, i:]
+            factor = weights[n] * others[0]
+            for j in range(len(totals)):
+                totals[j] += factor * others[j]
+
+
+@kernel
 def invert_triangle(triangle: FloatArray, inverse: FloatArray) -> None:
     """Write the inverse of an upper `triangle` (M, M) into `inverse` (M, M); rows with a diagonal of 0 stay 0.
 

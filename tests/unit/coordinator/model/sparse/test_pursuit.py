@@ -1,12 +1,14 @@
 """Sums of a polynomial and of functions: laws are among the candidates, constants inside functions fitted."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 
 from atoll_coordinator.model.description_length import constant_nats_of, structure_length
-from atoll_coordinator.model.sparse.atoms import product_atoms
-from atoll_coordinator.model.sparse.pursuit import ResidualGains, pursue
-from atoll_coordinator.model.sparse.rows import RegressionRows
+from atoll_coordinator.model.sparse.atoms import powers, product_atoms, products_with_functions
+from atoll_coordinator.model.sparse.pursuit import ResidualGains, gains_of_terms, make_grid, pursue, rank_pairs
+from atoll_coordinator.model.sparse.rows import RateRows, RegressionRows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.evaluation import values_of
@@ -109,24 +111,78 @@ def test_sums_that_must_have_an_operator_and_be_short_do_and_are():
     assert pursue(problem, (0, 1), ALL, needed, 5.0) == []
 
 
+def share_explained(rows, atoms, columns):
+    def squared_residuals(columns):
+        columns = np.array(columns) / np.linalg.norm(columns, axis=1)[:, None]
+        return float(np.sum((rows.sides - np.linalg.lstsq(columns.T, rows.sides, rcond=1e-9)[0] @ columns) ** 2))
+
+    own = [atom.values for atom in atoms]
+    return 1.0 - squared_residuals([*own, *columns]) / squared_residuals(own)
+
+
 def test_gains_are_the_shares_of_the_squared_residuals_that_further_terms_explain():
     rng = np.random.default_rng(5)
     inputs, further = rng.uniform(0.3, 2.5, (2, 60)), rng.standard_normal((4, 60))
     rows = RegressionRows(inputs, rng.standard_normal(60))
-    atoms = product_atoms(inputs, [(0,), (1, 1)])
+    sums = [product_atoms(inputs, terms) for terms in ([(0,), (1, 1)], [()], [(0,), (1,), (0, 1)])]
+    gains = gains_of_terms([ResidualGains(rows, atoms) for atoms in sums], further)
+    assert gains == pytest.approx(
+        np.array([[share_explained(rows, atoms, [column]) for column in further] for atoms in sums])
+    )
+    assert ResidualGains(rows, sums[0]).gains(inputs[:1]) == [0.0], "a multiple of a term explains nothing"
 
-    def share(*columns):
-        squares = [
-            np.linalg.lstsq(np.array([*(atom.values for atom in atoms), *more]).T, rows.sides, rcond=None)[1][0]
-            for more in ((), columns)
-        ]
-        return 1.0 - squares[1] / squares[0]
 
-    with np.errstate(all="ignore"):
-        gains, pairs = ResidualGains(rows, atoms).gains(further), ResidualGains(rows, atoms).gains_of_pairs(further)
-    assert gains == pytest.approx([share(column) for column in further])
-    assert pairs[0, 1:] == pytest.approx([share(further[0], column) for column in further[1:]])
-    assert not np.tril(pairs).any()
+def test_rows_with_large_errors_count_less_among_the_gains():
+    rng = np.random.default_rng(5)
+    inputs, spoilt = rng.uniform(0.3, 2.5, (1, 60)), np.arange(60) % 10 == 0
+    sides = 0.5 * inputs[0] + np.where(spoilt, 50.0 * rng.standard_normal(60), 1e-3 * rng.standard_normal(60))
+    term = product_atoms(inputs, [(0,)])[0]
+    known = ResidualGains(RateRows(inputs, sides, np.where(spoilt, 50.0, 1e-3)), ()).gains(term.values[None])
+    equal = ResidualGains(RegressionRows(inputs, sides), ()).gains(term.values[None])
+    assert equal[0] < 0.5 < 0.9 < known[0]
+
+
+@pytest.fixture(scope="module")
+def grid_of_two_variables():
+    """The rows of a law, a grid of shapes with one term and of shapes with several, and the prices of the shapes."""
+    problem, _ = problem_of("1.2*x/(0.4 + x) - 0.3*y", 0.1)
+    rows = RegressionRows(problem.inputs, problem.target.values)
+    quotients = products_with_functions(problem.inputs, (0, 1), {BY_NAME["/"].code})
+    grid = make_grid(rows, [*powers(problem.inputs, [(), (0,), (1,)]), *quotients[:: len(quotients) // 4]])
+    return rows, grid, np.array([shape.price(rows.independent) for shape in grid.shapes])
+
+
+@pytest.mark.parametrize("quantile", [0.6, 1.0])
+def test_the_best_pair_of_each_two_shapes_is_ranked_if_its_price_is_allowed(grid_of_two_variables, quantile):
+    rows, grid, prices = grid_of_two_variables
+    terms, most = product_atoms(rows.inputs, [(1,)]), 2.0 * float(np.quantile(prices, quantile))
+    ranked = list(rank_pairs(ResidualGains(rows, terms), grid, prices, most, 10))
+    best: dict[frozenset[int], float] = {}
+    for first, second in combinations(range(len(grid.atoms)), 2):
+        pair = [grid.atoms[first], grid.atoms[second]]
+        shapes = [grid.shapes.index(atom.shape) for atom in pair]
+        if prices[shapes].sum() <= most:
+            share = share_explained(rows, terms, [atom.values for atom in pair])
+            best[frozenset(shapes)] = max(best.get(frozenset(shapes), 0.0), share)
+    assert len(ranked) == 10
+    assert [share for share, _ in ranked] == sorted((share for share, _ in ranked), reverse=True)
+    keys = [frozenset(grid.shapes.index(atom.shape) for atom in pair) for _, pair in ranked]
+    assert len(set(keys)) == len(keys)
+    for (share, pair), key in zip(ranked, keys, strict=True):
+        assert grid.atoms.index(pair[0]) < grid.atoms.index(pair[1])
+        assert share == pytest.approx(share_explained(rows, terms, [atom.values for atom in pair]), rel=1e-5)
+        assert share >= best.get(key, 0.0) * (1.0 - 1e-6)
+    assert not [key for key, share in best.items() if key not in keys and share > ranked[-1][0] * (1.0 + 1e-6)]
+
+
+def test_a_grid_has_the_finite_terms_of_each_shape_one_after_another(grid_of_two_variables):
+    rows, grid, _ = grid_of_two_variables
+    assert np.array_equal(grid.columns, rows.columns(grid.atoms))
+    for shape, places in zip(grid.shapes, grid.ranges, strict=True):
+        own = [constant for constant in shape.constants() if np.isfinite(shape.value(constant)).all()]
+        assert [atom.constant for atom in grid.atoms[places]] == own
+        assert all(atom.shape is shape for atom in grid.atoms[places])
+    assert len(grid.atoms) == sum(places.stop - places.start for places in grid.ranges)
 
 
 def test_no_function_is_added_to_a_polynomial_within_the_uncertainty_of_the_target():

@@ -5,17 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.sparse.atoms import product_atoms
+from atoll_coordinator.model.sparse.atoms import product_atoms, products, values_of_products
 from atoll_coordinator.model.sparse.kernels.elimination import (
     explained_shares,
     find_shortest_with_each,
     scalar_products,
     spread_window_weights,
     sum_error_products,
+    sum_products,
     windowed_sums,
 )
 from atoll_coordinator.model.sparse.regression import (
     SparseRegression,
+    WeightedProducts,
     descend,
     eliminate_columns,
     select_forward,
@@ -44,20 +46,77 @@ def test_terms_leave_as_long_as_that_is_shorter_by_more_than_the_least_gain():
     assert shortest([None]) is None
 
 
+class Stored:
+    def __init__(self, values):
+        self.values = np.array(values)
+
+    def column(self, place):
+        return self.values[place]
+
+    def dots(self, vector):
+        return self.values @ vector
+
+    def squares(self):
+        return (self.values**2).sum(axis=1)
+
+
 def test_the_column_that_explains_most_comes_first():
     generator = np.random.default_rng(3)
     columns = generator.normal(size=(6, 100))
     columns[5] = columns[0]
     side = 5.0 * columns[4] + columns[1]
-    steps = list(select_forward(columns, side))
+    steps = list(select_forward(Stored(columns), side))
     chosen = [place for place, _ in steps]
     assert chosen[:2] == [4, 1]
     assert steps[1][1] < 1e-20 * float(side @ side)
     assert not {0, 5} <= set(chosen)
 
 
+def test_the_sum_of_squares_is_that_of_least_squares_at_each_step():
+    generator = np.random.default_rng(4)
+    common = generator.normal(size=60)
+    columns = generator.uniform(0.1, 100.0, (9, 1)) * (common + 0.03 * generator.normal(size=(9, 60)))
+    side, kept = generator.normal(size=60), []
+    for place, square in select_forward(Stored(columns), side):
+        residuals = {
+            other: ((side - np.linalg.lstsq(columns[[*kept, other]].T, side)[0] @ columns[[*kept, other]]) ** 2).sum()
+            for other in set(range(9)) - set(kept)
+        }
+        assert place == min(residuals, key=residuals.get)
+        assert square == pytest.approx(residuals[place], rel=1e-9)
+        kept.append(place)
+    assert sorted(kept) == list(range(9))
+
+
 def test_nothing_is_chosen_where_no_column_is_left():
-    assert list(select_forward(np.array([[1.0, 1.0]]), np.array([1.0, 2.0]))) == [(0, pytest.approx(0.5))]
+    assert list(select_forward(Stored([[1.0, 1.0]]), np.array([1.0, 2.0]))) == [(0, pytest.approx(0.5))]
+    assert list(select_forward(Stored([[0.0, 0.0]]), np.array([1.0, 2.0]))) == []
+
+
+@pytest.mark.parametrize("variables", [1, 3, 9])
+def test_weighted_products_are_columns_of_products(variables):
+    generator = np.random.default_rng(5)
+    factors, weights, vector = (
+        generator.normal(size=(variables, 40)),
+        generator.uniform(size=40),
+        generator.normal(size=40),
+    )
+    terms = [*products(range(variables), 2), *((variable,) * 3 for variable in range(variables))]
+    expected, columns = weights * values_of_products(terms, factors), WeightedProducts(factors, weights)
+    assert np.array([columns.column(place) for place in range(len(terms))]) == pytest.approx(expected, rel=1e-14)
+    assert columns.dots(vector) == pytest.approx(expected @ vector, abs=1e-13 * 40)
+    assert columns.squares() == pytest.approx((expected**2).sum(axis=1))
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_sums_of_products_are_added_in_the_order_of_the_rows(count):
+    generator = np.random.default_rng(count)
+    rows, weights = generator.normal(size=(30, count)), generator.normal(size=30)
+    expected, found = np.zeros((count, count)), np.full((count, count), np.nan)
+    for row, weight in zip(rows, weights, strict=True):
+        expected += np.triu(np.outer(weight * row, row))
+    sum_products(rows, weights, found)
+    assert np.array_equal(found, expected)
 
 
 def run(columns, side, errors=None):
