@@ -3,9 +3,6 @@
 A store is filled with jobs that have ended, each with a result of the usual size and some of megabytes, a table, a
 dataset and events. A real `serve` is started on it and asked by a real client over the network of this machine; beside
 the client's time stands the longest time that the coordinator's loop spent on one event meanwhile.
-
-``--submit 1000`` measures instead what it costs to submit so many jobs, which wait because there is no worker: by
-blocks of `_BLOCK` jobs, then the start of a coordinator that takes over all of them.
 """
 
 import hashlib
@@ -23,8 +20,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-import numpy as np
-
 from atoll.client.client import Client, connected
 from atoll.terminal.output import note, say
 from atoll_coordinator.service.store import events, jobs
@@ -35,7 +30,6 @@ from atoll_core.config import JobConfig
 from atoll_core.signals import raising_interrupts
 from benchmarks.harness.accounts import processor_seconds, status
 from benchmarks.harness.command_line import OUT, option, program, whole
-from benchmarks.harness.jobs import table_of_columns
 from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import CONNECT_LIMIT_S, COORDINATOR, TIED_COORDINATOR, Machines
 from benchmarks.harness.tables import Columns
@@ -187,73 +181,11 @@ def questions_of(client: Client, address: str, number: int, burst: Path) -> dict
     }
 
 
-_BLOCK: Final = 250
-
-
-@dataclass(frozen=True)
-class Block:
-    """The submission of some jobs, when so many wait already: milliseconds at the client and of the processor.
-
-    `resident` are bytes in memory of the coordinator after it.
-    """
-
-    waiting: int
-    median_ms: float
-    worst_ms: float
-    processor_ms: float
-    resident: int
-
-
-def submitted(machines: Machines, number: int) -> list[Block]:
-    """Submit so many jobs, each with a table of its own, one after another."""
-    pid, blocks = machines.pid(COORDINATOR), list[Block]()
-    with connected(machines.address, CONNECT_LIMIT_S) as client:
-        for first in range(0, number, _BLOCK):
-            before, seconds = processor_seconds(pid), []
-            for index in range(first, min(first + _BLOCK, number)):
-                times = np.arange(50.0)
-                table = table_of_columns({"t": times, "x": times**2 + index}, "table")
-                began = time.perf_counter()
-                client.hand_in(f"waiting-{index:06d}", "a job that waits", JobConfig(), table.to_bytes())
-                seconds.append(time.perf_counter() - began)
-            processor_ms = 1e3 * (processor_seconds(pid) - before) / len(seconds)
-            median, worst = 1e3 * statistics.median(seconds), 1e3 * max(seconds)
-            blocks.append(Block(first, median, worst, processor_ms, status(pid, "VmRSS")))
-    return blocks
-
-
-def measure_submissions(folder: Path, number: int, record: Record) -> None:
-    """Submit jobs to a coordinator in `folder`, start it again, and print what both took."""
-    machines = Machines(folder, 0)
-    try:
-        machines.open()
-        blocks = submitted(machines, number)
-        machines.end(COORDINATOR)
-        began = time.monotonic()
-        machines.start(COORDINATOR)
-        start_s, pid = time.monotonic() - began, machines.pid(COORDINATOR)
-        start_cpu_s, resident = processor_seconds(pid), status(pid, "VmRSS")
-    finally:
-        machines.close()
-    say(
-        Columns(
-            "jobs that wait={waiting} | ms={median_ms:.1f} | longest={worst_ms:.1f} | "
-            "ms of processor={processor_ms:.2f} | MB in memory={resident:B.0f}"
-        ).table(blocks)
-    )
-    say(
-        f"\nstart with {number} waiting jobs {start_s:.2f} s, {start_cpu_s:.2f} s of processor time; "
-        f"{resident / 1e6:.0f} MB in memory; load {load():.1f}"
-    )
-    record.write(blocks=[asdict(one) for one in blocks], start_s=start_s, start_cpu_s=start_cpu_s, resident=resident)
-
-
 @program(
     "benchmarks.operations.many_jobs",
     __doc__,
     option("--jobs", type=whole, default=20_000, help="jobs in the store (%(default)s)"),
     option("--times", type=whole, default=20, help="how often each question is asked (%(default)s)"),
-    option("--submit", type=whole, metavar="JOBS", help="measure instead the submission of so many jobs"),
     option("--state", type=Path, help="a store that is kept and used again"),
     OUT,
 )
@@ -266,9 +198,6 @@ def main(options: Namespace) -> int:
         if not (folder / "state").exists():
             note(f"filling a store with {options.jobs} jobs")
             filled(folder / "state", options.jobs)
-        if options.submit:
-            measure_submissions(folder, options.submit, record)
-            return 0
         machines = Machines(folder, 0, coordinator=TIMED_COORDINATOR.replace("FILE", repr(str(loop))))
         try:
             began = time.monotonic()
