@@ -25,6 +25,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction, Spread
+from atoll_coordinator.model.description_length import least_term_length
 from atoll_coordinator.model.least_squares import SETTLED
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.score import FittedModel, Score, SummarizedFit
@@ -64,12 +65,14 @@ class FitStart:
 class FitPlan:
     """How systems are fitted: in stages of segments of growing `lengths`, or in whole pieces from the start `near`.
 
-    A fit takes at most `steps` steps.
+    A fit takes at most `steps` steps. A fit from `near` ends when its description cannot become shorter than `limit`
+    nats.
     """
 
     steps: int
     lengths: tuple[int | None, ...] = ()
     near: FitStart | None = None
+    limit: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +238,7 @@ class ModelComparison:
         if plan.near is None:
             model = self.fit_model(programs, plan.steps, plan.lengths)
         else:
-            model = self._fit_from_start(plan.near, programs, plan.steps)
+            model = self._fit_from_start(plan.near, programs, plan.steps, limit=plan.limit)
         return model if model is not None and math.isfinite(model.nats) else None
 
     def _fit_on_workers(self, plan: FitPlan, systems: Sequence[Programs]) -> list[FitOutcome | None]:
@@ -405,12 +408,14 @@ class ModelComparison:
 
     def _fit_from_start(
         self, near: FitStart, programs: Sequence[Program], steps: int, shared: Collection[SharedNumber] = (),
+        limit: float = math.inf,
     ) -> FittedModel | None:  # fmt: skip
         admitted = self.admissible_programs(programs)
         if admitted is None:
             return None
         system = self.system(admitted, near=near.system, shared=shared)
-        fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff)
+        most = self.score.misfit_limit(system, limit) if limit < math.inf else None
+        fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff, limit=most)
         return None if fit is None else self.score_fit(fit)
 
     def fit_replacement(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
@@ -426,17 +431,22 @@ class ModelComparison:
         The programs are fitted in `rounds`; each round has a number of steps and the number of programs that are kept
         for the next round. If several programs are equivalent, only the program with the shortest description is kept,
         see `distinct_models`. When the estimator's work has reached `until`, at most one more block of programs is
-        fitted.
+        fitted. Fits that cannot become about as short as `near` do not converge, see `_limit_of`.
         """
         models: list[FittedModel] = []
         waiting = list(programs)
         beginning = self._start_of(near) if waiting else None
         for steps, kept in rounds:
-            plan = FitPlan(steps, near=beginning)
+            plan = FitPlan(steps, near=beginning, limit=self._limit_of(near))
             models = self._fit_systems(plan, _replace_program(near, equation, waiting), until)
             models = self.distinct_models(models, equation)[:kept]
             waiting = [model.programs[equation] for model in models]
         return self._remember(equation, models)
+
+    def _limit_of(self, near: FittedModel) -> float:
+        """Return the longest description, in nats, with which a system in the place of `near` is of use. If it is
+        longer than `near` by more than the cheapest term, no search goes on from it."""
+        return near.nats + least_term_length(self.score.constant_nats)
 
     def prefetch_models(
         self, near: FittedModel, lists: Mapping[int, Sequence[Program]], rounds: Sequence[tuple[int, int]]
@@ -452,7 +462,7 @@ class ModelComparison:
         prefetched = {equation: PrefetchedModels([], 0) for equation in lists}
         waiting, beginning = dict(lists), self._start_of(near)
         for steps, kept in rounds:
-            plan = FitPlan(steps, near=beginning)
+            plan = FitPlan(steps, near=beginning, limit=self._limit_of(near))
             systems = {equation: _replace_program(near, equation, programs) for equation, programs in waiting.items()}
             outcomes_by_system = iter(self._fit_on_workers(plan, [one for part in systems.values() for one in part]))
             for equation, part in systems.items():

@@ -99,9 +99,9 @@ def find_starting_system(
 ) -> FittedModel | None:
     """Return the best of a few systems made of the first programs of the lists; None if no system can be simulated.
 
-    If rows are nearly without noise, all systems are fitted to short segments first, and only the best ones to longer
-    segments. If none of the best ones can be fitted to longer segments, all systems are. Noise hides the differences
-    between systems in short segments.
+    All systems are fitted with few steps first, and only the best of them with more steps. If rows are nearly without
+    noise, short segments suffice for the first fits. Noise hides the differences between systems in short segments. If
+    none of the best can be fitted with more steps, all systems are.
     Systems whose key is in `fitted` are not fitted again; the keys of the other systems are added to it.
     """
     first = [programs[0] for programs in lists]
@@ -118,13 +118,14 @@ def find_starting_system(
         keys = [b"".join(program.to_bytes() for program in system) for system in systems]
         systems = [system for system, key in zip(systems, keys, strict=True) if key not in fitted]
         fitted.update(keys)
-    finalists: Sequence[Sequence[Program]] = systems
-    noise = comparison.estimator.measurements.relative_noise
-    if comparison.score.errors is None and noise.max() < SETTINGS.selection.least_noise:
-        in_segments = comparison.fit_all(systems, lengths=STAGES[:1])
-        finalists = [model.programs for model in in_segments[: SETTINGS.effort.rounds[1][1]]]
+    effort, finalists = SETTINGS.effort, list[Sequence[Program]](systems)
+    if len(systems) > effort.rounds[1][1]:
+        noise = comparison.estimator.measurements.relative_noise
+        is_clean = comparison.score.errors is None and noise.max() < SETTINGS.selection.least_noise
+        steps, lengths = (effort.steps, STAGES[:1]) if is_clean else (effort.brief_steps, STAGES)
+        finalists = [model.programs for model in comparison.fit_all(systems, steps, lengths)[: effort.rounds[1][1]]]
     models = comparison.fit_all(finalists)
-    if finalists is not systems and not models:  # the best ones in segments cannot be simulated any further
+    if len(finalists) < len(systems) and not models:  # the best ones cannot be simulated any further
         models = comparison.fit_all(systems)
     if systems and not models and comparison.estimator.deadline.is_over:
         return comparison.fit_model(first)  # without a step, since the time is over

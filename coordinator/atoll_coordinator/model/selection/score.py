@@ -29,7 +29,7 @@ from atoll_coordinator.model.description_length import (
 )
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, bounded_covariance
-from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.model.shooting.multiple_shooting import MisfitLimit, MultipleShooting
 from atoll_coordinator.model.shooting.residual_noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_coordinator.settings import SETTINGS
@@ -177,6 +177,10 @@ class Score:
         """Return the model of a fit, with its misfit and length in nats."""
         misfit = self._misfit_of(fit.system).total(self.squares(fit)) + self._resting_misfit(fit)
         return FittedModel(fit.system.programs[self.leading :], fit, misfit, self._add_prices(misfit, fit.system))
+
+    def misfit_limit(self, system: OdeSystem, nats: float) -> MisfitLimit:
+        """Return the misfit above which a system has a longer description than `nats`."""
+        return MisfitLimit(nats - self._add_prices(0.0, system), self._misfit_of(system), self.errors)
 
     def calibrate(self, fit: TrajectoryFit) -> tuple["Score", TrajectoryFit]:
         """Return the score with errors estimated from the residuals of a fit, and the fit repeated with these errors.

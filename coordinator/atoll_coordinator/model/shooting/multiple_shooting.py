@@ -27,7 +27,10 @@ start values, and a fit of whole trajectories uses all information of the data.
 5. *Offsets and groups.* If a state was measured with an unknown offset, each whole trajectory has one offset, which is
    another number of the segment. If groups of trajectories have their own constants, the sensitivities have more
    columns (`system.Sharing`).
-6. *Equal fits.* Several stages of the choice of equations fit equal systems from equal starts. The numbers that
+6. *Ending early.* A caller that needs no fit above a certain misfit gives a `MisfitLimit`. The Gauss-Newton step
+   predicts how far the cost can still fall. A fit ends when even twice this decrease would not reach the limit (ADR
+   0106).
+7. *Equal fits.* Several stages of the choice of equations fit equal systems from equal starts. The numbers that
    determine a fit are kept, and an equal fit is restored by one integration, with the same counted work (ADR 0103).
 
 Doubts. A variance is estimated by its most probable value for the residuals, and not integrated out of the likelihood.
@@ -49,6 +52,7 @@ import numpy as np
 
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.description_length import TrajectoryMisfit
 from atoll_coordinator.model.least_squares import LEAST_DAMPING, SETTLED, Fitter, Solver, hold_numbers, minimize
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.fit_result import NormalBlocks, TrajectoryFit
@@ -64,6 +68,36 @@ _REJECTED: Final = 0.4
 """Share of fit steps that do not lower the cost (measured without noise: 0.5 with 8 states, 0.4 with 40 states). A step
 is first integrated without sensitivities if this integration takes less than this share of the work of a complete
 step."""
+
+
+_UNFORESEEN: Final = 2.0
+"""A fit may lower its misfit by up to this many times the prediction of a Gauss-Newton step. The prediction is made at
+points where it is small: there the residuals are nearly linear in the fitted numbers. Measured: ADR 0106."""
+
+
+_FIRST_CHECK: Final = 3
+"""Steps before the first such prediction. At the first points, residuals are far from linear."""
+
+
+@dataclass(frozen=True, eq=False)
+class MisfitLimit:
+    """A fit whose misfit cannot fall to `nats` need not converge.
+
+    Attributes:
+        nats: the largest misfit that is of use.
+        misfit: the function from mean squares of residuals to nats.
+        errors: correlated errors by which residuals are whitened before they are squared; None: they are not whitened.
+    """
+
+    nats: float
+    misfit: TrajectoryMisfit
+    errors: ErrorModel | None
+
+    @property
+    def arrays(self) -> list[FloatArray]:
+        """All numbers of the limit."""
+        own = [np.array([self.nats]), *vars(self.misfit).values()]
+        return own if self.errors is None else [*own, self.errors.sigmas, self.errors.shares, self.errors.decays]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +168,9 @@ class MultipleShooting:
 
     # -------------------------------------------------------------------------------------------------- fits
 
-    def fit(
+    def fit(  # noqa: PLR0913, all numbers on which a fit depends
         self, system: OdeSystem, length: int | None, steps: int, starts: FloatArray | None = None,
-        errors: ErrorModel | None = None, *, is_stiff: bool = False,
+        errors: ErrorModel | None = None, *, is_stiff: bool = False, limit: MisfitLimit | None = None,
     ) -> TrajectoryFit | None:  # fmt: skip
         """Return `system` fitted to segments of about `length` rows; None if it cannot be integrated from `starts`.
 
@@ -148,15 +182,16 @@ class MultipleShooting:
             errors: the first error model; None: errors are independent and as large as the smoother estimates them.
             is_stiff: whether similar systems are stiff. If similar systems are not stiff, a fit of few steps must not
                 use the implicit method, since most candidates that seem stiff are wrong.
+            limit: the fit ends when its misfit cannot fall to this limit.
         """
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
-        key = _key_of_fit(system, length, steps, starts, errors, may_be_stiff=may_be_stiff)
+        key = _key_of_fit(system, length, steps, starts, errors, limit, may_be_stiff=may_be_stiff)
         known = self._known_fits.get(key)
         if known is not None:
             self.add_work(known.work)
             return self._fit_again(known, system, length)
         fitter = _Shooting(self, system, length, starts, errors, may_be_stiff=may_be_stiff)
-        fitter.steps_left = steps
+        fitter.steps_left, fitter.limit = steps, limit
         fit = minimize(fitter, steps)
         self.add_work(fitter.work)
         if not self.deadline.is_over:  # a deadline may have ended the fit early
@@ -382,7 +417,8 @@ class MultipleShooting:
 
 
 class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
-    """The fit of one system to segments of one length; `work` is its work so far, and `steps_left` limits its steps."""
+    """The fit of one system to segments of one length. `work` is its work so far, `steps_left` limits its steps, and
+    `limit` is the largest misfit that is of use."""
 
     def __init__(
         self, estimator: MultipleShooting, system: OdeSystem, length: int | None, starts: FloatArray | None,
@@ -395,6 +431,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         self._system, self._starts, self._errors = system, starts, errors
         self._may_be_stiff = may_be_stiff
         self.steps_left = 0
+        self.limit: MisfitLimit | None = None
         self.method: Method = estimator.integrator.methods[0]
         self.work = 0
 
@@ -468,7 +505,27 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return np.asarray((measurements.weights * squares).sum(axis=1))
 
     def done(self, point: _Point, promise: float, taken: int) -> bool:
-        return self._estimator.deadline.is_over
+        """Tell whether the time is over, or whether the fit cannot reach its limit."""
+        return self._estimator.deadline.is_over or (taken >= _FIRST_CHECK and self._is_out_of_reach(point))
+
+    def _is_out_of_reach(self, point: _Point) -> bool:
+        """Tell whether the misfit would stay above the limit even after a decrease that is `_UNFORESEEN` times the
+        prediction.
+
+        The undamped step predicts the largest decrease. It tells which share of the cost remains, and thus by how many
+        nats the likelihood of N rows with a fitted variance can grow.
+        """
+        limit, estimator = self.limit, self._estimator
+        solved = None if limit is None else self.equations(point)(LEAST_DAMPING)
+        if limit is None or solved is None:
+            return False
+        remaining = 1.0 - 0.5 * solved[1] / point.cost  # `equations` predicts twice the decrease
+        if not remaining > 0.0:
+            return False
+        rows = np.count_nonzero(self._measurements.weights)
+        possible = -0.5 * rows * math.log(min(remaining, 1.0))
+        residuals = point.residuals if limit.errors is None else estimator.whiten(point.residuals, limit.errors)
+        return bool(limit.misfit.total(estimator.squares(residuals)) - _UNFORESEEN * possible > limit.nats)
 
     def result(self, point: _Point | None) -> TrajectoryFit | None:
         if point is None:
@@ -560,9 +617,9 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return starts
 
 
-def _key_of_fit(
-    system: OdeSystem, length: int | None, steps: int, starts: FloatArray | None, errors: ErrorModel | None, *,
-    may_be_stiff: bool,
+def _key_of_fit(  # noqa: PLR0913, as many as `MultipleShooting.fit` has
+    system: OdeSystem, length: int | None, steps: int, starts: FloatArray | None, errors: ErrorModel | None,
+    limit: MisfitLimit | None, *, may_be_stiff: bool,
 ) -> bytes:  # fmt: skip
     """Return a digest of all numbers on which a fit to given measurements depends."""
     digest = hashlib.blake2b(repr((length, steps, may_be_stiff, system.count)).encode())
@@ -571,6 +628,8 @@ def _key_of_fit(
         arrays += [system.sharing.constants, system.sharing.columns, system.sharing.multiples]
     if errors is not None:
         arrays += [errors.sigmas, errors.shares, errors.decays, np.array(errors.is_known)]
+    if limit is not None:
+        arrays += limit.arrays
     for array in arrays:
         digest.update(b"-" if array is None else repr(array.shape).encode() + array.tobytes())
     return digest.digest()

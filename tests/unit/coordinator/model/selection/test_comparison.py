@@ -17,7 +17,7 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.description_length import structure_length
 from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.comparison import Constraints, ModelComparison
+from atoll_coordinator.model.selection.comparison import Constraints, FitPlan, FitStart, ModelComparison
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.joint_search import exchange_programs, find_starting_system
 from atoll_coordinator.model.selection.score import FittedModel
@@ -57,6 +57,9 @@ RIVALS = tuple(
         ("1.1*x - 0.9*x*x", "2.9*x - 2.1*x*y - 0.9*x*x", "1.5 - 0.3*y - 0.5*x", "2.0 - 0.7*x", "exp(9.0*x)"),
     )
 )
+
+NEAR = ("2.9*x - 2.1*x*y + 0.1*y", "2.9*x - 2.1*x*y*y/(0.5 + y)", "2.9*x - 1.2*x*y*x", "2.9*x - 1.5*y*x + 0.3*sin(y)")
+"""Systems that can be simulated from the initial states of the truth."""
 
 
 class FewKept(EffortSettings):
@@ -138,6 +141,27 @@ def test_halving_keeps_the_best_and_notes_them():
     assert structure(models[0].programs[0]) == structure(TRUTH)
     assert len(models) <= 2
     assert comparison.fitted_models == {(0, structure(model.programs[0])): model for model in models}
+
+
+def test_only_fits_that_stay_above_the_limit_end_before_they_have_converged():
+    """The limit changes no fit that can reach it, and saves work of the other fits."""
+    free, limited = lotka(), lotka()
+    near = limited.fit_model([TRUTH, OTHER])
+    plan = FitPlan(40, near=FitStart(near.fit.starts, near.fit.errors, False))
+    work = []
+    for program in (*RIVALS[:-1], *map(LOTKA.parsed, NEAR), TRUTH):
+        (whole, most), (ended, least) = (
+            comparison.fit_and_summarize((each, (program, OTHER)))
+            for comparison, each in ((free, plan), (limited, replace(plan, limit=near.nats + 8.0)))
+        )
+        if whole is None or whole.nats <= near.nats + 8.0:
+            assert encode_value(ended) == encode_value(whole)
+        else:
+            assert ended.nats >= whole.nats > near.nats + 8.0
+            assert least <= most
+            work.append((least, most))
+    assert len(work) >= 3
+    assert sum(least for least, _ in work) < 0.8 * sum(most for _, most in work)
 
 
 def test_beyond_the_work_that_is_allowed_no_more_programs_are_taken_in(monkeypatch):

@@ -8,11 +8,12 @@ import pytest
 from atoll_coordinator.data.differentiation.smoothing import Signal, fit_robustly
 from atoll_coordinator.model.batches import Spread, spreading
 from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.description_length import TrajectoryMisfit
 from atoll_coordinator.model.shooting import integration, multiple_shooting
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import covariance
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
+from atoll_coordinator.model.shooting.multiple_shooting import MisfitLimit, MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import system_of, variable_program
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.text.parsing import from_infix
@@ -201,7 +202,13 @@ def test_a_fit_that_differs_in_any_argument_is_not_restored(monkeypatch):
     starts, errors = fit.starts + 0.01, replace(fit.errors, sigmas=2.0 * fit.errors.sigmas)
     held = system_of([LOTKA.parsed(text) for text in FAR], LOTKA.names, LOTKA.names, [[0], []])
     kinds = counted_integrations(estimator, monkeypatch)
+    one, far = np.ones(2), np.full(2, 0.1)
+    misfit = TrajectoryMisfit(far, one, far, 50.0 * one, 10.0 * one, 10.0 * one, 150.0 * one)
+    limit = MisfitLimit(1e9, misfit, None)
     for other in (
+        lambda: estimator.fit(near, 25, 6, limit=limit),
+        lambda: estimator.fit(near, 25, 6, limit=replace(limit, nats=2e9)),
+        lambda: estimator.fit(near, 25, 6, limit=replace(limit, misfit=replace(misfit, high=2.0 * one))),
         lambda: estimator.fit(near, 8, 6),
         lambda: estimator.fit(near, 25, 7),
         lambda: estimator.fit(near, 25, 6, starts),
