@@ -4,9 +4,10 @@ short windows.
 With six or more variables, libraries of all products up to the fourth degree are too large, and laws have functions
 that sums of products cannot replace. Each equation is searched independently: first among polynomials of low degree.
 Then products with functions, such as the quotients in Hill's equation, are tried, each as one more term of the sum.
-Finally, functions of other laws are tried as terms, since a flux that leaves one state enters another. Reasons and
-figures: ADR 0043 and 0048. Doubt: at most a few functions are added, one at a time. So a law can be missed if two of
-its functions fit only together.
+Finally, functions of other laws are tried as terms, since a flux that leaves one state enters another. The searches of
+all equations go on in step, in batches: polynomials and functions of each equation, then each longer sum. Reasons and
+figures: ADR 0043, 0048 and 0102. Doubt: at most a few functions are added, one at a time. So a law can be missed if two
+of its functions fit only together.
 
 Letters: A atoms, K terms, N rows of a regression, W windows of L rows, R rows of all trajectories, V variables.
 """
@@ -16,7 +17,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -55,6 +56,8 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import operators_in
 
 _DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
+_LOW: Final = 2
+"""Number of degrees of polynomials that are tried before functions."""
 _KEPT: Final = 2
 """For each start sum of a search, this number of functions is kept; these functions become terms of a library."""
 
@@ -233,6 +236,10 @@ class UnknownEquation:
         operators = set(operators_in(atom.shape.expression(atom.constant)))
         return operators <= set(self.operators) and not any(map(atom.depends_on, others))
 
+    def polynomials(self, degrees: Sequence[int]) -> list[list[Product]]:
+        """Return the products of a polynomial of each of these degrees, if there are enough rows for it."""
+        return [terms for terms, _ in polynomial_libraries(self.columns, self.rows.independent, degrees)]
+
     def is_law(self, found: Sum | None) -> bool:
         """Tell whether the residuals of a sum are as small as their errors."""
         return found is not None and found.excess <= self.rows.largest_excess
@@ -278,6 +285,9 @@ class _SentEquation:
     found: _FoundSum | None = None
     others: tuple[Term, ...] = ()
 
+
+_Item = TypeVar("_Item")
+_Outcome = TypeVar("_Outcome")
 
 _Shared = tuple[MeasuredRows | FloatArray, ...]
 """Measured rows of short windows, or the values (V, N) of the variables at derivatives, of one or more equations."""
@@ -326,11 +336,111 @@ def _is_equal(known: MeasuredRows | FloatArray, inputs: FloatArray) -> bool:
     return not isinstance(known, MeasuredRows) and np.array_equal(known, inputs)
 
 
-def _search_alone(equations: _Equations, sent: _SentEquation) -> _FoundSum | None:
-    """Return the shortest sum of an equation that is searched alone."""
+@dataclass(frozen=True, eq=False)
+class _Proposals:
+    """The `best` sum of an equation, and sums with one more function: `longer` begin with the best sum, `others` with a
+    constant or a short polynomial. Functions are compared on the trusted rows."""
+
+    best: _FoundSum
+    longer: tuple[_FoundSum, ...] = ()
+    others: tuple[_FoundSum, ...] = ()
+
+    def starts(self, *, are_together: bool) -> list[tuple[tuple[Term, ...], ...]]:
+        """Return the terms of all sums with a function, the shortest sum first; each alone, or all together."""
+        ordered = sorted((*self.longer, *self.others), key=lambda fit: fit.nats)
+        terms = tuple(fit.terms for fit in ordered)
+        return ([terms] if terms else []) if are_together else [(one,) for one in terms]
+
+
+@dataclass(frozen=True, eq=False)
+class _Extension:
+    """An equation with its best sum (`sent.found`), and the terms of sums with a function, from which longer sums are
+    searched."""
+
+    sent: _SentEquation
+    starts: tuple[tuple[Term, ...], ...]
+
+
+def _begin(equations: _Equations, sent: _SentEquation) -> _Proposals | None:
+    """Return the shortest polynomial of low degree, and sums with a function.
+
+    If rows are precise, wrong sums have much larger residuals. So the search then ends with the first law.
+    """
     equation = equations.get(sent)
-    found = _short_sum(equation)
-    return None if found is None else _FoundSum.of(equation, found)
+    rows, best, sizes = equation.rows, None, equation.polynomials(_DEGREES[:_LOW])
+    for terms in sizes:
+        best = shortest([best, _select_products(rows, terms)])
+        if rows.is_precise and equation.is_law(best):
+            break
+    if best is None:
+        return None
+    found = _FoundSum.of(equation, best)
+    if rows.is_precise and found.is_law:
+        return _Proposals(found)
+    trusted = rows.trusted
+    products: list[list[Product]] = [[()], *sizes[: 1 + rows.is_precise]]
+    starts = [[atom.over(trusted.inputs) for atom in best.atoms]]
+    starts += [[*product_atoms(trusted.inputs, terms)] for terms in products]
+    longer, *others = _add_function(equation, trusted, starts)
+    return _Proposals(found, longer, tuple(chain(*others)))
+
+
+def _propose(equations: _Equations, sent: _SentEquation) -> tuple[_FoundSum, ...]:
+    """Return the best sum, `sent.found`, with one more function."""
+    assert sent.found is not None
+    equation = equations.get(sent)
+    trusted = equation.rows.trusted
+    return _add_function(equation, trusted, [[term.over(trusted.inputs) for term in sent.found.terms]])[0]
+
+
+def _add_function(
+    equation: UnknownEquation, trusted: RegressionRows, starts: Sequence[Sequence[Atom]]
+) -> list[tuple[_FoundSum, ...]]:
+    """Return for each of the sums `starts` the best sums with one more product with a function; inner constants are
+    fitted."""
+    shapes = products_with_functions(trusted.inputs, equation.columns, equation.operators)
+    most = len(trusted.sides) / SETTINGS.sparse.rows_per_term
+    short = [place for place, atoms in enumerate(starts) if len(atoms) <= most]
+    further_terms = rank_functions(trusted, [starts[place] for place in short], shapes, SETTINGS.effort.beam)
+    fits: list[tuple[_FoundSum, ...]] = [() for _ in starts]
+    for place, further in zip(short, further_terms, strict=True):
+        sums = filter(None, (fit_sum(trusted, [*starts[place], atom]) for atom in further))
+        best = map(fit_inner_constants, sorted(sums, key=lambda fit: fit.nats)[:_KEPT])
+        fits[place] = tuple(_FoundSum.of(equation, fit) for fit in best)
+    return fits
+
+
+def _extend(equations: _Equations, extension: _Extension) -> _FoundSum | None:
+    """Return the shortest sum of products of a library, of the functions of the best sum, and of one more function."""
+    equation, best = equations.get(extension.sent), extension.sent.found
+    assert best is not None
+    rows, candidate = equation.rows, None
+    library = product_atoms(rows.inputs, equation.polynomials(_DEGREES[:_LOW])[-1])
+    own = [term.over(rows.inputs) for term in best.terms if term.function is not None]
+    for terms in extension.starts:
+        atoms = [term.over(rows.inputs) for term in terms]
+        plain = [atom for atom in atoms if atom.shape.function is None]
+        candidate = shortest([candidate, _search_sum(rows, library, [*plain, *own, atoms[-1]])])
+        if rows.is_precise and equation.is_law(candidate):
+            break
+    return None if candidate is None else _FoundSum.of(equation, candidate)
+
+
+def _add_degrees(equations: _Equations, sent: _SentEquation) -> _FoundSum | None:
+    """Return the shortest of the best sum and of polynomials of higher degrees; the search ends with the first law."""
+    equation = equations.get(sent)
+    before = best = None if sent.found is None else sent.found.over(equation.rows)
+    for terms in equation.polynomials(_DEGREES)[_LOW:]:
+        best = shortest([best, _select_products(equation.rows, terms)])
+        if equation.is_law(best):
+            break
+    return sent.found if best is None or best is before else _FoundSum.of(equation, best)
+
+
+def _select_products(rows: RegressionRows, terms: Sequence[Product]) -> Sum | None:
+    """Return the shortest sum of these products."""
+    regression = SparseRegression(rows, product_atoms(rows.inputs, terms))
+    return regression.select_terms(range(len(terms)), 1.0 / rows.side_errors)
 
 
 def _search_with_others(equations: _Equations, sent: _SentEquation) -> _FoundSum | None:
@@ -342,12 +452,105 @@ def _search_with_others(equations: _Equations, sent: _SentEquation) -> _FoundSum
     return sent.found if found is None or found is before else _FoundSum.of(equation, found)
 
 
-_ALONE: Final[BatchFunction[_Equations, _SentEquation, _FoundSum | None]] = BatchFunction(
-    "laws among many variables", _Shared, _SentEquation, _FoundSum | None, _search_alone, _Equations
+_BEGIN: Final[BatchFunction[_Equations, _SentEquation, _Proposals | None]] = BatchFunction(
+    "laws among many variables", _Shared, _SentEquation, _Proposals | None, _begin, _Equations
+)
+_PROPOSE: Final[BatchFunction[_Equations, _SentEquation, tuple[_FoundSum, ...]]] = BatchFunction(
+    "laws with one more function", _Shared, _SentEquation, tuple[_FoundSum, ...], _propose, _Equations
+)
+_EXTEND: Final[BatchFunction[_Equations, _Extension, _FoundSum | None]] = BatchFunction(
+    "sums of products and functions", _Shared, _Extension, _FoundSum | None, _extend, _Equations
+)
+_ADD_DEGREES: Final[BatchFunction[_Equations, _SentEquation, _FoundSum | None]] = BatchFunction(
+    "laws of higher degree", _Shared, _SentEquation, _FoundSum | None, _add_degrees, _Equations
 )
 _WITH_OTHERS: Final[BatchFunction[_Equations, _SentEquation, _FoundSum | None]] = BatchFunction(
     "laws with functions of other laws", _Shared, _SentEquation, _FoundSum | None, _search_with_others, _Equations
 )
+
+
+class _Search:
+    """The search of the laws of all equations in step; a `spread` computes each step in batches."""
+
+    def __init__(self, equations: Sequence[UnknownEquation], spread: Spread) -> None:
+        self._equations, self._spread = equations, spread
+        self._shared, self.sent = _sent(equations)
+        self.sums: list[_FoundSum | None] = [None for _ in equations]
+
+    def _map(
+        self, function: BatchFunction[_Equations, _Item, _Outcome], items: Sequence[_Item]
+    ) -> list[_Outcome | None]:
+        context = partial(_Equations, self._shared, self._equations)
+        return self._spread.map(function, context, items, parts=lambda: self._shared, is_long=True)
+
+    def is_done(self, number: int) -> bool:
+        """Tell whether the sum of an equation is the law for certain: its rows are precise."""
+        found = self.sums[number]
+        return found is not None and found.is_law and self._equations[number].rows.is_precise
+
+    def _with_sum(self, number: int) -> _SentEquation:
+        return replace(self.sent[number], found=self.sums[number])
+
+    def search_alone(self) -> None:
+        """Search each equation alone: polynomials of low degree, functions, and polynomials of higher degree.
+
+        Functions are added to a sum one after another, as long as this makes the description shorter.
+        """
+        begun = dict(enumerate(self._map(_BEGIN, self.sent)))
+        proposals = {number: found for number, found in begun.items() if found is not None}
+        for number, proposed in proposals.items():
+            self.sums[number] = proposed.best
+        for added in range(SETTINGS.sparse.functions):
+            proposals = {number: found for number, found in proposals.items() if not self.is_done(number)}
+            if added:
+                longer = self._map(_PROPOSE, [*map(self._with_sum, proposals)])
+                pairs = zip(proposals.items(), longer, strict=True)
+                proposals = {number: replace(found, longer=sums or ()) for (number, found), sums in pairs}
+            extended = self._extend(proposals)
+            proposals = {number: proposals[number] for number in extended}
+            for number, longest in extended.items():
+                self.sums[number] = longest
+        precise = [number for number, equation in enumerate(self._equations) if equation.rows.is_precise]
+        precise = [number for number in precise if not self.is_done(number)]
+        for number, law in zip(precise, self._map(_ADD_DEGREES, [*map(self._with_sum, precise)]), strict=True):
+            self.sums[number] = law
+
+    def _extend(self, proposals: Mapping[int, _Proposals]) -> dict[int, _FoundSum]:
+        """Return the shortest sums with one more function that are shorter than the sums before, by number of equation.
+
+        The search of an equation with precise rows ends with the first law. So its sums are searched one after another.
+        """
+        extensions = [
+            (number, _Extension(self._with_sum(number), starts))
+            for number, found in proposals.items()
+            for starts in found.starts(are_together=self._equations[number].rows.is_precise)
+        ]
+        best: dict[int, _FoundSum] = {}
+        candidates = self._map(_EXTEND, [extension for _, extension in extensions])
+        for (number, extension), candidate in zip(extensions, candidates, strict=True):
+            before = best.get(number, extension.sent.found)
+            assert before is not None
+            needed = before.nats - (0.0 if number in best else log(float(SETTINGS.sparse.most_atoms)))
+            if candidate is not None and candidate.nats < needed:
+                best[number] = candidate
+        return best
+
+    def search_with_others(self) -> None:
+        """Search with functions of the other equations' laws as further terms."""
+        functions = [
+            tuple(term for term in found.terms if term.function is not None)
+            if found is not None and found.is_law
+            else ()
+            for found in self.sums
+        ]
+        again = [
+            replace(self._with_sum(number), others=tuple(chain(*functions[:number], *functions[number + 1 :])))
+            for number in range(len(self.sums))
+            if not self.is_done(number)
+        ]
+        again = [one for one in again if one.others]
+        for one, found in zip(again, self._map(_WITH_OTHERS, again), strict=True):
+            self.sums[one.number] = found
 
 
 def find_short_laws(
@@ -357,91 +560,17 @@ def find_short_laws(
 
     `spread` computes equations in threads or on workers; None: one after another.
     """
-    spread, unknown = spread or Spread(), list(equations.values())
-    shared, sent = _sent(unknown)
-    context = partial(_Equations, shared, unknown)
-    sums = spread.map(_ALONE, context, sent, parts=lambda: shared, is_long=True)
-    functions = [
-        tuple(term for term in found.terms if term.function is not None) if found is not None and found.is_law else ()
-        for found in sums
-    ]
-    again = [
-        replace(one, found=found, others=tuple(chain(*functions[:number], *functions[number + 1 :])))
-        for number, (one, found) in enumerate(zip(sent, sums, strict=True))
-        if found is None or not (found.is_law and unknown[number].rows.is_precise)
-    ]
-    again = [one for one in again if one.others]
-    for one, found in zip(
-        again, spread.map(_WITH_OTHERS, context, again, parts=lambda: shared, is_long=True), strict=True
-    ):
-        sums[one.number] = found
+    search = _Search(list(equations.values()), spread or Spread())
+    search.search_alone()
+    search.search_with_others()
     return {
         name: () if found is None or not found.is_law else (_law(found, equation.rows),)
-        for (name, equation), found in zip(equations.items(), sums, strict=True)
+        for (name, equation), found in zip(equations.items(), search.sums, strict=True)
     }
 
 
 def _law(found: _FoundSum, rows: RegressionRows) -> Law:
     return Law(found.over(rows).program(), found.nats, found.excess, is_tested=True, is_of_rates=True)
-
-
-def _short_sum(equation: UnknownEquation) -> Sum | None:
-    """Return the shortest sum of a polynomial and up to two products with functions. None if no sum is found.
-
-    Polynomials have the first and second degree. If rows are precise, wrong sums have much larger residuals. So the
-    search then ends with the first law, and polynomials of higher degree are tried last.
-    """
-    rows, best = equation.rows, None
-    degrees = _DEGREES if rows.is_precise else _DEGREES[:2]
-    sizes = list(polynomial_libraries(equation.columns, rows.independent, degrees))
-    for place, (terms, _) in enumerate(sizes):
-        if place == len(_DEGREES[:2]):
-            best = _add_functions(equation, best, sizes[:place])
-            if equation.is_law(best):
-                return best
-        regression = SparseRegression(rows, product_atoms(rows.inputs, terms))
-        best = shortest([best, regression.select_terms(range(len(terms)), 1.0 / rows.side_errors)])
-        if rows.is_precise and equation.is_law(best):
-            return best
-    return _add_functions(equation, best, sizes) if len(sizes) <= len(_DEGREES[:2]) else best
-
-
-def _add_functions(
-    equation: UnknownEquation, best: Sum | None, sizes: Sequence[tuple[list[Product], bool]]
-) -> Sum | None:
-    """Return the shortest sum with up to two more products with functions; their inner constants are fitted.
-
-    Functions are compared on the trusted rows: each is added as one more term to the best sum, to a constant, and to a
-    polynomial of the first degree. The best functions are then combined with a library of all products of the highest
-    degree.
-    """
-    rows = equation.rows
-    trusted = rows.trusted
-    shapes = products_with_functions(trusted.inputs, equation.columns, equation.operators) if sizes else []
-    for _ in range(SETTINGS.sparse.functions if shapes else 0):
-        if best is None or (rows.is_precise and equation.is_law(best)):
-            break
-        start_sums = [[atom.over(trusted.inputs) for atom in best.atoms], [*product_atoms(trusted.inputs, [()])]]
-        start_sums += [[*product_atoms(trusted.inputs, terms)] for terms, _ in sizes[: 1 + rows.is_precise]]
-        most = len(trusted.sides) / SETTINGS.sparse.rows_per_term
-        fits: list[Sum] = []
-        start_sums = [atoms for atoms in start_sums if len(atoms) <= most]
-        further_terms = rank_functions(trusted, start_sums, shapes, SETTINGS.effort.beam)
-        for atoms, further in zip(start_sums, further_terms, strict=True):
-            sums = filter(None, (fit_sum(trusted, [*atoms, atom]) for atom in further))
-            fits += map(fit_inner_constants, sorted(sums, key=lambda fit: fit.nats)[:_KEPT])
-        library, candidate = product_atoms(rows.inputs, sizes[-1][0]), None
-        for fit in sorted(fits, key=lambda fit: fit.nats):
-            atoms = [atom.over(rows.inputs) for atom in fit.atoms]
-            own = [atom for atom in best.atoms if atom.shape.function is not None]
-            plain = [atom for atom in atoms if atom.shape.function is None]
-            candidate = shortest([candidate, _search_sum(rows, library, [*plain, *own, atoms[-1]])])
-            if rows.is_precise and equation.is_law(candidate):
-                break
-        if candidate is None or not candidate.nats < best.nats - log(float(SETTINGS.sparse.most_atoms)):
-            break
-        best = candidate
-    return best
 
 
 def _search_sum(
