@@ -165,7 +165,7 @@ def solve(engine: str, count: int, workers: int, file: Path) -> None:
                 result = {"name": name, "digest": found.result.digest, "equations": equations}
             written.write(json.dumps(result) + "\n")
             written.flush()
-            say(name)
+            say(str(name))
 
 
 # ------------------------------------------------------------------------------------------------ the program around it

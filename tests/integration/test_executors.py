@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas
 import pytest
 
 import atoll
@@ -102,7 +103,9 @@ POOLS: dict[str, Callable[[], Executor]] = {
 
 
 @pytest.mark.parametrize("job", ["example", "noisy"])
-@pytest.mark.parametrize("pool", ["threads", *(pytest.param(name, marks=pytest.mark.slow) for name in ("inline",))])
+@pytest.mark.parametrize(
+    "pool", ["threads", *(pytest.param(name, marks=pytest.mark.slow) for name in ("inline", "loky"))]
+)
 def test_the_result_is_the_one_of_the_service(pool: str, job: str) -> None:
     with POOLS[pool]() as executor:
         assert differing(on(executor, job), job) == []
@@ -252,7 +255,6 @@ def test_a_pool_that_is_broken_and_cannot_be_made_again_is_an_error() -> None:
         on(executor, "noisy")
 
 
-@pytest.mark.slow
 def test_a_killed_process_of_loky_changes_nothing() -> None:
     executor: Any = loky_pool()
     submit, submitted = executor.submit, []
@@ -265,13 +267,13 @@ def test_a_killed_process_of_loky_changes_nothing() -> None:
         return future
 
     executor.submit = striking
-    assert differing(on(executor, "two noisy states"), "two noisy states") == []
+    assert differing(on(executor, "noisy"), "noisy") == []
     assert len(submitted) >= 3
 
 
 def test_the_progress_is_shown_as_by_the_service(capsys: pytest.CaptureFixture[str]) -> None:
     def lines(**where: Any) -> list[str]:
-        atoll.discover(EXAMPLE, seed=3, max_epochs=6, target_error=1e-300, progress=True, **where)
+        atoll.discover(EXAMPLE, seed=3, max_epochs=3, target_error=1e-300, progress=True, **where)
         return capsys.readouterr().err.splitlines()
 
     with ThreadPoolExecutor(2) as executor:
@@ -350,6 +352,14 @@ def test_an_interrupt_ends_the_campaign_after_the_present_table(monkeypatch: pyt
             next(campaign)
 
 
+def test_threads_give_up_their_tables_when_the_campaign_ends() -> None:
+    (endless,) = decays(1)
+    with ThreadPoolExecutor(1) as executor:  # waits at its end for all of its tasks
+        campaign = atoll.discover_many([endless, *BAD.items()], executor=executor, **ENDLESS)
+        assert next(campaign)[0] in BAD, "the table is being computed"
+        campaign.close()  # type: ignore[attr-defined]
+
+
 @pytest.mark.slow
 def test_tables_are_read_only_as_far_as_they_are_needed() -> None:
     read: list[str] = []
@@ -373,8 +383,76 @@ def test_wrong_options_and_tables_are_refused() -> None:
             atoll.discover_many({}, executor=executor, max_sise=3)
         with pytest.raises(UsageError, match="connect"):
             atoll.discover(EXAMPLE, executor=executor, connect="tcp/host:1")
-        with pytest.raises(UsageError, match="pair"):
-            next(atoll.discover_many([3], executor=executor))
+        with pytest.raises(UsageError, match="connect"):
+            atoll.discover_many({}, executor=executor, connect="tcp/host:1")
+    with pytest.raises(UsageError, match=r"concurrent\.futures"):
+        atoll.discover_many({}, executor=3)
+    with pytest.raises(UsageError, match="priority"):
+        atoll.discover_many({}, priority=11)
+    with pytest.raises(UsageError, match="connect"):
+        atoll.discover_many({}, connect=3)
+    for one_table in (pandas.DataFrame({"t": [0.0], "x": [1.0]}), np.zeros((3, 2)), "file.csv", 3, None):
+        with pytest.raises(UsageError, match="tables"):
+            atoll.discover_many(one_table)  # type: ignore[arg-type]
+
+
+WHERE = pytest.mark.parametrize(
+    ("executor", "workers"),
+    [(lambda: ThreadPoolExecutor(2), 2), (lambda: ThreadPoolExecutor(8), 8), (None, 2)],
+    ids=["a task each", "all workers", "service"],
+)
+
+
+@WHERE
+def test_any_key_is_a_name_and_a_name_may_occur_twice(executor: Callable[[], Executor] | None, workers: int) -> None:
+    data = dict(decays(1))["decay 0"]
+    keys = [1, ("rate", 3), "text", "text"]
+    made = None if executor is None else executor()
+    found = [*atoll.discover_many(((key, data) for key in keys), executor=made, workers=workers, max_epochs=1)]
+    assert sorted(map(repr, keys)) == sorted(repr(key) for key, _ in found)
+    assert all(isinstance(model, atoll.Model) for _, model in found)
+
+
+class Rude:
+    """Data that raise an error of their own when they are read."""
+
+    @property
+    def columns(self) -> list[str]:
+        raise ZeroDivisionError("planted")
+
+
+@WHERE
+def test_a_wrong_item_is_the_error_of_this_table(executor: Callable[[], Executor] | None, workers: int) -> None:
+    good = [*decays(2)]
+    made = None if executor is None else executor()
+    tables = [good[0], 3, ({}, {}), ("rude", Rude()), ("nothing", None), good[1]]
+    found = dict(atoll.discover_many(tables, executor=made, workers=workers, max_epochs=1))
+    assert isinstance(found.pop("decay 0"), atoll.Model)
+    assert isinstance(found.pop("decay 1"), atoll.Model)
+    assert isinstance(found.pop("nothing"), DataError)
+    assert "planted" in str(found.pop("rude"))
+    assert found.keys() == {"table 2", "table 3"}
+    assert all(isinstance(error, UsageError) and "pair" in str(error) for error in found.values())
+
+
+@WHERE
+def test_an_error_of_the_iterable_comes_after_the_tables_that_were_read(
+    executor: Callable[[], Executor] | None, workers: int
+) -> None:
+    def tables() -> Iterator[tuple[str, object]]:
+        yield from decays(3)
+        raise ZeroDivisionError("planted")
+
+    names: list[object] = []
+    made = None if executor is None else executor()
+    with pytest.raises(ZeroDivisionError, match="planted"):
+        names += (name for name, _ in atoll.discover_many(tables(), executor=made, workers=workers, max_epochs=1))
+    assert sorted(map(str, names)) == [name for name, _ in decays(3)]
+
+
+@WHERE
+def test_no_tables_have_no_outcomes(executor: Callable[[], Executor] | None, workers: int) -> None:
+    assert [*atoll.discover_many({}, executor=None if executor is None else executor(), workers=workers)] == []
 
 
 # ---------------------------------------------------------------------------------------------------- ends by the clock

@@ -96,8 +96,9 @@ def is_compiled(package: str) -> bool:
 def wheel_kernels(package: str) -> prebuilt.Kernels | prebuilt.Unusable | None:
     """Return the kernels that the installed wheel brought for `package`, or why they cannot be used.
 
-    The digests of the files are checked until the kernels have passed their self-test on this machine. The result is
-    None if there are none, or if the environment asks for other machine code.
+    The digests of the files are checked until the kernels have passed their self-test on this machine. If a self-test
+    of kernels of this wheel has failed, or has ended its process, no kernels of the wheel are used. The result is None
+    if there are none, or if the environment asks for other machine code.
     """
     if sys.flags.optimize >= 2 or any(os.environ.get(name) for name in _SETTINGS):
         return None
@@ -106,39 +107,103 @@ def wheel_kernels(package: str) -> prebuilt.Kernels | prebuilt.Unusable | None:
     found = prebuilt.find(package, _digest(package))
     if not isinstance(found, prebuilt.Kernels):
         return found
-    try:
-        outcome = _outcome_file(package, found).read_text("ascii")
-    except OSError:
-        return found if found.is_intact() else prebuilt.Unusable("were changed after they were built")
-    return found if outcome == _PASSED else prebuilt.Unusable("have failed their self-test on this machine")
+    # Kernels call kernels of other packages.
+    outcomes = {one: _outcome(_outcome_file(one, found)) for one in {*ALL, package}}
+    for outcome, what in _EXCLUDING.items():
+        if outcome in outcomes.values():
+            return prebuilt.Unusable(f"{what} on this machine")
+    if outcomes[package] == _PASSED or found.is_intact():
+        return found
+    return prebuilt.Unusable("were changed after they were built")
 
 
+_TESTING: Final = "testing"
 _PASSED: Final = "passed"
 _FAILED: Final = "failed"
+_CRASHED: Final = "crashed"
+_EXCLUDING: Final = {_FAILED: "have failed their self-test", _CRASHED: "ended the process that tested them"}
+"""Outcomes of the self-test after which no kernels of the wheel are used, as the ends of a sentence about them."""
 
 
 def _outcome_file(package: str, kernels: prebuilt.Kernels) -> Path:
-    """Return the file that says whether the kernels of this wheel have passed their self-test on this machine."""
+    """Return the file that says whether the kernels of this wheel have passed their self-test on this machine.
+
+    During the test it says so, and the testing process holds a lock on it. The system frees the lock when the process
+    dies, so a test without a lock is a test that has ended its process, for example by an illegal instruction.
+    """
     return cache_directory(package) / f"wheel-{kernels.index_digest}-{_machine_digest()}"
+
+
+def _outcome(file: Path) -> str:
+    """Return the outcome of the self-test; "" before the test, and while another process tests."""
+    import fcntl
+
+    try:
+        with file.open(encoding="ascii") as opened:
+            outcome = opened.read()
+            if outcome != _TESTING:
+                return outcome
+            fcntl.flock(opened, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            opened.seek(0)
+            outcome = opened.read()  # the test may have ended just now
+            return _CRASHED if outcome == _TESTING else outcome
+    except OSError:  # there is no file, or another process has the lock
+        return ""
+
+
+@contextlib.contextmanager
+def _under_test(file: Path) -> Iterator[Callable[[str], object]]:
+    """Context manager: `file` says that the kernels are tested; yields a function that writes the outcome.
+
+    It waits until no other process tests them. If the file cannot be written, nothing is written, and the digests of
+    the kernels are checked each time.
+    """
+    import fcntl
+
+    with contextlib.ExitStack() as stack:
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            opened = stack.enter_context(file.open("a+", encoding="ascii"))
+            fcntl.flock(opened, fcntl.LOCK_EX)
+        except OSError:
+            yield lambda outcome: None
+            return
+
+        def write(outcome: str) -> None:
+            opened.truncate(0)
+            opened.write(outcome)
+            opened.flush()
+
+        opened.seek(0)
+        before = opened.read()
+        if before in (_TESTING, _CRASHED):  # the process that tested them until now has died of it
+            write(_CRASHED)
+            raise AtollError(f"the compiled kernels of the installed wheel {_EXCLUDING[_CRASHED]}; {_AGAIN}")
+        write(_TESTING)
+        try:
+            yield write
+        except BaseException:  # such as Ctrl-C: no outcome
+            write("")
+            raise
+
+
+_AGAIN: Final = f"start again to compile kernels here (or set {_OWN_ONLY}=1)"
 
 
 def _test_wheel_kernels(package: str, kernels: prebuilt.Kernels, exercise: "Exercise") -> None:
     """Load the kernels and compare what they compute; raise AtollError if their results are wrong.
 
     The outcome is written: later processes need not check the digests of the files of kernels that passed, and compile
-    instead of using kernels that failed.
+    instead of using kernels that failed, or that ended the process.
     """
-    is_right = exercise() == kernels.results
     file = _outcome_file(package, kernels)
-    if not (is_right and file.exists()):
-        with contextlib.suppress(OSError):  # then the digests are checked each time
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(_PASSED if is_right else _FAILED, "ascii")
+    if _outcome(file) == _PASSED and exercise() == kernels.results:
+        return
+    with _under_test(file) as write:
+        is_right = exercise() == kernels.results
+        write(_PASSED if is_right else _FAILED)
     if not is_right:
-        raise AtollError(
-            "the compiled kernels of the installed wheel compute wrong values on this machine; start again to compile "
-            f"kernels here (or set {_OWN_ONLY}=1)"
-        )
+        raise AtollError(f"the compiled kernels of the installed wheel compute wrong values on this machine; {_AGAIN}")
 
 
 def marker(package: str) -> Path:

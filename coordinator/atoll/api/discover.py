@@ -301,8 +301,7 @@ def discover(  # noqa: PLR0913  # where a job runs, and its options
         AtollError: the job failed.
     """
     if executor is not None:
-        if connect is not None or tls is not None or priority != 0:
-            raise UsageError("connect, tls and priority are for the service; leave them out, or leave out executor")
+        refuse_service_options({"connect": connect, "tls": tls, "priority": priority or None})
         return _discover_on(executor, data, number_of(workers), progress, options)
     job = submit(data, connect=connect, tls=tls, workers=workers, priority=priority, **options)
     job.wait(progress=progress)
@@ -312,6 +311,29 @@ def discover(  # noqa: PLR0913  # where a job runs, and its options
         if job.is_interrupted:  # before any equation was found
             raise KeyboardInterrupt from None
         raise
+
+
+_SERVICE: Final = ("connect", "tls", "priority")
+"""The options that are for the service only."""
+
+
+def refuse_service_options(options: Mapping[str, object]) -> None:
+    """Raise UsageError if there are options that an executor cannot use."""
+    if any(options.get(name) is not None for name in _SERVICE):
+        raise UsageError("connect, tls and priority are for the service; leave them out, or leave out executor")
+
+
+def check_service_options(options: Mapping[str, Any]) -> JobConfig:
+    """Return the configuration for the options of `submit`, other than `workers`; raises UsageError."""
+    values = dict(options)
+    connect, tls, priority = values.pop("connect", None), values.pop("tls", None), values.pop("priority", 0)
+    if isinstance(priority, bool) or not isinstance(priority, int) or priority not in range(-10, 11):
+        raise UsageError(f"priority must be a whole number from -10 to 10, but {shown(priority)} was given")
+    if connect is not None and not isinstance(connect, str):
+        raise UsageError(f"connect must be an address such as 'tcp/HOST:7447', but {shown(connect)} was given")
+    if tls is not None and not (isinstance(tls, Mapping) and set(tls) <= set(_TLS)):
+        raise UsageError(f"tls must have the files {', '.join(_TLS)} by these names, but {shown(tls)} was given")
+    return config_of(values)
 
 
 def _discover_on(
@@ -351,9 +373,7 @@ def submit(
     **options: object,
 ) -> SubmittedJob:
     """Submit `data` as a job and return it at once; for the arguments see `discover`."""
-    if isinstance(priority, bool) or not isinstance(priority, int) or priority not in range(-10, 11):
-        raise UsageError(f"priority must be a whole number from -10 to 10, but {shown(priority)} was given")
-    config = config_of(options)
+    config = check_service_options({**options, "connect": connect, "tls": tls, "priority": priority})
     with python_words():
         check_sheet(files_of(data), config.data.sheet)
         table = table_of(data, config.data)
@@ -383,10 +403,6 @@ def config_of(options: Mapping[str, object]) -> JobConfig:
 def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers: int | None) -> str | Whereabouts:
     if connect is None:
         return local_address(workers)
-    if not isinstance(connect, str):
-        raise UsageError(f"connect must be an address such as 'tcp/HOST:7447', but {shown(connect)} was given")
-    if tls is not None and not (isinstance(tls, Mapping) and set(tls) <= set(_TLS)):
-        raise UsageError(f"tls must have the files {', '.join(_TLS)} by these names, but {shown(tls)} was given")
     files = {f"tls_{name}": str(file) for name, file in (tls or {}).items()}
     return coordinator_at(connect, files, os.environ)
 

@@ -18,7 +18,17 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
 from atoll.executors.executors import ExecutorError, OtherVersionError, adapted, workers_of
-from atoll.executors.tasks import MAX_LOSSES, Call, Done, FunctionFailed, Inbox, Missing, OtherVersion, perform
+from atoll.executors.tasks import (
+    MAX_LOSSES,
+    Call,
+    Done,
+    FunctionFailed,
+    Inbox,
+    Missing,
+    OtherVersion,
+    StopSign,
+    perform,
+)
 from atoll_core.task_frames import Failure, version
 
 
@@ -59,7 +69,7 @@ class Dispatcher:
     """The calls of one driver; a context manager.
 
     `workers` is the number of calls that the executor runs at the same time. `inbox` gets a `Finished` for each future
-    that is done; the driver may put other events into it.
+    that is done; the driver may put other events into it. `stop` is set at the end.
     """
 
     def __init__(self, executor: object, workers: int | None = None) -> None:
@@ -68,6 +78,7 @@ class Dispatcher:
         self._executor = self._adapted.executor
         self.workers: Final = workers or workers_of(self._executor)
         self.inbox: Final[Inbox] = queue.SimpleQueue()
+        self.stop: Final = StopSign()
         self._numbers = itertools.count()
         self._open: dict[int, _OpenCall] = {}
         self._sent: Counter[str] = Counter()
@@ -77,6 +88,7 @@ class Dispatcher:
 
     def __exit__(self, *_: object) -> None:
         has_open_calls = bool(self._open)
+        self.stop.set()
         self.cancel()
         if self._adapted.is_ours:
             # A process pool that is not waited for may print an error of its own when the interpreter ends.

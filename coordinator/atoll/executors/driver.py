@@ -26,7 +26,7 @@ from typing import Final, NamedTuple
 from atoll.client.follower import KEEPING, Display
 from atoll.executors.dispatcher import Computed, Dispatcher, Finished
 from atoll.executors.epochs import EPOCHS, JOB, ComputedEpoch, SearchedJob
-from atoll.executors.tasks import borrowed_process, what_to_do
+from atoll.executors.tasks import StopSign, borrowed_process, what_to_do
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.result.result import timed
 from atoll_coordinator.service.jobs.checks import epoch_limit_reason
@@ -100,8 +100,9 @@ class SubmittedTable:
 
 
 def solve(
-    submitted: SubmittedTable, executor: object, workers: int | None = None, display: Display | None = None
-) -> str:
+    submitted: SubmittedTable, executor: object, workers: int | None = None, display: Display | None = None,
+    stop: StopSign | None = None,
+) -> str:  # fmt: skip
     """Return the result of a job as JSON; after Ctrl-C, the result with the best equations so far.
 
     Args:
@@ -109,6 +110,7 @@ def solve(
         executor: see `executors.adapted`.
         workers: the number of calls at the same time; None: as many as the executor has workers.
         display: shows the progress; None: the progress is not shown.
+        stop: ends the job with an AtollError when it is set.
 
     Raises:
         DataError: the data cannot be used.
@@ -116,7 +118,7 @@ def solve(
         KeyboardInterrupt: before the data were prepared.
     """
     with Dispatcher(executor, workers) as dispatcher:
-        return JobDriver(submitted, dispatcher, display).solve()
+        return JobDriver(submitted, dispatcher, display, stop).solve()
 
 
 class _TaskFailedError(AtollError):
@@ -130,7 +132,10 @@ class _TaskFailedError(AtollError):
 class JobDriver:
     """One job on an executor."""
 
-    def __init__(self, submitted: SubmittedTable, dispatcher: Dispatcher, display: Display | None = None) -> None:
+    def __init__(
+        self, submitted: SubmittedTable, dispatcher: Dispatcher, display: Display | None = None,
+        stop: StopSign | None = None,
+    ) -> None:  # fmt: skip
         """See `solve`."""
         self._spec, self._table = submitted.config.model_dump_json(), submitted.table
         record = JobRecord(
@@ -141,6 +146,7 @@ class JobDriver:
         self._dispatcher: Final = dispatcher
         self._inbox: Final = dispatcher.inbox
         self._display = display
+        self._stop = stop
         self._shown_at = 0.0
         self._equations = ViewEquations(self._write_front)
         self._task: TaskView | None = None
@@ -342,6 +348,8 @@ class JobDriver:
 
     def _next(self) -> object:
         """Return the next event, None if there is none for a while; let time pass."""
+        if self._stop is not None and self._stop.is_set:
+            raise AtollError("the caller has ended before the result was ready")
         event: object = None
         with contextlib.suppress(queue.Empty):
             event = self._inbox.get(timeout=_TICK_S)

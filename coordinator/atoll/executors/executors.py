@@ -79,6 +79,14 @@ class Adapted:
     is_ours: bool = False
 
 
+def check_executor(given: object) -> None:
+    """Raise UsageError if `adapted` does not take this object; a function is not called."""
+    if isinstance(given, ModuleType) and given.__name__ == "ray":
+        RayExecutor(given)
+    elif not (isinstance(given, Executor) or callable(given) or _is_a(given, "distributed.client", "Client")):
+        raise UsageError(f"{EXPECTED}; {shown(given)} was given")
+
+
 def adapted(given: object) -> Adapted:
     """Return an executor for what the user gave.
 
@@ -98,6 +106,7 @@ def adapted(given: object) -> Adapted:
         made = given()
         if isinstance(made, Executor):
             return Adapted(_forked(made), given, is_ours=_maker_of_loky(made) is None)  # loky's is for reuse
+        raise UsageError(f"{EXPECTED}; {shown(made)} was returned by the function")
     raise UsageError(f"{EXPECTED}; {shown(given)} was given")
 
 

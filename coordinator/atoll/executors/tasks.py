@@ -173,6 +173,28 @@ def compute_batch(function: str, item: bytes, context: bytes) -> bytes:
     raise BatchFailedError(failure, f"a task failed {MAX_LOSSES} times {where}: {why}")
 
 
+class StopSign:
+    """Is set when a caller does not need its calls any more.
+
+    Only threads of the caller's process see this: in another process, the sign is never set.
+    """
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+
+    def __reduce__(self) -> tuple[type["StopSign"], tuple[()]]:
+        return StopSign, ()
+
+    def set(self) -> None:
+        """Let the calls in this process end."""
+        self._event.set()
+
+    @property
+    def is_set(self) -> bool:
+        """Whether the results are not needed any more."""
+        return self._event.is_set()
+
+
 @dataclass(frozen=True, slots=True)
 class Solved:
     """The result of a job as JSON, or the sentence why it failed; `is_of_data`: the data caused the error."""
@@ -182,13 +204,13 @@ class Solved:
     is_of_data: bool = False
 
 
-def solve_table(submitted: "SubmittedTable") -> Solved:
-    """Solve a whole job in this process and its task process."""
+def solve_table(submitted: "SubmittedTable", stop: StopSign) -> Solved:
+    """Solve a whole job in this process and its task process, unless `stop` is set meanwhile."""
     from atoll.executors.driver import solve
     from atoll.executors.executors import InlineExecutor
 
     try:
-        return Solved(solve(submitted, InlineExecutor(), 1))
+        return Solved(solve(submitted, InlineExecutor(), 1, stop=stop))
     except AtollError as error:
         return Solved(sentence=str(error), is_of_data=isinstance(error, DataError))
 

@@ -100,7 +100,8 @@ def find_starting_system(
     """Return the best of a few systems made of the first programs of the lists; None if no system can be simulated.
 
     All systems are fitted with few steps first, and only the best of them with more steps. If rows are nearly without
-    noise, short segments suffice for the first fits. Noise hides the differences between systems in short segments.
+    noise, short segments suffice for the first fits. Noise hides the differences between systems in short segments. If
+    none of the best can be fitted with more steps, all systems are.
     Systems whose key is in `fitted` are not fitted again; the keys of the other systems are added to it.
     """
     first = [programs[0] for programs in lists]
@@ -124,6 +125,8 @@ def find_starting_system(
         steps, lengths = (effort.steps, STAGES[:1]) if is_clean else (effort.brief_steps, STAGES)
         finalists = [model.programs for model in comparison.fit_all(systems, steps, lengths)[: effort.rounds[1][1]]]
     models = comparison.fit_all(finalists)
+    if len(finalists) < len(systems) and not models:  # the best ones cannot be simulated any further
+        models = comparison.fit_all(systems)
     if systems and not models and comparison.estimator.deadline.is_over:
         return comparison.fit_model(first)  # without a step, since the time is over
     return models[0] if models else None

@@ -1,10 +1,12 @@
 """The kernels of a wheel are used where they fit; otherwise kernels are compiled, and a sentence says why."""
 
+import faulthandler
 import json
 import os
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +155,82 @@ def test_kernels_that_compute_wrong_values_are_used_once_only(wheel: Wheel) -> N
     first, *rest = warm_up("right")
     assert "have failed their self-test" in str(first)
     assert rest == COMPILED
+
+
+def fork(exercise: Callable[[], str]) -> int:
+    """Return the id of a process that runs the exercise as its self-test, and then exits with 0."""
+    child = os.fork()
+    if child == 0:
+        faulthandler.disable()  # a crash is expected
+        try:
+            compile_or_load(PACKAGE, exercise, {}, lambda text: None)
+        except BaseException:
+            os._exit(1)
+        os._exit(0)
+    return child
+
+
+def die() -> str:
+    os.kill(os.getpid(), signal.SIGILL)
+    return "right"
+
+
+def test_kernels_that_end_the_process_are_used_once_only(wheel: Wheel) -> None:
+    assert os.waitstatus_to_exitcode(os.waitpid(fork(die), 0)[1]) == -signal.SIGILL
+    wheel.forget()
+    first, *rest = warm_up("right")
+    assert "ended the process" in str(first)
+    assert rest == COMPILED
+    assert warm_up("right") == []
+
+
+def test_kernels_that_ended_the_process_of_one_program_are_not_used_by_the_other(wheel: Wheel) -> None:
+    other = "atoll_coordinator"
+    digest = cache.source_digest(cache.packages_compiled_into(other))
+    wheel.write(FAST, packages={**wheel.index["packages"], other: digest})
+    os.waitpid(fork(die), 0)
+    wheel.forget()
+    assert "ended the process" in str(wheel_kernels(other))
+
+
+@pytest.mark.parametrize("signal_number", [0, signal.SIGKILL])
+def test_a_test_in_another_process_is_not_taken_for_a_crash(wheel: Wheel, signal_number: int) -> None:
+    begun, is_begun = os.pipe()
+    may_end, end = os.pipe()
+
+    def wait() -> str:
+        os.write(is_begun, b"1")
+        os.read(may_end, 1)
+        return "right"
+
+    child = fork(wait)
+    os.read(begun, 1)
+    wheel.forget()
+    assert isinstance(wheel_kernels(PACKAGE), Kernels), "it is tested just now"
+    if signal_number:
+        os.kill(child, signal_number)
+    os.write(end, b"1")
+    os.waitpid(child, 0)
+    wheel.forget()
+    assert isinstance(wheel_kernels(PACKAGE), Unusable if signal_number else Kernels)
+
+
+def test_an_interrupted_test_has_no_outcome(wheel: Wheel) -> None:
+    def interrupt() -> str:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        compile_or_load(PACKAGE, interrupt, {}, lambda text: None)
+    wheel.forget()
+    assert isinstance(wheel_kernels(PACKAGE), Kernels)
+    assert warm_up("right") == []
+
+
+def test_a_process_that_waited_for_a_test_that_crashed_does_not_try_the_kernels(wheel: Wheel) -> None:
+    assert isinstance(wheel_kernels(PACKAGE), Kernels), "chosen before the crash"
+    os.waitpid(fork(die), 0)
+    with pytest.raises(AtollError, match="start again"):
+        warm_up("right")
 
 
 def test_a_cache_that_cannot_be_written_does_not_matter(wheel: Wheel, monkeypatch: pytest.MonkeyPatch) -> None:

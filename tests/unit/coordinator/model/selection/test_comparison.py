@@ -1,8 +1,9 @@
 """Systems fitted and compared over the same measurements."""
 
 import math
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import Constraints, FitPlan, FitStart, ModelComparison
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
-from atoll_coordinator.model.selection.joint_search import exchange_programs
+from atoll_coordinator.model.selection.joint_search import exchange_programs, find_starting_system
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.fit_result import bounded_covariance, covariance
@@ -547,3 +548,30 @@ def test_the_unit_of_a_state_changes_neither_the_fit_nor_the_errors_of_constants
         found.append((np.sqrt(model.fit.squares) / measured.scales, errors))
     for one, other in zip(*found, strict=True):
         assert other == pytest.approx(one, rel=1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Failing(ModelComparison):
+    """A comparison in which some systems cannot be fitted, depending on whether the segments are `short` only."""
+
+    short: bool = False
+    except_for: bytes = b""
+
+    def fit_all(
+        self, systems: Sequence[Sequence[Program]], steps: int = 1, lengths: Sequence[int | None] = comparison.STAGES
+    ) -> list[FittedModel]:
+        models = super().fit_all(systems, steps, lengths)
+        if self.short != (len(lengths) == 1):
+            return models
+        return [model for model in models if structure(model.programs[0]) == self.except_for]
+
+
+@pytest.mark.parametrize("short", [False, True])
+def test_a_system_outside_of_the_best_in_short_segments_is_found_if_these_cannot_be_simulated(short: bool) -> None:
+    best = [DECAY.parsed(f"-{0.1 * rank}*x") for rank in range(1, 7)]
+    last = DECAY.parsed("0.1 - 0.2*x*x*x")
+    estimator = MultipleShooting(measurements(DECAY, [[1.0], [2.0]], 0.2 * np.arange(60.0)), 1e-6)
+    left = structure(last) if not short else b""
+    found = find_starting_system(Failing(estimator, DECAY.names, short=short, except_for=left), [[*best[:4], last]])
+    assert found is not None
+    assert structure(found.programs[0]) == structure(last if not short else best[0])
