@@ -291,6 +291,8 @@ def plan_leases(
     helped = [task for task in running if task.function in HELPED and not task.is_alone]
     helped.sort(key=lambda task: (len(task.helpers), task.waiting_since))
     idle_slots = [slot for slot in left if slot.helps is None]
+    if len(idle_slots) == 1 and len(helped) == 1 and helped[0].threads > 1 and busy_hosts[idle_slots[0].host]:
+        return made  # a second thread uses this core: unlike a helper, it needs no messages
     while idle_slots and helped:
         for task in helped:
             if idle_slots:
