@@ -45,11 +45,11 @@ $(BIN)/python:
 	@echo "preparing $(VENV) with $$($(PYTHON) --version) (once)"
 	@$(PYTHON) -m venv $(VENV)
 
-# The program without the tools, in the versions of the tools' list: half of the time and of the space.
+# The program and its page, without the tools: half of the time and of the space. The versions are those of the tools' list.
 $(PROGRAM): pyproject.toml requirements-dev.txt | $(BIN)/python
 	@echo "installing Atoll into $(VENV) (once, about half a minute)"
 	@grep -oE '^[A-Za-z0-9_.-]+==[^ ]+' requirements-dev.txt > $(VENV)/versions.txt
-	@$(BIN)/python -m pip install -q --disable-pip-version-check --constraint $(VENV)/versions.txt -e .
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --constraint $(VENV)/versions.txt -e '.[web]'
 	@touch $@
 
 $(STAMP): pyproject.toml requirements-dev.txt | $(BIN)/python

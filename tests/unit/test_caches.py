@@ -8,6 +8,7 @@ UNBOUNDED = {
     "_codec": "of the types of values that programs write and read",
     "_digest": "of the packages whose kernels are compiled",
     "_end_idle_processes": "of the processes that are forked from one another",
+    "_end_with_parent": "of the processes that are forked from one another",
     "_index": "of the folder of a wheel's kernels",
     "_style": "of the style sheets that come with the package",
     "_version": "of the packages that results name",
