@@ -48,7 +48,7 @@ $(BIN)/python:
 # The program and its page, without the tools: half of the time and of the space. The versions are those of the tools' list.
 $(PROGRAM): pyproject.toml requirements-dev.txt | $(BIN)/python
 	@echo "installing Atoll into $(VENV) (once, about half a minute)"
-	@grep -oE '^[A-Za-z0-9_.-]+==[^ ]+' requirements-dev.txt > $(VENV)/versions.txt
+	@sed -n 's/^\([A-Za-z0-9].*==[^\\]*\).*/\1/p' requirements-dev.txt > $(VENV)/versions.txt
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --constraint $(VENV)/versions.txt -e '.[web]'
 	@touch $@
 
