@@ -169,12 +169,13 @@ class TaskProcess:
         return self._life
 
     def load_next(self, function: str) -> None:
-        """Let a running process load the modules for tasks of this function, or replace it by one that has them."""
-        if self.is_started and self._should_replace:
+        """Let a running process load the modules for tasks of this function, or one that replaces it."""
+        if not self.is_started:
+            return
+        if self._should_replace:
             self.stop()
             self._start()
-        elif self.is_started:
-            self.send(frames.Load(function))
+        self.send(frames.Load(function))  # also compiles kernels, if they are not compiled yet
 
     @property
     def _should_replace(self) -> bool:

@@ -191,7 +191,7 @@ def test_what_most_likely_follows_is_loaded_meanwhile(worker: Worker, caplog: py
 
 @pytest.mark.parametrize("is_announced", [True, False])
 def test_a_process_that_lacks_modules_runs_one_task(
-    worker: Worker, monkeypatch: pytest.MonkeyPatch, is_announced: bool
+    worker: Worker, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, is_announced: bool
 ) -> None:
     lacking = KNOWING.replace("import main", "import Connection, serve")
     lacking = lacking.replace(
@@ -204,6 +204,7 @@ def test_a_process_that_lacks_modules_runs_one_task(
     if is_announced:
         worker.process.load_next("to load")
         assert worker.process.is_started
+        until(lambda: "it is loaded" in caplog.text)
     second = int(worker.result("pid"))
     assert first != second == int(worker.result("pid"))
     until(lambda: is_gone(first))
