@@ -49,6 +49,7 @@ LEFT_OUT_ALWAYS = {
     (RequestDispatcher, "_tell_worker"),
     (JobController, "_end_broken"),
     (JobController, "_end_without_job"),
+    (JobController, "_remove"),
     (Placer, "plan_placements"),  # is called with all jobs
     (Store, "job"),
     (Store, "commit_result"),
