@@ -9,6 +9,8 @@ STAMP := $(VENV)/atoll-installed
 PROGRAM := $(VENV)/atoll-program-installed
 DOCS := $(VENV)/atoll-docs-installed
 BROWSER := $(VENV)/atoll-browser-installed
+# An environment without an interpreter was not removed completely, and has nothing installed.
+$(if $(wildcard $(BIN)/python),,$(shell rm -f $(STAMP) $(PROGRAM) $(DOCS) $(BROWSER)))
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-all test-wheel kernels check pyright soak bench compare figures docs browser lock release-rehearsal deploy-rehearsal judge clean

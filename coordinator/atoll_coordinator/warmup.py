@@ -14,7 +14,7 @@ COSTS: Final = {
     "differences_into": 0.4, "best_stencil_into": 0.2, "thin_into": 0.2, "spread_into": 0.4,
     "largest_sizes": 0.2, "integrate_segments": 9.9, "innovate": 0.5,
     "normal_equations": 1.1, "solve_step": 1.3, "windowed_sums": 0.1, "spread_window_weights": 0.1,
-    "scalar_products": 0.2, "sum_error_products": 1.0, "eliminate": 3.5,
+    "scalar_products": 0.2, "sum_products": 0.2, "sum_error_products": 1.0, "eliminate": 3.5,
     "find_shortest_with_each": 4.5, "explained_shares": 1.0,
     "solve_damped": 0.2,
 }  # fmt: skip

@@ -14,7 +14,7 @@ _ROWS: Final = 40
 COSTS: Final = {
     "_apply": 2.6, "gather": 0.6, "random_population": 0.5, "draw_coevolution": 0.4, "train": 2.1, "judge_all": 0.4,
     "measure_all": 8.6, "advance": 9.4, "most_disputed": 2.3, "choose_offers": 2.6, "refit_offers": 4.0,
-    "write_variant": 1.8, "refit": 1.4,
+    "write_variant": 1.8, "refit": 1.4, "choose_near": 1.8, "structure_hash": 0.1,
 }  # fmt: skip
 """The separately compiled kernels that an epoch needs, and the seconds of a processor that each took on one machine
 (``python -m benchmarks.kernels.compiling``)."""
@@ -39,10 +39,12 @@ def run_small_epochs() -> str:
 
     digest = hashlib.blake2b(digest_size=16)
     for preset in PRESETS.values():
+        kept = preset.evolution.runners_up
+        runners_up = 1 if kept is None else kept  # None: kept with noise, which has kernels of its own
         fields = {
             **{name: getattr(preset, name) for name in JobConfig.model_fields},
             "space": preset.space.model_copy(update={"terminals": 7}),
-            "evolution": preset.evolution.model_copy(update={"islands": 1, "population": 16}),
+            "evolution": preset.evolution.model_copy(update={"islands": 1, "population": 16, "runners_up": runners_up}),
             "predictors": preset.predictors.model_copy(update={"rows": 16, "renewal": 2, "effort": 0.5}),
             "migration": MigrationConfig(generations=20),
             "budget": BudgetConfig(target_error=1e-300),

@@ -59,6 +59,29 @@ def test_the_count_of_kernels_that_progress_is_told_against_is_true(module: str)
     assert ready == expected
 
 
+NOISY = """
+from atoll_core.compilation.cache import on_ready
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig, PredictorConfig, SpaceConfig
+from atoll_island_worker.compute import warmup
+from atoll_island_worker.evolution.island import Island
+warmup.warm_up(lambda sentence: None)
+ready = []
+on_ready.append(lambda: ready.append(1))
+evolution = EvolutionConfig(islands=2, runners_up=8)
+budget, migration = BudgetConfig(target_error=1e-9), MigrationConfig(generations=20)
+space, predictors = SpaceConfig(terminals=7), PredictorConfig(rows=16, effort=0.5)
+config = JobConfig(space=space, evolution=evolution, predictors=predictors, migration=migration, budget=budget)
+island = Island(warmup._small_problem(), config, 1)
+while not island.advance():
+    pass
+print(len(ready), len(island.report().runners_up) > 0)
+"""
+
+
+def test_an_epoch_on_noisy_data_needs_no_kernel_besides_those_of_the_warm_up() -> None:
+    assert python(NOISY) == {"0", "True"}
+
+
 def python(code: str, *words: str) -> set[str]:
     """Return the words that a process of its own prints."""
     command = [sys.executable, "-c", code, *words]
