@@ -64,8 +64,11 @@ def visible_line(text: str) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value as one short line."""
-    text = " ".join(repr(value).split())
+    """Return a value as one short line; of a value that cannot be shown, its type."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # a class of the caller
+        text = f"an object of type {type(value).__name__}"
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
 

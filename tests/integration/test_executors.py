@@ -414,7 +414,13 @@ def test_any_key_is_a_name_and_a_name_may_occur_twice(executor: Callable[[], Exe
 
 
 class Rude:
-    """Data that raise an error of their own when they are read."""
+    """Data that raise an error of their own when they are read, hashed or shown."""
+
+    def __hash__(self) -> int:
+        raise ValueError("planted")
+
+    def __repr__(self) -> str:
+        raise ValueError("planted")
 
     @property
     def columns(self) -> list[str]:
@@ -425,13 +431,13 @@ class Rude:
 def test_a_wrong_item_is_the_error_of_this_table(executor: Callable[[], Executor] | None, workers: int) -> None:
     good = [*decays(2)]
     made = None if executor is None else executor()
-    tables = [good[0], 3, ({}, {}), ("rude", Rude()), ("nothing", None), good[1]]
+    tables = [good[0], 3, ({}, {}), ("rude", Rude()), ("nothing", None), good[1], Rude(), (Rude(), 1)]
     found = dict(atoll.discover_many(tables, executor=made, workers=workers, max_epochs=1))
     assert isinstance(found.pop("decay 0"), atoll.Model)
     assert isinstance(found.pop("decay 1"), atoll.Model)
     assert isinstance(found.pop("nothing"), DataError)
     assert "planted" in str(found.pop("rude"))
-    assert found.keys() == {"table 2", "table 3"}
+    assert found.keys() == {"table 2", "table 3", "table 7", "table 8"}
     assert all(isinstance(error, UsageError) and "pair" in str(error) for error in found.values())
 
 

@@ -127,7 +127,7 @@ def _table_of(place: int, item: object) -> _GivenTable:
         return _GivenTable(str(item), item)
     if isinstance(item, tuple) and len(item) == 2 and _is_name(item[0]):
         return _GivenTable(item[0], item[1])
-    expected = "each table must be a file or a pair (name, data), with a text or a number as the name"
+    expected = "each table must be a file or a pair (name, data), with a key of a dict as the name, such as a text"
     return _GivenTable(f"table {place}", error=UsageError(f"{expected}, but {shown(item)} was given"))
 
 
@@ -135,7 +135,7 @@ def _is_name(value: object) -> bool:
     """Return whether a value can be a key of a dict; tables of data cannot."""
     try:
         hash(value)
-    except TypeError:
+    except Exception:  # a TypeError of most values; a class of the caller may raise anything
         return False
     return True
 
