@@ -385,6 +385,7 @@ def test_wrong_options_and_tables_are_refused() -> None:
             atoll.discover(EXAMPLE, executor=executor, connect="tcp/host:1")
         with pytest.raises(UsageError, match="connect"):
             atoll.discover_many({}, executor=executor, connect="tcp/host:1")
+        assert [*atoll.discover_many({}, executor=executor, connect=None, tls=None, priority=0)] == []
     with pytest.raises(UsageError, match=r"concurrent\.futures"):
         atoll.discover_many({}, executor=3)
     with pytest.raises(UsageError, match="priority"):

@@ -50,8 +50,11 @@ class Kernels:
         expected = _index(self.folder.parents[1])["files"]
         place = self.folder.relative_to(self.folder.parents[1]).as_posix()
         names = {name for name in expected if name.startswith(f"{place}/")}
-        files = {f"{place}/{file.name}": file for file in self.folder.iterdir()}
-        return files.keys() == names and all(file_digest(files[name]) == expected[name] for name in names)
+        try:
+            files = {f"{place}/{file.name}": file for file in self.folder.iterdir()}
+            return files.keys() == names and all(file_digest(files[name]) == expected[name] for name in names)
+        except OSError:  # the folder, or a file, is missing or cannot be read
+            return False
 
 
 @dataclass(frozen=True, slots=True)

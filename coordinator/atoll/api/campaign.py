@@ -25,9 +25,9 @@ from atoll.api.discover import (
     check_service_options,
     config_of,
     number_of,
-    refuse_service_options,
     submit,
     table_of_options,
+    without_service_options,
 )
 from atoll.api.model import Model
 from atoll.api.tables import in_python
@@ -76,10 +76,10 @@ def discover_many(
         return _on_service(_GivenTables(tables), number, options)
     from atoll.executors.executors import check_executor
 
-    refuse_service_options(options)
-    config_of(options)
+    own = without_service_options(options)
+    config_of(own)
     check_executor(executor)
-    return _on_executor(_GivenTables(tables), executor, number, options)
+    return _on_executor(_GivenTables(tables), executor, number, own)
 
 
 @dataclass(frozen=True, slots=True)

@@ -301,7 +301,7 @@ def discover(  # noqa: PLR0913  # where a job runs, and its options
         AtollError: the job failed.
     """
     if executor is not None:
-        refuse_service_options({"connect": connect, "tls": tls, "priority": priority or None})
+        without_service_options({"connect": connect, "tls": tls, "priority": priority})
         return _discover_on(executor, data, number_of(workers), progress, options)
     job = submit(data, connect=connect, tls=tls, workers=workers, priority=priority, **options)
     job.wait(progress=progress)
@@ -313,14 +313,15 @@ def discover(  # noqa: PLR0913  # where a job runs, and its options
         raise
 
 
-_SERVICE: Final = ("connect", "tls", "priority")
-"""The options that are for the service only."""
+_SERVICE: Final[Mapping[str, object]] = {"connect": None, "tls": None, "priority": 0}
+"""The options that are for the service only, and their default values."""
 
 
-def refuse_service_options(options: Mapping[str, object]) -> None:
-    """Raise UsageError if there are options that an executor cannot use."""
-    if any(options.get(name) is not None for name in _SERVICE):
+def without_service_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that an executor can use; raises UsageError if others differ from their default values."""
+    if any(options.get(name, default) != default for name, default in _SERVICE.items()):
         raise UsageError("connect, tls and priority are for the service; leave them out, or leave out executor")
+    return {name: value for name, value in options.items() if name not in _SERVICE}
 
 
 def check_service_options(options: Mapping[str, Any]) -> JobConfig:

@@ -190,7 +190,7 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
 
         def check_processes() -> list[str]:
             coordinator.check()
-            if _REFINING in follower.phases:  # no process of this run has anything else to do on one of two cores
+            if _REFINING in follower.phases:  # then one worker computes, and a core is free
                 request.load_modules_of_result()
             return workers.check()
 

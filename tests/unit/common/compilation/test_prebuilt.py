@@ -190,7 +190,13 @@ def test_kernels_that_ended_the_process_of_one_program_are_not_used_by_the_other
     wheel.write(FAST, packages={**wheel.index["packages"], other: digest})
     os.waitpid(fork(die), 0)
     wheel.forget()
-    assert "ended the process" in str(wheel_kernels(other))
+    excluded = wheel_kernels(other)
+    assert isinstance(excluded, Unusable)
+    assert "ended the process" in excluded.reason
+    Path(excluded.reason.removesuffix(")").rpartition("remove ")[2]).unlink()
+    wheel.forget()
+    assert "changed after" in str(wheel_kernels(other)), "looked at again, but this wheel has no files for it"
+    assert isinstance(wheel_kernels(PACKAGE), Kernels)
 
 
 @pytest.mark.parametrize("signal_number", [0, signal.SIGKILL])
