@@ -28,14 +28,15 @@ from atoll_core.expression.kernels.tape import Ints
 
 STEPS_PER_ROW: Final = 40
 """Most integration steps for each row, on average. A system that needs more steps is stiff or blows up."""
-OVERHEAD_NUMBERS: Final = 10
-"""Fixed work for a row, in addition to the work for its states and sensitivities. The unit is the work for one
-integrated number."""
+OVERHEAD_NUMBERS: Final = 20
+"""Fixed work for an evaluation of the rates, in addition to the work for the states and sensitivities. The unit is the
+work for one integrated number. Measured: `benchmarks.operations.counted_work`."""
 STEEPEST: Final = 1e60
 """Guard: systems with larger sensitivities (of a scaled state to a scaled constant) are rejected, since squares of such
 sensitivities overflow."""
-_FREE_STEPS: Final = (4.0, 12.0, 1.0)
-"""Steps for each row that do not count as additional work: quick, precise and implicit method."""
+_EVALUATIONS: Final = (3, 6, 14)
+"""Evaluations of the rates in a step: quick, precise and implicit method. An implicit step counts with its Newton
+iterations and its linear systems (measured: `benchmarks.operations.counted_work`)."""
 _QUICK_STEPS: Final = 8
 """Steps for each row above which the implicit method takes less time than the quick method."""
 _FINEST_IMPLICIT: Final = 1e-6
@@ -55,17 +56,19 @@ Unsimulated = Literal["ran away", "out of steps"]
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """An integration method: its table of coefficients, the most steps for each row, the free steps for each row, and
-    the tolerated error (D,) of a step."""
+    """An integration method: its table of coefficients, the most steps for each row, the evaluations of the rates in a
+    step, and the tolerated error (D,) of a step."""
 
     table: Table
     steps: int
-    free: float
+    evaluations: int
     tolerance: FloatArray
 
-    def work(self, steps: int, rows: int) -> int:
-        """Return the work of `steps` steps along `rows` rows: at least one for each row."""
-        return max(rows, int(steps / self.free))
+    def work(self, steps: int, rows: int, numbers: int) -> int:
+        """Return the work of `steps` steps along `rows` rows, at least one step for each row, in which `numbers` states
+        and sensitivities are integrated. The unit is the work for one number in one evaluation of the rates: about 6 ns
+        (`benchmarks.operations.counted_work`)."""
+        return max(rows, steps) * self.evaluations * (OVERHEAD_NUMBERS + numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +109,7 @@ class Integrator:
         self.measured_rows: Final = measured_rows
         self.spread: Final = spread or Spread()
         self._rows_in_row: Final = max(1.0, measured_rows / measurements.rows)
-        quick, precise, implicit = _FREE_STEPS
+        quick, precise, implicit = _EVALUATIONS
         most, scales = STEPS_PER_ROW, measurements.scales
         is_quick = tolerance >= SETTINGS.common.clean
         explicit = (QUICK, _QUICK_STEPS, quick) if is_quick else (PRECISE, most, precise)

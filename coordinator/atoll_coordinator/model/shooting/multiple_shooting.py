@@ -35,9 +35,8 @@ start values, and a fit of whole trajectories uses all information of the data.
 
 Doubts. A variance is estimated by its most probable value for the residuals, and not integrated out of the likelihood.
 So if a model fits a state exactly, the weight of this state follows from `SmoothingSettings.smallest_noise`. Two rules
-were tuned on one machine: when a step is first integrated without sensitivities, and how many integration steps count
-as the work of one row. These rules do not change a fit. They change the counted work, and so the point at which a
-search stops. Letters: D states, P fitted constants, L numbers of a segment, G segments, N rows, O measured states.
+were measured on one machine: when a step is first integrated without sensitivities, and the work of an evaluation of
+the rates. These rules do not change a fit. They change the counted work, and so the point at which a search stops. Letters: D states, P fitted constants, L numbers of a segment, G segments, N rows, O measured states.
 """
 
 import hashlib
@@ -133,8 +132,8 @@ _Step = tuple[FloatArray, FloatArray]
 
 
 class MultipleShooting:
-    """Fits systems to `measurements`. `work` is the sum, over all integrations, of the number of rows times the number
-    of integrated numbers.
+    """Fits systems to `measurements`. `work` is the sum, over all integrations, of the evaluations of the rates times the
+    integrated numbers, see `Method.work`.
 
     Several threads may fit at the same time.
     """
@@ -288,11 +287,11 @@ class MultipleShooting:
         longer[last, 1] += 1
         ends = np.zeros((len(segments), starts.shape[1], system.count + starts.shape[1]))
         reached, parts = np.zeros_like(starts), []
-        numbers = OVERHEAD_NUMBERS + starts.shape[1] * (system.count + starts.shape[1])
+        numbers = starts.shape[1] * (1 + system.count + starts.shape[1])
         for parity in (0, 1):  # neighbouring segments share a row, and would overwrite it
             chosen = np.arange(parity, len(segments), 2)
             course = self.integrator.integrate(method, system, longer[chosen], np.ascontiguousarray(starts[chosen]))
-            self.add_work(method.work(course.steps, self.measurements.rows // 2) * numbers)
+            self.add_work(method.work(course.steps, self.measurements.rows // 2, numbers))
             steepest = self.integrator.steepest(course.sensitivities[np.isin(owners, chosen)], system)
             if course.done < len(chosen) or not steepest < STEEPEST:
                 return None
@@ -546,16 +545,19 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         (after a step), the error model gets the variances of the new residuals.
 
         A fit ends at a point that `is_last`, or whose cost is less than `least` below `below`. No step is taken from
-        such a point, so it is integrated without sensitivities. The work is counted with them.
+        such a point, so it is integrated without sensitivities.
         """
         estimator, integrator = self._estimator, self._estimator.integrator
         states, fitted, local = len(system.outputs), system.count, starts.shape[1]
-        numbers, point, blocks = OVERHEAD_NUMBERS + states * (1 + fitted + local), None, None
+        numbers, point, blocks = states * (1 + fitted + local), None, None
         is_step = below < math.inf
-        is_tried = is_last or (is_step and OVERHEAD_NUMBERS + states < _REJECTED * numbers)
+        is_tried = is_last or (is_step and OVERHEAD_NUMBERS + states < _REJECTED * (OVERHEAD_NUMBERS + numbers))
         for has_sensitivities in (False, True) if is_tried else (True,):
             course = integrator.integrate(
                 self.method, system, self._segments, starts, has_sensitivities=has_sensitivities
+            )
+            self.work += self.method.work(
+                course.steps, self._measurements.rows, numbers if has_sensitivities else states
             )
             is_steep = not integrator.steepest(course.sensitivities, system) < STEEPEST
             if course.done < len(self._segments) or is_steep:
@@ -572,7 +574,6 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
                 cost = _cost(self._layout, residuals, weighed)
                 point = _Point(system, starts, weighed, cost, course.states, residuals, blocks)
                 break
-        self.work += self.method.work(course.steps, self._measurements.rows) * numbers
         return point, course.done < 0
 
     def _starting_states(self) -> Iterator[FloatArray]:

@@ -117,7 +117,7 @@ def test_the_budget_ends_it(swinging, budget):
     descent = LocalSearch(swinging, around, most)
     end = descent.improve(start, [0, 1])
     assert descent.is_exhausted
-    largest_round = 100 * 2 * 80 * (10 + 2 * (1 + 6 + 2))
+    largest_round = 100 * 2 * (2 * 80) * 6 * (20 + 2 * (1 + 6 + 2))  # two steps of six evaluations for each row
     assert swinging.estimator.work <= most + largest_round
     assert end.nats <= start.nats
 

@@ -12,6 +12,7 @@ from atoll_coordinator.model.description_length import TrajectoryMisfit
 from atoll_coordinator.model.shooting import integration, multiple_shooting
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import covariance
+from atoll_coordinator.model.shooting.integration import Integrator
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MisfitLimit, MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import system_of, variable_program
@@ -164,7 +165,7 @@ def test_steps_that_are_tried_by_states_alone_are_the_same(monkeypatch, noise):
         monkeypatch.setattr(multiple_shooting, "_REJECTED", rejected)
         estimator = MultipleShooting(lotka(noise=noise), 1e-8)
         fit = fit_in_stages(estimator, system(LOTKA, *FAR), (8, 25, None), 40)
-        estimates.append((fit.system.values.tolist(), fit.starts.tolist(), fit.blocks.normal.tolist(), estimator.work))
+        estimates.append((fit.system.values.tolist(), fit.starts.tolist(), fit.blocks.normal.tolist()))
     assert estimates[0] == estimates[1]
 
 
@@ -313,13 +314,30 @@ def test_two_fits_are_the_same_to_the_bit():
     assert first.integrated_sensitivities().tobytes() == second.integrated_sensitivities().tobytes()
 
 
-def test_work_counts_rows_and_what_is_carried_along():
-    rows = lotka()
-    small, large = MultipleShooting(rows, 1e-6), MultipleShooting(rows, 1e-6)
-    small.fit(system(LOTKA, "3*x", "2*y"), 10, 0)
-    large.fit(system(LOTKA, *FAR), 10, 0)
-    assert small.work == 150 * (10 + 2 * (1 + 2 + 2))
-    assert large.work == 150 * (10 + 2 * (1 + 6 + 2))
+@pytest.mark.parametrize(("constants", "sides"), [(2, ("3*x", "2*y")), (6, FAR)])
+def test_work_counts_evaluations_of_the_rates_and_integrated_numbers(constants, sides, monkeypatch):
+    taken, original = [], Integrator.integrate
+
+    def integrate(self, *arguments, **options):
+        course = original(self, *arguments, **options)
+        taken.append(course.steps)
+        return course
+
+    monkeypatch.setattr(Integrator, "integrate", integrate)
+    estimator = MultipleShooting(lotka(), 1e-6)
+    estimator.fit(system(LOTKA, *sides), 10, 0)
+    (steps,) = taken
+    assert estimator.work == max(150, steps) * 6 * (20 + 2 * (1 + constants + 2))
+
+
+def test_a_finer_integration_is_more_work():
+    """Equal rows, more steps: a limit of work is a limit of time."""
+    works = []
+    for tolerance in (1e-4, 1e-11):
+        estimator = MultipleShooting(lotka(), tolerance)
+        estimator.fit(system(LOTKA, *FAR), 10, 0)
+        works.append(estimator.work)
+    assert works[1] > 1.5 * works[0]
 
 
 @pytest.mark.parametrize("noise", [(0.0, 0.0), (0.01, 0.1)])
