@@ -118,6 +118,21 @@ def _forked(executor: Executor) -> Executor:
     return executor
 
 
+def end(executor: Executor) -> None:
+    """Shut down an executor without waiting for its calls; the processes of a process pool are killed.
+
+    A task process ends with the process that has started it. Before Python 3.12, a pool fails if a process dies while
+    cancelled calls wait, so the pool forgets these calls first.
+    """
+    pool = isinstance(executor, ProcessPoolExecutor)
+    processes = [*(getattr(executor, "_processes", None) or {}).values()] if pool else []
+    executor.shutdown(wait=False, **({"cancel_futures": True} if pool else {}))
+    for process in processes:
+        process.kill()
+    for process in processes:
+        process.join()
+
+
 def _is_a(given: object, module: str, name: str) -> bool:
     """Return whether an object is of a class, without importing its module."""
     return any((kind.__module__, kind.__name__) == (module, name) for kind in type(given).__mro__)
