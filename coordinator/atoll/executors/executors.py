@@ -95,6 +95,7 @@ def adapted(given: object) -> Adapted:
 
     Raises:
         UsageError: `given` is none of these.
+        ExecutorError: the function raised an error, now or, by `Adapted.make`, later.
     """
     if isinstance(given, ModuleType) and given.__name__ == "ray":
         return Adapted(RayExecutor(given))
@@ -103,11 +104,27 @@ def adapted(given: object) -> Adapted:
     if isinstance(given, Executor):
         return Adapted(_forked(given), _maker_of_loky(given))
     if callable(given):
-        made = given()
-        if isinstance(made, Executor):
-            return Adapted(_forked(made), given, is_ours=_maker_of_loky(made) is None)  # loky's is for reuse
-        raise UsageError(f"{EXPECTED}; {shown(made)} was returned by the function")
+        made = _made_by(given)
+        is_ours = _maker_of_loky(made) is None  # loky's is for reuse
+        return Adapted(_forked(made), partial(_made_by, given), is_ours=is_ours)
     raise UsageError(f"{EXPECTED}; {shown(given)} was given")
+
+
+def _made_by(function: Callable[[], object]) -> Executor:
+    """Return the executor that a function of the user makes; see `adapted` for the errors."""
+    try:
+        made = function()
+    except AtollError:
+        raise
+    except Exception as error:
+        name = getattr(function, "__name__", None) or shown(function)
+        raise ExecutorError(
+            f"the function {name} of executor= made no executor, but raised {type(error).__name__}: {error}; correct "
+            "the function, or give an executor"
+        ) from error
+    if not isinstance(made, Executor):
+        raise UsageError(f"{EXPECTED}; {shown(made)} was returned by the function")
+    return made
 
 
 def _forked(executor: Executor) -> Executor:
