@@ -296,7 +296,8 @@ def analyses(options: Namespace) -> list[Took]:
     took = []
     with TemporaryDirectory() as folder:
         file = str(Path(folder) / "result.json")
-        lorenz().save(file)
+        # in a program of its own, because the local service of this process would be waited for
+        subprocess.run([sys.executable, "-m", __spec__.name, "--result", file], check=True)
         for _ in range(options.repeats):
             for name in ANALYSES:
                 digests = []
@@ -414,7 +415,7 @@ def shown(took: Sequence[Took]) -> str:
     option("--analyses", action="store_true", help="measure the analyses of a model, on 1 and 2 threads"),
     option("--analysis", choices=ANALYSES, help="do one of them in this process and print its digest"),
     option("--threads", type=int, default=0, help="threads of --analysis (0: no executor)"),
-    option("--result", metavar="FILE", help="result of --analysis"),
+    option("--result", metavar="FILE", help="result of --analysis; without that, find the model and write it"),
     option("--once", choices=ENGINES, help="solve the job in this process and print the result"),
     OUT,
 )
@@ -425,6 +426,9 @@ def main(options: Namespace) -> int:
         return 0
     if options.once:
         say(json.dumps(solve_once(options.once, options.after, options.seed, options.epochs)))
+        return 0
+    if options.result and not options.analysis:
+        lorenz().save(options.result)
         return 0
     if options.analysis:
         say(json.dumps(analyse_once(options.analysis, options.threads, options.result)))
