@@ -7,9 +7,10 @@ of such an executor, and makes a new executor when a pool is broken. Ray has ano
 import contextlib
 import os
 import sys
+import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from types import ModuleType
 from typing import Any, Final, ParamSpec, TypeVar
@@ -67,7 +68,7 @@ class RayExecutor(Executor):
         return future
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class Adapted:
     """An executor; `make` makes another one if it is broken (None: this is impossible).
 
@@ -77,6 +78,13 @@ class Adapted:
     executor: Executor
     make: Callable[[], Executor] | None = None
     is_ours: bool = False
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def replace(self, broken: Executor) -> None:
+        """Replace a `broken` executor, unless another thread has done so; `make` must be known."""
+        with self._lock:
+            if self.executor is broken and self.make is not None:
+                self.executor = self.make()
 
 
 def check_executor(given: object) -> None:

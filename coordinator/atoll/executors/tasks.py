@@ -190,20 +190,24 @@ class StopSign:
         """`file` is the path of the file; by default a new name in the folder of temporary files."""
         self._event = threading.Event()
         self._file: Final = Path(file or Path(tempfile.gettempdir()) / f"atoll-stop-{secrets.token_hex(16)}")
+        self._is_sent = False
 
     def __reduce__(self) -> tuple[type["StopSign"], tuple[str]]:
+        self._is_sent = True
+        if self._event.is_set():  # the executor sends a call that began just before
+            self._write()
         return StopSign, (str(self._file),)
 
-    def set(self, has_calls: bool = False) -> None:
-        """Let the calls end; `has_calls`: other processes may have some of them.
-
-        The file is removed when this process ends.
-        """
+    def set(self) -> None:
+        """Let the calls end. If the sign was sent to other processes, its file exists until this process ends."""
         self._event.set()
-        if has_calls:
-            with contextlib.suppress(OSError):  # then calls in other processes compute to their end
-                self._file.touch(exist_ok=True)
-                atexit.register(self._file.unlink, missing_ok=True)
+        if self._is_sent:
+            self._write()
+
+    def _write(self) -> None:
+        with contextlib.suppress(OSError):  # then calls in other processes compute to their end
+            self._file.touch(exist_ok=True)
+            atexit.register(self._file.unlink, missing_ok=True)
 
     @property
     def is_set(self) -> bool:

@@ -258,15 +258,20 @@ def _in_one_line(error: Exception) -> str:
 def _computed(function: str, context: bytes, item: bytes) -> bytes:
     from atoll_coordinator.model.batches import FUNCTIONS
 
-    for module in _MODULES.get(function, _OTHERS):
-        if function not in FUNCTIONS:
-            importlib.import_module(module)
+    if function not in FUNCTIONS:
+        importlib.import_module(_MODULES.get(function, _OTHERS))
     return FUNCTIONS[function](context, item)
 
 
-_MODULES: Final = {"epochs": ("atoll.executors.epochs",)}
-_OTHERS: Final = ("atoll_coordinator.model.pipeline", "atoll.experiments.identifiability")
-"""Modules that add to the table of batch functions: those of one function, and those of all others."""
+_MODULES: Final = {
+    "epochs": "atoll.executors.epochs",
+    "profile": "atoll.experiments.identifiability",
+    **dict.fromkeys(("trials", "improvements", "outcomes"), "atoll.experiments.suggestion"),
+    "cycles": "atoll.analysis.limit_cycles",
+    "dynamics": "atoll.analysis.analyse",
+}
+_OTHERS: Final = "atoll_coordinator.model.pipeline"
+"""Modules that add to the table of batch functions: by function, and the module of all others."""
 
 
 _STDIN: Final = 0
