@@ -297,7 +297,7 @@ def analyses(options: Namespace) -> list[Took]:
     with TemporaryDirectory() as folder:
         file = str(Path(folder) / "result.json")
         # in a program of its own, because the local service of this process would be waited for
-        subprocess.run([sys.executable, "-m", __spec__.name, "--result", file], check=True)
+        run("the model", [sys.executable, "-m", __spec__.name, "--result", file], False)
         for _ in range(options.repeats):
             for name in ANALYSES:
                 digests = []
@@ -428,7 +428,9 @@ def main(options: Namespace) -> int:
         say(json.dumps(solve_once(options.once, options.after, options.seed, options.epochs)))
         return 0
     if options.result and not options.analysis:
-        lorenz().save(options.result)
+        model = lorenz()
+        model.save(options.result)
+        say(json.dumps({"seconds": 0.0, "result": {"equations": []}, "digest": model.result.digest}))
         return 0
     if options.analysis:
         say(json.dumps(analyse_once(options.analysis, options.threads, options.result)))
