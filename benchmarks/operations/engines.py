@@ -11,6 +11,8 @@ as the system does when memory runs out. Threads have no other processes than th
 ``--overhead`` measures instead what it costs that islands are written after each epoch, pass the driver, and are read
 again: processor seconds of the same epochs so and with islands that stay in memory, as on a worker of the service.
 
+``--analyses`` measures instead the analyses of a noisy Lorenz model without an executor, and on one and two threads.
+
 Returns 1 when a digest or an equation differs, else 0.
 """
 
@@ -33,6 +35,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
@@ -43,13 +46,16 @@ from atoll.terminal.output import note, say, table
 from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import AtollError
+from atoll_core.machine import use_common_instructions
 from atoll_core.wire.values import encode_value
 from atoll_island_worker.evolution.island import Island
 from atoll_island_worker.session.interface import EpochTask, TaskKey
 from benchmarks.harness.command_line import OUT, option, positive, program, whole
 from benchmarks.harness.jobs import UNENDING, configured
 from benchmarks.harness.record import Record, load
+from benchmarks.harness.solving import solve
 from benchmarks.harness.systems import table_of, trajectories
 from benchmarks.operations.differences import differences, masked
 
@@ -246,6 +252,63 @@ def solve_once(engine: str, after: float | None, seed: int, epochs: int) -> dict
     return {"seconds": seconds, "result": masked(json.loads(model.result.to_json())), "digest": model.result.digest}
 
 
+# ------------------------------------------------------------------------------------------------------ the analyses
+
+ANALYSES: Final[dict[str, Callable[[atoll.Model, Any], str]]] = {
+    "analyse": lambda model, executor: str(model.analyse(executor=executor).as_dict()),
+    "analyse(vary)": lambda model, executor: str(
+        model.analyse(vary=("y:x", (10.0, 40.0)), executor=executor).as_dict()
+    ),
+    "suggest": lambda model, executor: str(model.suggest(executor=executor).as_dict()),
+    "report": lambda model, executor: model.to_html(executor=executor),
+}
+
+
+def _lorenz_rates(state: FloatArray) -> Sequence[float]:
+    x, y, z = state.tolist()
+    return 10.0 * (y - x), x * (28.0 - z) - y, x * y - 8.0 / 3.0 * z
+
+
+def lorenz() -> atoll.Model:
+    """Return the model of two trajectories of the Lorenz system with 2 % of noise."""
+    times, random = np.linspace(0.0, 3.0, 150), np.random.default_rng(1)
+    data = []
+    for start in ((1.0, 1.0, 1.0), (-5.0, 3.0, 20.0)):
+        curves = solve(_lorenz_rates, start, times, limit=1e6, most_evaluations=100_000).T
+        noisy = curves + 0.02 * curves.std(axis=1)[:, None] * random.standard_normal(curves.shape)
+        data.append({"t": times, **dict(zip("xyz", noisy, strict=True))})
+    return atoll.discover(data, seed=5, max_epochs=8, workers=WORKERS)
+
+
+def analyse_once(name: str, workers: int, file: str) -> dict[str, Any]:
+    """Do one analysis in this process, or on a number of threads."""
+    model = atoll.Model.load(file)
+    with ThreadPoolExecutor(workers) if workers else contextlib.nullcontext() as executor:
+        began = time.monotonic()
+        made = ANALYSES[name](model, executor)
+        seconds = time.monotonic() - began
+    return {"seconds": seconds, "result": {"equations": []}, "digest": hashlib.sha256(made.encode()).hexdigest()}
+
+
+def analyses(options: Namespace) -> list[Took]:
+    """Return what each analysis took, by number of workers (0: no executor), each in a program of its own."""
+    use_common_instructions(os.environ)  # as task processes do, so that the last bits can be compared
+    took = []
+    with TemporaryDirectory() as folder:
+        file = str(Path(folder) / "result.json")
+        # in a program of its own, because the local service of this process would be waited for
+        run("the model", [sys.executable, "-m", __spec__.name, "--result", file], False)
+        for _ in range(options.repeats):
+            for name in ANALYSES:
+                digests = []
+                for workers in (0, 1, 2):
+                    words = ["--analysis", name, "--threads", str(workers), "--result", file]
+                    one, _ = run(f"{name}, {workers}", [sys.executable, "-m", __spec__.name, *words], False)
+                    digests.append(one.digest)
+                    took.append(Took(**{**vars(one), "differing": int(one.digest != digests[0])}))
+    return took
+
+
 # ------------------------------------------------------------------------------------------------------ the overhead
 
 
@@ -306,10 +369,10 @@ def command_of(engine: str, options: Namespace, is_struck: bool) -> list[str]:
     return [*launcher, "-n", str(WORKERS + 1), sys.executable, "-m", "mpi4py.futures", "-m", *words]
 
 
-def run(engine: str, options: Namespace, is_struck: bool) -> tuple[Took, Any]:
-    """Solve the job by an engine in a program of its own; return what it took, and the result."""
+def run(engine: str, command: Sequence[str], is_struck: bool) -> tuple[Took, Any]:
+    """Run a command that solves the job by an engine; return what it took, and the result."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(command_of(engine, options, is_struck), stdout=subprocess.PIPE, check=False)
+    done = subprocess.run(command, stdout=subprocess.PIPE, check=False)
     with contextlib.suppress(ChildProcessError):  # processes that end after their parents
         while True:
             os.wait()
@@ -336,7 +399,7 @@ def shown(took: Sequence[Took]) -> str:
         )
         for one in took
     ]  # fmt: skip
-    return table(("engine", "", "s", "processor s", "digest", "result beside the service's"), rows)
+    return table(("engine", "", "s", "processor s", "digest", "result beside the first"), rows)
 
 
 @program(
@@ -349,6 +412,10 @@ def shown(took: Sequence[Took]) -> str:
     option("--repeats", type=whole, default=1),
     option("--tables", type=whole, help="solve this number of small tables by discover_many instead of one job"),
     option("--overhead", action="store_true", help="measure the cost of islands that pass the driver"),
+    option("--analyses", action="store_true", help="measure the analyses of a model, on 1 and 2 threads"),
+    option("--analysis", choices=ANALYSES, help="do one of them in this process and print its digest"),
+    option("--threads", type=int, default=0, help="threads of --analysis (0: no executor)"),
+    option("--result", metavar="FILE", help="result of --analysis; without that, find the model and write it"),
     option("--once", choices=ENGINES, help="solve the job in this process and print the result"),
     OUT,
 )
@@ -360,16 +427,29 @@ def main(options: Namespace) -> int:
     if options.once:
         say(json.dumps(solve_once(options.once, options.after, options.seed, options.epochs)))
         return 0
+    if options.result and not options.analysis:
+        model = lorenz()
+        model.save(options.result)
+        say(json.dumps({"seconds": 0.0, "result": {"equations": []}, "digest": model.result.digest}))
+        return 0
+    if options.analysis:
+        say(json.dumps(analyse_once(options.analysis, options.threads, options.result)))
+        return 0
     if options.overhead:
         say(overhead(options.epochs, options.repeats))
         return 0
     ctypes.CDLL(None).prctl(_SUBREAPER, 1, 0, 0, 0)
+    if options.analyses:
+        measured = analyses(options)
+        say(shown(measured))
+        say(f"load {load():.1f}")
+        return int(any(one.differing for one in measured))
     names = [name for name in options.engines.split(",") if available(name)]
     record, took, reference = Record("engines", options.words, options.out), [], None
     for _ in range(options.repeats):
         for name in names:
             for is_struck in (False,) if options.tables else (False, True):
-                one, result = run(name, options, is_struck)
+                one, result = run(name, command_of(name, options, is_struck), is_struck)
                 reference = result if reference is None else reference
                 places = len([*differences(result, reference)])
                 took.append(Took(**{**vars(one), "differing": places}))

@@ -290,7 +290,7 @@ def array_size(name: str, dtype: object, shape: object, allowed: Collection[str]
     require(isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS, f"{name} has no proper shape")
     sizes = cast(list[object], shape)
     require(all(type(size) is int and size >= 0 for size in sizes), f"{name} has no proper shape")
-    return math.prod(cast(list[int], sizes)) * int(cast(str, dtype)[1])
+    return math.prod(cast(list[int], sizes)) * int(cast(str, dtype)[1:])
 
 
 def require(condition: bool, sentence: str) -> None:

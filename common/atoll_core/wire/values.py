@@ -8,8 +8,9 @@ every machine; decoded values are equal to the bit, NaN and infinity included, a
 that does not fit raises a RemoteProtocolError.
 
 Supported types: dataclasses whose fields have supported types, None, bool, int of 64 bits, float, str, bytes, Fraction,
-tuples, sequences, mappings, sets, literals, unions, arrays of `DTYPES` and of bool, `Program`, pydantic models such as
-JobConfig, and nested tuples of plain values where a type says ``Hashable``. A new kind of type is added in `_codec`.
+tuples, sequences, mappings, sets, literals, unions, arrays of `DTYPES`, of bool and of complex numbers, `Program`,
+pydantic models such as JobConfig, and nested tuples of plain values where a type says ``Hashable``. A new kind of type
+is added in `_codec`.
 """
 
 import dataclasses
@@ -41,7 +42,7 @@ from atoll_core.wire.codec import (
 
 V = TypeVar("V")
 
-_DTYPES: Final = frozenset((*DTYPES, "b1"))
+_DTYPES: Final = frozenset((*DTYPES, "b1", "c16"))
 _MOST_VARIABLES: Final = 2**15
 """Limit of a variable's index in a program: the number of variables of its problem is checked where it is known."""
 _MISFITS: Final = (*BROKEN, ArithmeticError, AttributeError, LocalProtocolError, RemoteProtocolError)

@@ -1,12 +1,13 @@
 """Analyse the dynamics of a model: fixed points, cycles, basins, branches, and a comparison with the data."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 import numpy as np
 
-from atoll.analysis.basins import Attractor, basins
+from atoll.analysis.analysis import Analysis
+from atoll.analysis.basins import Attractor, Basins, basins
 from atoll.analysis.conserved import conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import Branch, Coefficients, ContinuationParameter, continuation
 from atoll.analysis.cycle_continuation import CycleBranch, cycle_continuation
@@ -14,20 +15,16 @@ from atoll.analysis.dynamics import MeasuredTrajectory, compare, measured_trajec
 from atoll.analysis.fixed_points import fixed_points
 from atoll.analysis.flow import Box, Flow
 from atoll.analysis.limit_cycles import LimitCycle, limit_cycles
-from atoll.analysis.lyapunov import lyapunov_spectrum
+from atoll.analysis.lyapunov import LyapunovSpectrum, lyapunov_spectrum
 from atoll.analysis.nullclines import nullclines
 from atoll.model.arguments import by_name, interval, number
 from atoll.model.core import ModelCore
 from atoll.model.vector_field import VectorField
+from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.quoting import did_you_mean, shown
-
-if TYPE_CHECKING:
-    pass
-
-from atoll.analysis.analysis import Analysis
 
 MOST_STATES: Final = 12
 """Largest number of states. The Lorenz 96 model with 12 states takes 8 s on one core; an analysis may take 10 s."""
@@ -45,29 +42,38 @@ def analyse(
     inputs: FloatArray | None = None,
     measured: Sequence[MeasuredTrajectory] = (),
     vary: tuple[str, tuple[float, float]] | None = None,
+    spread: Spread | None = None,
 ) -> Analysis:
     """Return the dynamics of `field` in `box`. Every part has a limited number of steps and reports the extent of its
     search.
 
     The `inputs` (U,) are constant, by default 0. The model is compared with the `measured` trajectories. `vary` is the
-    name of a parameter, in the form for `Coefficients.find`, and its range. Raises UsageError for more than
-    `MOST_STATES` states and for an unknown name.
+    name of a parameter, in the form for `Coefficients.find`, and its range. `spread` distributes the searches for
+    cycles, and afterwards the parts that take longest, over workers. Raises UsageError for more than `MOST_STATES`
+    states and for an unknown name.
     """
     if len(field.states) > MOST_STATES:
         raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
     flow, coefficients = Flow.of(field, inputs), Coefficients.of(field)
     varied, parameter = (flow, None) if vary is None else coefficients.find(flow, vary[0])
-    branches: tuple[Branch, ...] = ()
-    cycle_branches: tuple[CycleBranch, ...] = ()
+    spread = spread or Spread()
     fixed = fixed_points(flow, box)
-    cycles = limit_cycles(flow, box, fixed.points, fixed.sets)
+    cycles = limit_cycles(flow, box, fixed.points, fixed.sets, spread)
     stable: list[Attractor] = [point for point in (*fixed.points, *cycles.resting) if point.attracts_in_box]
     stable += [fixed_set for fixed_set in fixed.sets if fixed_set.attracts_in_box]
     stable += [cycle for cycle in cycles.cycles if cycle.is_stable]
-    reached = basins(flow, box, stable)
+    found = _FoundDynamics(
+        flow, box, tuple(stable), cycles.unsettled, cycles.cycles, varied, parameter, None if vary is None else vary[1]
+    )
     is_open = flow.size > 2 and len(cycles.unsettled) > 0
-    if vary is not None and parameter is not None:
-        branches, cycle_branches = _continue_branches(box, varied, parameter, vary[1], cycles.cycles)
+    parts: list[_Part] = ["continuation"] if vary is not None else []
+    parts += ["lyapunov", "basins"] if is_open else ["basins"]
+    computed = dict(zip(parts, spread.map(_PARTS, lambda: found, parts), strict=True))
+    reached, branched = computed["basins"], computed.get("continuation") or _Branches()
+    spectrum = computed.get("lyapunov")
+    assert isinstance(reached, Basins)
+    assert isinstance(branched, _Branches)
+    assert spectrum is None or isinstance(spectrum, LyapunovSpectrum)
     return Analysis(
         field,
         box,
@@ -75,22 +81,67 @@ def analyse(
         fixed,
         nullclines(flow, box) if flow.size == 2 else (),
         cycles,
-        lyapunov_spectrum(flow, box, cycles.unsettled) if is_open else None,
+        spectrum,
         reached,
         conserved_quantities(flow, box),
         is_volume_preserving(flow, box),
         compare(flow, box, stable, measured, reached.duration, has_family=cycles.has_family),
         coefficients,
         parameter,
-        branches,
-        cycle_branches,
+        branched.fixed_points,
+        branched.cycles,
         tuple(trajectory.name for trajectory in measured if field.inputs and trajectory.inputs is None),
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Branches:
+    """Branches of fixed points and of limit cycles."""
+
+    fixed_points: tuple[Branch, ...] = ()
+    cycles: tuple[CycleBranch, ...] = ()
+
+
+_Part = Literal["basins", "lyapunov", "continuation"]
+"""The parts of an analysis that take up to seconds and do not need each other."""
+
+
+@dataclass(frozen=True, eq=False)
+class _FoundDynamics:
+    """What the parts of an analysis need: the stable attractors, the `unsettled` states (n, D) and the `cycles`.
+
+    The `parameter` of the flow `varied` is followed over `bounds`; both are None without a parameter.
+    """
+
+    flow: Flow
+    box: Box
+    stable: tuple[Attractor, ...]
+    unsettled: FloatArray
+    cycles: tuple[LimitCycle, ...]
+    varied: Flow
+    parameter: ContinuationParameter | None
+    bounds: tuple[float, float] | None
+
+    @np.errstate(all="ignore")
+    def compute(self, part: _Part) -> Basins | LyapunovSpectrum | _Branches | None:
+        """Return a part of the analysis."""
+        if part == "basins":
+            return basins(self.flow, self.box, self.stable)
+        if part == "lyapunov":
+            return lyapunov_spectrum(self.flow, self.box, self.unsettled)
+        assert self.parameter is not None
+        assert self.bounds is not None
+        return _continue_branches(self.box, self.varied, self.parameter, self.bounds, self.cycles)
+
+
+_PARTS: Final = BatchFunction(
+    "dynamics", _FoundDynamics, _Part, Basins | LyapunovSpectrum | _Branches | None, _FoundDynamics.compute
+)
+
+
 def _continue_branches(
     box: Box, flow: Flow, parameter: ContinuationParameter, bounds: tuple[float, float], cycles: Sequence[LimitCycle]
-) -> tuple[tuple[Branch, ...], tuple[CycleBranch, ...]]:
+) -> _Branches:
     branches = continuation(flow, box, parameter, bounds)
     value = parameter.value
     if not bounds[0] <= value <= bounds[1]:
@@ -99,7 +150,7 @@ def _continue_branches(
         shifted_points = fixed_points(shifted, box)
         cycles = limit_cycles(shifted, box, shifted_points.points, shifted_points.sets).cycles
     known = [(value, cycle) for cycle in cycles]
-    return branches, cycle_continuation(flow, box, parameter, bounds, branches=branches, known=known)
+    return _Branches(branches, cycle_continuation(flow, box, parameter, bounds, branches=branches, known=known))
 
 
 def analyse_model(
@@ -108,6 +159,7 @@ def analyse_model(
     *,
     inputs: Mapping[str, float] | None = None,
     vary: tuple[str, tuple[float, float]] | None = None,
+    spread: Spread | None = None,
 ) -> Analysis:
     """Return the dynamics of a model; see `atoll.Model.analyse`."""
     model.require_one_group()
@@ -124,7 +176,8 @@ def analyse_model(
     measured = measured_trajectories(model.result, field)
     sides = [equation.lhs for equation in model.result.equations if equation.verdict == "no model"]
     caveat = f'The verdict on {", ".join(sides)} is "no model": these equations do not fit the data.' if sides else ""
-    found = analyse(field, box_of(model.result, field, measured, bounds), inputs=values, measured=measured, vary=varied)
+    searched = box_of(model.result, field, measured, bounds)
+    found = analyse(field, searched, inputs=values, measured=measured, vary=varied, spread=spread)
     return replace(found, caveat=caveat)
 
 

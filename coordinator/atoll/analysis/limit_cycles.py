@@ -40,6 +40,7 @@ from atoll.analysis.flow import (
     is_nearly_at_rest,
     steps,
 )
+from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 24
@@ -142,16 +143,19 @@ class LimitCycles:
     has_family: bool = False
 
 
-def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[FixedSet] = ()) -> LimitCycles:
+def limit_cycles(
+    flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[FixedSet] = (), spread: Spread | None = None
+) -> LimitCycles:
     """Return the limit cycles that simulations from `box` reach, in order of their periods.
 
     For two states, time also runs backward. Simulations that end at one of the `fixed` points, or in one of the `sets`
-    of fixed points, reach no cycle.
+    of fixed points, reach no cycle. `spread` distributes the searches for closed orbits over workers.
     """
-    forward = _reached_cycles(flow, box, fixed, sets)
+    spread = spread or Spread()
+    forward = _reached_cycles(flow, box, fixed, sets, spread)
     cycles = list(forward.cycles)
     if flow.size == 2:
-        for cycle in _reached_cycles(replace(flow, direction=-flow.direction), box, fixed, sets).cycles:
+        for cycle in _reached_cycles(replace(flow, direction=-flow.direction), box, fixed, sets, spread).cycles:
             if all(other.distances(cycle.point[None], box)[0] > 1e-3 for other in cycles):
                 turned = _closed_orbit(flow, cycle.point, cycle.period, box)
                 cycles += [turned] if turned is not None else []
@@ -159,22 +163,52 @@ def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequen
     return replace(forward, cycles=tuple(isolated), has_family=len(isolated) < len(cycles))
 
 
-def _reached_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[FixedSet]) -> LimitCycles:
+@dataclass(frozen=True, eq=False)
+class _OrbitSearch:
+    """Searches closed orbits near the last states of simulations, which took `duration`."""
+
+    flow: Flow
+    box: Box
+    duration: float
+
+    @np.errstate(all="ignore")
+    def orbit(self, end: FloatArray) -> LimitCycle | None:
+        """Return the closed orbit near a last state (D,)."""
+        period = _first_return(self.flow, end, self.box, self.duration)
+        return None if period is None else _closed_orbit(self.flow, end, period, self.box)
+
+
+_ORBITS: Final = BatchFunction("cycles", _OrbitSearch, FloatArray, LimitCycle | None, _OrbitSearch.orbit)
+
+
+def _reached_cycles(
+    flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[FixedSet], spread: Spread
+) -> LimitCycles:
     ends, count, duration = _final_states(flow, box, fixed)
     for fixed_set in sets:
         ends = ends[fixed_set.distances(flow, ends, box) > _SLOW_DISTANCE]
     resting_points = _resting_points(flow, ends, box)
     cycles: list[LimitCycle] = []
     unsettled, failures = [], 0
-    for end in ends:
-        is_known = any(known.distances(end[None], box)[0] < 1e-2 for known in cycles)
-        if is_known or any(_is_at_rest(end, point, box) for point in (*fixed, *resting_points)):
+    search, orbits = _OrbitSearch(flow, box, duration), dict[int, LimitCycle | None]()
+    waiting = [end for end in ends if not any(_is_at_rest(end, point, box) for point in (*fixed, *resting_points))]
+
+    def is_known(end: FloatArray) -> bool:
+        return any(known.distances(end[None], box)[0] < 1e-2 for known in cycles)
+
+    for place, end in enumerate(waiting):
+        if is_known(end):
             continue
         if failures >= _MOST_FAILURES or len(cycles) >= MOST_CYCLES:
             unsettled.append(end)
             continue
-        period = _first_return(flow, end, box, duration)
-        cycle = None if period is None else _closed_orbit(flow, end, period, box)
+        if place not in orbits:
+            # if these searches find no stable cycle, all of them are needed, so workers do them at the same time
+            most = _MOST_FAILURES - failures if spread.is_shared else 1
+            ahead = [other for other in range(place, len(waiting)) if not is_known(waiting[other])][:most]
+            found = spread.map(_ORBITS, lambda: search, [waiting[other] for other in ahead])
+            orbits.update(zip(ahead, found, strict=True))
+        cycle = orbits[place]
         if cycle is not None and any(known.distances(cycle.point[None], box)[0] < 1e-3 for known in cycles):
             failures += 1  # the simulation approaches a known cycle slowly
             continue

@@ -6,6 +6,7 @@ shapes: D states, U inputs, N rows or times.
 
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from atoll.experiments.identifiability import Identifiability, ProfiledConstant
     from atoll.experiments.suggestion import Suggestions
     from atoll.export.description import HeldInputs, Times
+    from atoll_coordinator.model.batches import Spread
 
 
 class Model(ModelCore):
@@ -276,6 +278,7 @@ class Model(ModelCore):
         *,
         inputs: Mapping[str, float] | None = None,
         vary: tuple[str, tuple[float, float]] | None = None,
+        executor: object = None,
     ) -> "Analysis":
         """Return fixed points, limit cycles, basins of attraction and other dynamics, compared with the data.
 
@@ -285,17 +288,22 @@ class Model(ModelCore):
             vary: a parameter and its range, over which fixed points and limit cycles are followed. The parameter is a
                 constant (c1), several constants in a fixed ratio (c1,c2), the coefficient of a term (y:x*y is the
                 coefficient of x*y in dy/dt), or an input.
+            executor: computes the parts that take longest, as for `identifiability`.
 
         Raises:
             UsageError: a name is unknown, a range is invalid, or a state has neither bounds nor measurements.
         """
         from atoll.analysis.analyse import analyse_model
 
-        return analyse_model(self, box, inputs=inputs, vary=vary)
+        with _spread_over(executor) as spread:
+            return analyse_model(self, box, inputs=inputs, vary=vary, spread=spread)
 
-    def profile(self, level: float = LEVEL, data: object = None) -> "dict[str, ProfiledConstant]":
+    def profile(
+        self, level: float = LEVEL, data: object = None, *, executor: object = None
+    ) -> "dict[str, ProfiledConstant]":
         """Return the profile likelihood of each constant, by name; see `identifiability`."""
-        return {constant.name: constant for constant in self.identifiability(level, data).constants}
+        identified = self.identifiability(level, data, executor=executor)
+        return {constant.name: constant for constant in identified.constants}
 
     def identifiability(
         self, level: float = LEVEL, data: object = None, *, executor: object = None
@@ -306,22 +314,17 @@ class Model(ModelCore):
             level: confidence level of the intervals, between 0 and 1.
             data: measurements to use instead of the measurements in the result, in a form that `atoll.discover`
                 accepts.
-            executor: computes the profiles, see `atoll.discover`; None: this process does.
+            executor: computes the profiles, see `atoll.discover`; None: this process does. Results have the same bits
+                if this process uses the same linear algebra as the workers (docs/reproducibility.md).
 
         Raises:
             UsageError: the measurements have no times, or the result has no measurements.
             DataError: the data cannot be used as they are.
         """
         from atoll.experiments.identifiability import identify
-        from atoll_coordinator.model.batches import Spread
 
         self.require_one_group()
-        spread = None
-        if executor is not None:
-            from atoll.executors.batches import ExecutorBatches
-
-            spread = Spread(ExecutorBatches(executor))
-        with python_words():
+        with python_words(), _spread_over(executor) as spread:
             return identify(self.result, self._table(data), level, spread)
 
     def suggest(  # noqa: PLR0913, the keywords are the options of the command
@@ -335,6 +338,7 @@ class Model(ModelCore):
         rivals: Mapping[str, str] | Sequence[Mapping[str, str]] = (),
         seed: int = 0,
         data: object = None,
+        executor: object = None,
     ) -> "Suggestions":
         """Return the experiments that give the most information per cost about which candidate is right.
 
@@ -351,6 +355,7 @@ class Model(ModelCore):
             rivals: alternative models to distinguish, as right-hand sides by state; their constants are fitted.
             seed: random seed of the trial experiments.
             data: as for `identifiability`.
+            executor: computes the trials and the fits to their outcomes, as for `identifiability`.
 
         Raises:
             UsageError: a name or number does not fit, or the result has no measurements.
@@ -368,8 +373,8 @@ class Model(ModelCore):
             seed=seed,
             rivals=[rivals] if isinstance(rivals, Mapping) else [*rivals],
         )
-        with python_words():
-            return suggest(self.result, request, self._table(data))
+        with python_words(), _spread_over(executor) as spread:
+            return suggest(self.result, request, self._table(data), spread)
 
     def compare(self, other: "Model", data: object = None) -> "Comparison":
         """Compare this model, A, with another model, B, such as one of its `candidates`, on the same data.
@@ -420,23 +425,25 @@ class Model(ModelCore):
 
         return mathml(self)
 
-    def report(self, path: str | Path = "report.html") -> Path:
+    def report(self, path: str | Path = "report.html", *, executor: object = None) -> Path:
         """Write the result as one HTML page without scripts or external resources; return its path.
 
-        An existing file is replaced. The analysis of the model takes a second or two for two states.
+        An existing file is replaced. The analyses take a second or two for two states; an `executor` computes them as
+        for `identifiability`.
 
         Raises:
             UsageError: the file cannot be written.
         """
         file = path_of(path)
-        write_text(file, self.to_html())
+        write_text(file, self.to_html(executor=executor))
         return file
 
-    def to_html(self) -> str:
+    def to_html(self, *, executor: object = None) -> str:
         """Return the page that `report` writes."""
         from atoll.report.page import as_html
 
-        return as_html(self.result)
+        with _spread_over(executor) as spread:
+            return as_html(self.result, spread)
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return a row for each constant: `name`, `equation`, `value`, `stderr`, ends of the 95 % interval, `unit`.
@@ -557,6 +564,15 @@ class Model(ModelCore):
         from atoll.experiments.fits import config_of
 
         return None if data is None else table_of(data, config_of(self.result).data)
+
+
+def _spread_over(executor: object) -> "AbstractContextManager[Spread | None]":
+    """Return a context manager: a `Spread` over the executor of a user; None without an executor."""
+    if executor is None:
+        return nullcontext()
+    from atoll.executors.batches import spread_over
+
+    return spread_over(executor)
 
 
 def _outside_range(model: Model, start: FloatArray, inputs: Inputs | None, time: float) -> str:

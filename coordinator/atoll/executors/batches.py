@@ -1,13 +1,13 @@
 """`Batches` over an executor, for work that the caller's own thread divides, such as the profiles of an analysis."""
 
-from collections.abc import Sequence
-from concurrent.futures import Executor
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Final
 
 from atoll.executors.dispatcher import Dispatcher
-from atoll.executors.executors import adapted, workers_of
+from atoll.executors.executors import Adapted, adapted, workers_of
 from atoll.executors.tasks import what_to_do
-from atoll_coordinator.model.batches import CANCELLED
+from atoll_coordinator.model.batches import CANCELLED, Spread
 from atoll_core.errors import AtollError
 
 
@@ -19,10 +19,10 @@ class ExecutorBatches:
 
     threads: Final = 1
 
-    def __init__(self, executor: object, workers: int | None = None) -> None:
-        """Use an executor (see `executors.adapted`) with this number of workers; None: as many as it has."""
-        self._executor: Executor = adapted(executor).executor
-        self.workers: Final = workers or workers_of(self._executor)
+    def __init__(self, executor: Adapted) -> None:
+        """Use an executor with all its workers."""
+        self._executor = executor
+        self.workers: Final = workers_of(executor.executor)
 
     def map(
         self, function: str, context: bytes, items: Sequence[bytes], cancel_after: float | None = None
@@ -40,3 +40,15 @@ class ExecutorBatches:
 
     def note(self, compared: int) -> None:
         """Do nothing: there is no display."""
+
+
+@contextmanager
+def spread_over(executor: object) -> Iterator[Spread]:
+    """Context manager: a `Spread` over what the user gave as executor; raises UsageError, see `executors.adapted`."""
+    used, is_done = adapted(executor), False
+    try:
+        yield Spread(ExecutorBatches(used))
+        is_done = True
+    finally:
+        if used.is_ours:
+            used.executor.shutdown(wait=is_done)

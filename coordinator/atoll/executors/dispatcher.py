@@ -5,6 +5,10 @@ of a future means that the call was lost, because `tasks.perform` raises none: i
 could not send it. It is submitted again, up to `MAX_LOSSES` times. Calls are pure, so it does no harm if one is
 computed twice. A pool that is broken, as the pools of concurrent.futures are after the death of a worker, is replaced
 if the user gave a function that makes another one.
+
+At the end, such as after Ctrl-C, calls that have not begun are cancelled. If a function of the user has made the
+executor, the processes of a process pool are killed. Tables that are computed elsewhere end when they see the
+`StopSign`.
 """
 
 import hashlib
@@ -17,7 +21,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
-from atoll.executors.executors import ExecutorError, OtherVersionError, adapted, workers_of
+from atoll.executors.executors import Adapted, ExecutorError, OtherVersionError, adapted, end, workers_of
 from atoll.executors.tasks import (
     MAX_LOSSES,
     Call,
@@ -73,10 +77,13 @@ class Dispatcher:
     """
 
     def __init__(self, executor: object, workers: int | None = None) -> None:
-        """Use an executor (see `executors.adapted`) with this number of workers; None: as many as it has."""
-        self._adapted = adapted(executor)
-        self._executor = self._adapted.executor
-        self.workers: Final = workers or workers_of(self._executor)
+        """Use an executor (see `executors.adapted`) with this number of workers; None: as many as it has.
+
+        Several dispatchers may share one that is `Adapted` already; it is not shut down.
+        """
+        self._adapted = executor if isinstance(executor, Adapted) else adapted(executor)
+        self._is_ours = self._adapted.is_ours and self._adapted is not executor
+        self.workers: Final = workers or workers_of(self._adapted.executor)
         self.inbox: Final[Inbox] = queue.SimpleQueue()
         self.stop: Final = StopSign()
         self._numbers = itertools.count()
@@ -88,11 +95,15 @@ class Dispatcher:
 
     def __exit__(self, *_: object) -> None:
         has_open_calls = bool(self._open)
-        self.stop.set()
+        if has_open_calls:
+            self.stop.set()
         self.cancel()
-        if self._adapted.is_ours:
-            # A process pool that is not waited for may print an error of its own when the interpreter ends.
-            self._executor.shutdown(wait=not has_open_calls)
+        if self._is_ours:
+            if has_open_calls:
+                end(self._adapted.executor)
+            else:
+                # A process pool that is not waited for may print an error of its own when the interpreter ends.
+                self._adapted.executor.shutdown()
 
     def submit(self, tag: object, function: str, arguments: tuple[Any, ...], *shared: bytes) -> None:
         """Submit a call of a function of `tasks.FUNCTIONS`.
@@ -171,7 +182,7 @@ class Dispatcher:
                     entry.future.cancel()
 
     def _send(self, entry: _OpenCall, data: Mapping[str, bytes]) -> None:
-        executor, number = self._executor, entry.call.number
+        executor, number = self._adapted.executor, entry.call.number
         try:
             future = executor.submit(perform, replace(entry.call, data=data))
         except BrokenExecutor as error:  # found by this call first
@@ -192,15 +203,15 @@ class Dispatcher:
                 f"the executor lost the same task {entry.losses} times ({type(error).__name__}: {error}); check that "
                 "its workers have the same version of Atoll as the caller, and enough memory"
             ) from error
-        if isinstance(error, BrokenExecutor) and executor is self._executor:
-            self._renew(error)
+        if isinstance(error, BrokenExecutor):
+            self._replace(executor, error)
         self._send(entry, entry.data)
 
-    def _renew(self, error: BrokenExecutor) -> None:
+    def _replace(self, executor: Executor, error: BrokenExecutor) -> None:
         if self._adapted.make is None:
             raise ExecutorError(
-                f"a worker of the {type(self._executor).__name__} has died, as happens when memory runs out, and such "
+                f"a worker of the {type(executor).__name__} has died, as happens when memory runs out, and such "
                 "an executor cannot be used after this; give a function that makes another one, such as "
                 "executor=lambda: ProcessPoolExecutor(4), or use loky, Dask or the service"
             ) from error
-        self._executor = self._adapted.make()
+        self._adapted.replace(executor)

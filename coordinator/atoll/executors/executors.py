@@ -7,9 +7,10 @@ of such an executor, and makes a new executor when a pool is broken. Ray has ano
 import contextlib
 import os
 import sys
+import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from types import ModuleType
 from typing import Any, Final, ParamSpec, TypeVar
@@ -67,7 +68,7 @@ class RayExecutor(Executor):
         return future
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class Adapted:
     """An executor; `make` makes another one if it is broken (None: this is impossible).
 
@@ -77,6 +78,13 @@ class Adapted:
     executor: Executor
     make: Callable[[], Executor] | None = None
     is_ours: bool = False
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def replace(self, broken: Executor) -> None:
+        """Replace a `broken` executor, unless another thread has done so; `make` must be known."""
+        with self._lock:
+            if self.executor is broken and self.make is not None:
+                self.executor = self.make()
 
 
 def check_executor(given: object) -> None:
@@ -95,6 +103,7 @@ def adapted(given: object) -> Adapted:
 
     Raises:
         UsageError: `given` is none of these.
+        ExecutorError: the function raised an error, now or, by `Adapted.make`, later.
     """
     if isinstance(given, ModuleType) and given.__name__ == "ray":
         return Adapted(RayExecutor(given))
@@ -103,11 +112,27 @@ def adapted(given: object) -> Adapted:
     if isinstance(given, Executor):
         return Adapted(_forked(given), _maker_of_loky(given))
     if callable(given):
-        made = given()
-        if isinstance(made, Executor):
-            return Adapted(_forked(made), given, is_ours=_maker_of_loky(made) is None)  # loky's is for reuse
-        raise UsageError(f"{EXPECTED}; {shown(made)} was returned by the function")
+        made = _made_by(given)
+        is_ours = _maker_of_loky(made) is None  # loky's is for reuse
+        return Adapted(_forked(made), partial(_made_by, given), is_ours=is_ours)
     raise UsageError(f"{EXPECTED}; {shown(given)} was given")
+
+
+def _made_by(function: Callable[[], object]) -> Executor:
+    """Return the executor that a function of the user makes; see `adapted` for the errors."""
+    try:
+        made = function()
+    except AtollError:
+        raise
+    except Exception as error:
+        name = getattr(function, "__name__", None) or shown(function)
+        raise ExecutorError(
+            f"the function {name} of executor= made no executor, but raised {type(error).__name__}: {error}; correct "
+            "the function, or give an executor"
+        ) from error
+    if not isinstance(made, Executor):
+        raise UsageError(f"{EXPECTED}; {shown(made)} was returned by the function")
+    return made
 
 
 def _forked(executor: Executor) -> Executor:
@@ -116,6 +141,21 @@ def _forked(executor: Executor) -> Executor:
         with contextlib.suppress(RuntimeError):  # a pool that was shut down, or is broken: the first task reports it
             executor.submit(int)
     return executor
+
+
+def end(executor: Executor) -> None:
+    """Shut down an executor without waiting for its calls; the processes of a process pool are killed.
+
+    A task process ends with the process that has started it. Before Python 3.12, a pool fails if a process dies while
+    cancelled calls wait, so the pool forgets these calls first.
+    """
+    pool = isinstance(executor, ProcessPoolExecutor)
+    processes = [*(getattr(executor, "_processes", None) or {}).values()] if pool else []
+    executor.shutdown(wait=False, **({"cancel_futures": True} if pool else {}))
+    for process in processes:
+        process.kill()
+    for process in processes:
+        process.join()
 
 
 def _is_a(given: object, module: str, name: str) -> bool:

@@ -453,6 +453,6 @@ def space_of(result: Result, measured: FitData, request: DesignRequest) -> Desig
     whole = [measurements.times[measurements.owners_of_rows == owner] for owner in np.unique(measurements.owners)]
     median_duration = float(np.median([times[-1] - times[0] for times in whole]))
     rows = float(np.median([len(times) for times in whole])) * measured.rows / measurements.rows
-    samples = request.samples or min(max(round(rows), 2), MOST_SAMPLES)
-    duration = request.duration or median_duration
+    samples = int(request.samples or min(max(round(rows), 2), MOST_SAMPLES))
+    duration = float(request.duration or median_duration)
     return DesignSpace(states, inputs, clock, box, begin, duration, samples, request.cost, measured_box)

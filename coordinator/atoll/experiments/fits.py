@@ -11,6 +11,7 @@ rows.
 Letters: O measured states, P fitted constants, G segments, D states.
 """
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -116,6 +117,23 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
     ratios = [min(1.0, (known.independent_rows or fitted) / fitted) if fitted else 1.0 for known in errors]
     independent = independent * np.array(ratios)
     return FitData(recording, measurements, modelled, rows, independent, source)
+
+
+@dataclass(frozen=True)
+class EncodedData:
+    """A result as JSON and, if data were given, a table as bytes: from these, workers repeat the fits."""
+
+    result: str
+    table: bytes | None
+
+    @classmethod
+    def of(cls, result: Result, table: Table | None) -> "EncodedData":
+        """Return what is sent to workers."""
+        return cls(result.to_json(), None if table is None else table.to_bytes())
+
+    def decode(self) -> tuple[Result, Table | None]:
+        """Return the result and the table."""
+        return Result.of(json.loads(self.result)), None if self.table is None else Table.from_bytes(self.table)
 
 
 def _listed_recording(result: Result) -> Recording:

@@ -16,7 +16,6 @@ side or at 1,000 times the size of the constant; the interval then counts as ope
 profile.
 """
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,7 +24,15 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from atoll.experiments.fits import EquationSetFit, FreeConstant, constants_of, equations_of, fit_displayed, measured_of
+from atoll.experiments.fits import (
+    EncodedData,
+    EquationSetFit,
+    FreeConstant,
+    constants_of,
+    equations_of,
+    fit_displayed,
+    measured_of,
+)
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, covariance
@@ -525,16 +532,14 @@ def _reading_order(constant: FreeConstant, fitted: EquationSetFit) -> tuple[int,
 
 @dataclass(frozen=True)
 class _ProfilerParts:
-    """The form in which a `_Profiler` is sent to workers: its result as JSON, and its table as bytes."""
+    """The form in which a `_Profiler` is sent to workers."""
 
-    result: str
-    table: bytes | None
+    data: EncodedData
     quantile: float
     restarts: tuple[FloatArray, ...]
 
     def profiler(self) -> "_Profiler":
-        result = Result.of(json.loads(self.result))
-        table = None if self.table is None else Table.from_bytes(self.table)
+        result, table = self.data.decode()
         profiler = _Profiler(fit_displayed(measured_of(result, table), result), self.quantile, result, table)
         for values in self.restarts:
             profiler = profiler.from_values(values) or profiler
@@ -566,8 +571,7 @@ class _Profiler:
         return replace(self, fitted=replace(self.fitted, fit=fit), restarts=(*self.restarts, values))
 
     def parts(self) -> _ProfilerParts:
-        table = None if self.table is None else self.table.to_bytes()
-        return _ProfilerParts(self.result.to_json(), table, self.quantile, self.restarts)
+        return _ProfilerParts(EncodedData.of(self.result, self.table), self.quantile, self.restarts)
 
     def itself(self) -> "_Profiler":
         return self

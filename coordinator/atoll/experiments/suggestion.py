@@ -16,7 +16,9 @@ that one of the candidates is right.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final, Literal
+from functools import cached_property
+from itertools import permutations
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 import numpy as np
 
@@ -37,11 +39,13 @@ from atoll.experiments.designs import (
     space_of,
     useful_evidence,
 )
-from atoll.experiments.fits import EquationSetFit, constants_of, fit_displayed, measured_of
+from atoll.experiments.fits import EncodedData, EquationSetFit, constants_of, fit_displayed, measured_of
 from atoll.model.equations import outside_sentence
 from atoll.terminal.output import attributes, plain
+from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
@@ -323,8 +327,13 @@ class Suggestions:
 # -------------------------------------------------------------------------------------------------------------- search
 
 
-def suggest(result: Result, request: DesignRequest, table: Table | None = None) -> Suggestions:
+def suggest(
+    result: Result, request: DesignRequest, table: Table | None = None, spread: Spread | None = None
+) -> Suggestions:
     """Return the next experiments for a result, the best first.
+
+    `table` has the data; None stands for the data of the result. `spread` distributes the trials of experiments and the
+    fits to their outcomes over workers.
 
     Raises:
         UsageError: a number or name of the request is invalid, there are no measurements, the model cannot be simulated
@@ -336,8 +345,11 @@ def suggest(result: Result, request: DesignRequest, table: Table | None = None) 
     # users may call an equation x, dx, or dx/dt as in the result
     sides = {equation.lhs: equation.variable for equation in result.equations}
     sides |= {side.partition("/")[0]: name for side, name in sides.items()}
-    given = [{sides.get(side, side): text for side, text in rival.items()} for rival in request.rivals]
-    return _Suggester(result, request, space, displayed, alternatives_of(result, displayed, given)).suggestions()
+    given = tuple({sides.get(side, side): text for side, text in rival.items()} for rival in request.rivals)
+    candidates = _Candidates.of(space, displayed, alternatives_of(result, displayed, given))
+    parts = _CandidatesParts(EncodedData.of(result, table), given, space)
+    search = _DesignSearch(candidates, lambda: parts, spread or Spread())
+    return _Suggester(result, request, displayed, search).suggestions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,39 +367,173 @@ class _EvaluatedDesign:
         return gain.worth / self.cost, gain.information / self.cost, gain.evidence / self.cost
 
 
-@dataclass(frozen=True)
-class _DesignSearch:
-    """Finds the experiments with the largest worth; `value` computes the gain, `examined` evaluates the best again."""
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """An experiment that is tried for a purpose."""
+
+    purpose: Purpose
+    design: Design
+
+
+@dataclass(frozen=True, eq=False)
+class _Improvement:
+    """An experiment that is improved for a purpose."""
+
+    purpose: Purpose
+    best: _EvaluatedDesign
+
+
+@dataclass(frozen=True, eq=False)
+class _Outcome:
+    """An outcome of an experiment that candidate `ahead` (an index) predicts, and to which `fitted` is fitted."""
+
+    design: Design
+    ahead: int
+    fitted: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """The candidates `systems` in a `space` of experiments, with their predictors.
+
+    `displayed` predicts for the displayed equations. `sigmas` (O,) are the measurement errors.
+    """
 
     space: DesignSpace
-    value: Callable[[Design], Gain]
-    examined: Callable[[_EvaluatedDesign], _EvaluatedDesign] = lambda tried: tried
+    systems: tuple[WeightedSystem, ...]
+    predictors: tuple[DesignPredictor, ...]
+    displayed: DesignPredictor
+    sigmas: FloatArray
 
-    def best(self, count: int, seed: int) -> list[_EvaluatedDesign]:
-        """Return up to `count` distinct experiments with a positive worth, the best first."""
-        space, most = self.space, max(_IMPROVED, count)
-        points = space.points(seed)
-        tried = [self._evaluate(space.design(point, share)) for share in space.shares for point in points]
-        improved = [self._improve(experiment) for experiment in self._distinct(tried, most)]
-        finalists = self._distinct([*improved, *tried], most)
-        return self._distinct([self.examined(experiment) for experiment in finalists], count)
+    @classmethod
+    def of(cls, space: DesignSpace, displayed: EquationSetFit, systems: Sequence[WeightedSystem]) -> "_Candidates":
+        limits = space.limits(displayed.measured.measurements.smoothed)
+        sigmas = displayed.errors.sigmas * np.sqrt(np.maximum(displayed.measured.share, 1.0))
+        predictors = tuple(DesignPredictor(known.fitted, space.widths, limits, sigmas) for known in systems)
+        return cls(space, tuple(systems), predictors, DesignPredictor(displayed, space.widths, limits, sigmas), sigmas)
 
-    def _evaluate(self, design: Design) -> _EvaluatedDesign:
-        gain = self.value(design)
+    @cached_property
+    def weights(self) -> list[float]:
+        """The weights of the candidates."""
+        return [known.weight for known in self.systems]
+
+    @cached_property
+    def _useful_evidence(self) -> FloatArray:
+        return useful_evidence([known.length for known in self.systems])
+
+    def gain_of(self, distances: FloatArray) -> Gain:
+        """Return the gain of an experiment that gives the candidates these distances."""
+        return expected_gain(distances, self.weights, self._useful_evidence)
+
+    def try_design(self, trial: _Trial) -> _EvaluatedDesign:
+        """Return an experiment with its gain."""
+        design = trial.design
+        if trial.purpose == "precision":
+            gain = precision(self.displayed.at(design), len(self.displayed.fitted.values))[0]
+        else:
+            gain = self.gain_of(distances_of([predictor.at(design) for predictor in self.predictors], self.weights))
         is_finite = math.isfinite(gain.worth) and math.isfinite(gain.information)
         return _EvaluatedDesign(design, self.space.price(design), gain if is_finite else NONE)
 
-    def _improve(self, best: _EvaluatedDesign) -> _EvaluatedDesign:
+    def improve(self, improvement: _Improvement) -> _EvaluatedDesign:
+        """Return the best experiment that is found by changes of one number after another."""
+        best = improvement.best
         for step in _ROUNDS:
             for moved in self.space.around(self.space.point(best.design), step):
-                neighbour = self._evaluate(self.space.design(moved, self.space.share(best.design)))
+                design = self.space.design(moved, self.space.share(best.design))
+                neighbour = self.try_design(_Trial(improvement.purpose, design))
                 best = neighbour if neighbour.worth > best.worth else best
         return best
+
+    def fit_outcome(self, outcome: _Outcome) -> float:
+        """Return the distance of two candidates after an outcome."""
+        pair = self.systems[outcome.ahead].fitted, self.systems[outcome.fitted].fitted
+        prediction = self.predictors[outcome.ahead].at(outcome.design)
+        return distance_after(*pair, outcome.design, prediction, self.sigmas)
+
+
+@dataclass(frozen=True)
+class _CandidatesParts:
+    """The form in which `_Candidates` are sent to workers, which repeat the fits."""
+
+    data: EncodedData
+    given: tuple[Mapping[str, str], ...]
+    space: DesignSpace
+
+    def candidates(self) -> _Candidates:
+        result, table = self.data.decode()
+        displayed = fit_displayed(measured_of(result, table), result)
+        return _Candidates.of(self.space, displayed, alternatives_of(result, displayed, self.given))
+
+
+_TRIALS: Final = BatchFunction(
+    "trials", _CandidatesParts, _Trial, _EvaluatedDesign, _Candidates.try_design, _CandidatesParts.candidates
+)
+_IMPROVEMENTS: Final = BatchFunction(
+    "improvements", _CandidatesParts, _Improvement, _EvaluatedDesign, _Candidates.improve, _CandidatesParts.candidates
+)
+_OUTCOMES: Final = BatchFunction(
+    "outcomes", _CandidatesParts, _Outcome, float, _Candidates.fit_outcome, _CandidatesParts.candidates
+)
+_TRIALS_OF_A_BATCH: Final = 64
+"""Most trials of a batch: a trial takes some milliseconds, which is about the time for sending a batch."""
+
+ItemT = TypeVar("ItemT")
+OutcomeT = TypeVar("OutcomeT")
+
+
+@dataclass(frozen=True)
+class _DesignSearch:
+    """Finds the experiments with the largest worth; `spread` distributes the work, and `parts` are sent for it."""
+
+    candidates: _Candidates
+    parts: Callable[[], _CandidatesParts]
+    spread: Spread
+
+    def best(self, purpose: Purpose, count: int, seed: int) -> list[_EvaluatedDesign]:
+        """Return up to `count` distinct experiments with a positive worth, the best first."""
+        space, most = self.candidates.space, max(_IMPROVED, count)
+        points = space.points(seed)
+        designs = [space.design(point, share) for share in space.shares for point in points]
+        tried = self._map(_TRIALS, [_Trial(purpose, design) for design in designs], _TRIALS_OF_A_BATCH)
+        improved = self._map(_IMPROVEMENTS, [_Improvement(purpose, best) for best in self._distinct(tried, most)])
+        finalists = self._distinct([*improved, *tried], most)
+        return self._distinct(finalists if purpose == "precision" else self._examine(finalists), count)
+
+    def _map(
+        self, function: BatchFunction[_Candidates, ItemT, OutcomeT], items: Sequence[ItemT], size: int = 1
+    ) -> list[OutcomeT]:
+        computed = self.spread.map(function, lambda: self.candidates, items, size, self.parts)
+        return [one for one in computed if one is not None]
+
+    def _examine(self, finalists: Sequence[_EvaluatedDesign]) -> list[_EvaluatedDesign]:
+        """Return experiments with a more accurate gain: the candidates with the largest weights are fitted again.
+
+        Each of them is fitted to the data together with the outcome that another one predicts.
+        """
+        candidates = self.candidates
+        weights = candidates.weights
+        heaviest = sorted(range(len(weights)), key=lambda place: -weights[place])[:_REFITTED]
+        predicted = [[predictor.at(tried.design) for predictor in candidates.predictors] for tried in finalists]
+        places = [
+            (number, i, j)
+            for number, tried in enumerate(finalists)
+            for i, j in permutations(heaviest, 2)
+            if predicted[number][i].reached == len(tried.design.times)
+        ]
+        outcomes = self._map(_OUTCOMES, [_Outcome(finalists[number].design, i, j) for number, i, j in places])
+        all_distances = [distances_of(predictions, weights) for predictions in predicted]
+        for (number, i, j), distance in zip(places, outcomes, strict=True):
+            all_distances[number][i, j] = distance
+        return [
+            replace(tried, gain=candidates.gain_of(distances), certainties=certainties(distances, weights))
+            for tried, distances in zip(finalists, all_distances, strict=True)
+        ]
 
     def _distinct(self, tried: Sequence[_EvaluatedDesign], count: int) -> list[_EvaluatedDesign]:
         kept: list[_EvaluatedDesign] = []
         for experiment in sorted(tried, key=lambda experiment: experiment.worth, reverse=True):
-            is_other = all(self.space.are_distinct(experiment.design, other.design) for other in kept)
+            is_other = all(self.candidates.space.are_distinct(experiment.design, other.design) for other in kept)
             if is_other and experiment.gain.worth > 0.0 and len(kept) < count:
                 kept.append(experiment)
         return kept
@@ -397,37 +543,24 @@ class _Suggester:
     """Chooses the purpose of experiments for a result, and writes the suggestions."""
 
     def __init__(
-        self,
-        result: Result,
-        request: DesignRequest,
-        space: DesignSpace,
-        displayed: EquationSetFit,
-        systems: Sequence[WeightedSystem],
+        self, result: Result, request: DesignRequest, displayed: EquationSetFit, search: _DesignSearch
     ) -> None:
-        self._result, self._request, self._space = result, request, space
-        self._displayed, self._systems = displayed, tuple(systems)
-        limits = space.limits(displayed.measured.measurements.smoothed)
-        self._sigmas = displayed.errors.sigmas * np.sqrt(np.maximum(displayed.measured.share, 1.0))
-        self._predictors = [DesignPredictor(known.fitted, space.widths, limits, self._sigmas) for known in systems]
-        self._displayed_predictor = DesignPredictor(displayed, space.widths, limits, self._sigmas)
-        self._weights = [known.weight for known in systems]
-        self._useful_evidence = useful_evidence([known.length for known in systems])
+        self._result, self._request, self._displayed, self._search = result, request, displayed, search
+        candidates = search.candidates
+        self._space, self._systems, self._weights = candidates.space, candidates.systems, candidates.weights
+        self._displayed_predictor = candidates.displayed
 
     def suggestions(self) -> Suggestions:
         count, seed = self._request.count, self._request.seed
         chosen: list[_EvaluatedDesign] = []
         if len(self._systems) > 1:
-            chosen = _DesignSearch(self._space, self._discrimination, self._examine).best(count, seed)
+            chosen = self._search.best("discrimination", count, seed)
         reason = self._reason(chosen)
         if reason is None:
             return self._collect("discrimination", chosen, f"{len(self._systems)} candidates differ")
         if not len(self._displayed.values):
             raise UsageError(f"{reason}, and the model has no constants, so an experiment gives no information")
-        constants = len(self._displayed.values)
-        precise = _DesignSearch(
-            self._space, lambda design: precision(self._displayed_predictor.at(design), constants)[0]
-        )
-        chosen = precise.best(count, seed)
+        chosen = self._search.best("precision", count, seed)
         if not chosen:
             raise UsageError("the model cannot be simulated from any initial state in the bounds; give other bounds")
         return self._collect("precision", chosen, reason)
@@ -442,26 +575,6 @@ class _Suggester:
         if best * _MOST_REPETITIONS < SETTINGS.inference.distinct_nats:
             return f"all {len(self._systems)} candidates predict the same outcomes within the bounds"
         return None
-
-    def _discrimination(self, design: Design) -> Gain:
-        predictions = [predictor.at(design) for predictor in self._predictors]
-        return expected_gain(distances_of(predictions, self._weights), self._weights, self._useful_evidence)
-
-    def _examine(self, tried: _EvaluatedDesign) -> _EvaluatedDesign:
-        """Return an experiment with a more accurate gain: the candidates with the largest weights are fitted again.
-
-        Each of them is fitted to the data together with the outcome that another one predicts.
-        """
-        predictions = [predictor.at(tried.design) for predictor in self._predictors]
-        distances = distances_of(predictions, self._weights)
-        heaviest = sorted(range(len(predictions)), key=lambda place: -self._weights[place])[:_REFITTED]
-        for i in heaviest:
-            for j in heaviest:
-                if i != j and predictions[i].reached == len(tried.design.times):
-                    pair = self._systems[i].fitted, self._systems[j].fitted
-                    distances[i, j] = distance_after(*pair, tried.design, predictions[i], self._sigmas)
-        sure = certainties(distances, self._weights)
-        return replace(tried, gain=expected_gain(distances, self._weights, self._useful_evidence), certainties=sure)
 
     def _collect(self, purpose: Purpose, chosen: Sequence[_EvaluatedDesign], reason: str) -> Suggestions:
         box, symbols = self._space.box, self._result.symbols

@@ -14,6 +14,7 @@ from atoll.experiments.suggestion import Suggestions, suggest
 from atoll.model.core import ModelCore
 from atoll.model.equations import LEVEL
 from atoll.report.markup import Axis, Chart
+from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import DataError, UsageError
@@ -39,8 +40,8 @@ class Findings:
     suggestions: Suggestions | None = None
 
     @classmethod
-    def of(cls, result: Result) -> "Findings":
-        """Return the findings of a result; this takes a few seconds for two states."""
+    def of(cls, result: Result, spread: Spread | None = None) -> "Findings":
+        """Return the findings of a result; this takes a few seconds for two states. `spread` distributes the work."""
         try:
             model = ModelCore(result)
         except UsageError as error:
@@ -48,10 +49,10 @@ class Findings:
         if model.is_regression:
             return cls(result, model, None, "the model has no time")
         has_few = count_constants(result) <= MOST_PROFILES and not model.groups
-        identifiability = _try(lambda: identify(result, None, LEVEL)) if has_few else None
-        suggestions = _try(lambda: suggest(result, DesignRequest(bounds={})))
+        identifiability = _try(lambda: identify(result, None, LEVEL, spread)) if has_few else None
+        suggestions = _try(lambda: suggest(result, DesignRequest(bounds={}), None, spread))
         try:
-            return cls(result, model, analyse_model(model), "", identifiability, suggestions)
+            return cls(result, model, analyse_model(model, spread=spread), "", identifiability, suggestions)
         except UsageError as error:
             return cls(result, model, None, str(error), identifiability, suggestions)
 

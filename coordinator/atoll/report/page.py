@@ -8,6 +8,7 @@ from atoll.report.equations import choice, constants, origin, overview, search
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, paragraph, to_text
 from atoll.report.trajectories import dynamics, fitted_values, process, trajectories
+from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.result.result import Result
 from atoll_core import VERSION
 
@@ -15,9 +16,9 @@ _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """The browser loads no resource and runs no script, even if names in the data contain markup."""
 
 
-def as_html(result: Result) -> str:
-    """Return the page of a result; the analysis of its model takes a few seconds."""
-    return as_text(build_page(result))
+def as_html(result: Result, spread: Spread | None = None) -> str:
+    """Return the page of a result; the analyses of its model take seconds, and `spread` distributes them."""
+    return as_text(build_page(result, spread))
 
 
 def as_text(page: Element) -> str:
@@ -25,9 +26,9 @@ def as_text(page: Element) -> str:
     return "<!DOCTYPE html>\n" + to_text(page) + "\n"
 
 
-def build_page(result: Result) -> Element:
-    """Return the page of a result as an element."""
-    findings = Findings.of(result)
+def build_page(result: Result, spread: Spread | None = None) -> Element:
+    """Return the page of a result as an element; `spread` distributes the analyses over workers."""
+    findings = Findings.of(result, spread)
     sections = [
         overview(findings),
         *fitted_values(findings),

@@ -96,7 +96,7 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
         result: the result of a job.
         question: question of a kind in `FUNCTIONS`.
         table: measurements to use instead of the measurements in the result, for profiles and suggestions.
-        spread: distributes the work of profiles.
+        spread: distributes the work over workers.
 
     Raises:
         UsageError: a name or a number in the question does not fit the result.
@@ -107,7 +107,7 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
             from atoll.analysis.analyse import analyse_model
 
             model = _model(result, question)
-            analysis = analyse_model(model, question.box, inputs=question.inputs, vary=question.vary)
+            analysis = analyse_model(model, question.box, inputs=question.inputs, vary=question.vary, spread=spread)
             return _formed(question.form, analysis.as_dict, analysis.__str__)
         case Profile():
             from atoll.experiments.identifiability import identify
@@ -119,12 +119,12 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
         case Suggest():
             from atoll.experiments.suggestion import suggest
 
-            suggested = suggest(_model(result, question).result, question.request, table)
+            suggested = suggest(_model(result, question).result, question.request, table, spread)
             return _formed(question.form, suggested.as_dict, suggested.__str__)
         case Report():
             from atoll.report.page import as_text, build_page, pictures
 
-            page = build_page(result if question.group is None else _model(result, question).result)
+            page = build_page(result if question.group is None else _model(result, question).result, spread)
             return Analysed(as_text(page), pictures(page) if question.pictures else {})
     raise TypeError(f"{type(question).__name__} is not a question about a result")
 

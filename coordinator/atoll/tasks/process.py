@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.tasks.functions import FUNCTIONS as TASK_FUNCTIONS
+from atoll.tasks.functions import load_kernels_of_batches
 from atoll_core import task_frames as frames
 from atoll_core.logs import fields
 from atoll_core.machine import collect_rarely, memory_bytes
@@ -241,6 +242,7 @@ def _size(call: _Call) -> int:
 def compute(batch: TaskBatch) -> frames.BatchComputed:
     """Return the result of a batch of another worker's task; if it fails here, that worker computes it."""
     try:
+        load_kernels_of_batches(batch.function)
         return frames.BatchComputed(batch.number, _computed(batch.function, batch.context, batch.item))
     except MemoryError:
         return frames.BatchComputed(batch.number, None, "memory", "memory ran out")
@@ -256,15 +258,20 @@ def _in_one_line(error: Exception) -> str:
 def _computed(function: str, context: bytes, item: bytes) -> bytes:
     from atoll_coordinator.model.batches import FUNCTIONS
 
-    for module in _MODULES.get(function, _OTHERS):
-        if function not in FUNCTIONS:
-            importlib.import_module(module)
+    if function not in FUNCTIONS:
+        importlib.import_module(_MODULES.get(function, _OTHERS))
     return FUNCTIONS[function](context, item)
 
 
-_MODULES: Final = {"epochs": ("atoll.executors.epochs",)}
-_OTHERS: Final = ("atoll_coordinator.model.pipeline", "atoll.experiments.identifiability")
-"""Modules that add to the table of batch functions: those of one function, and those of all others."""
+_MODULES: Final = {
+    "epochs": "atoll.executors.epochs",
+    "profile": "atoll.experiments.identifiability",
+    **dict.fromkeys(("trials", "improvements", "outcomes"), "atoll.experiments.suggestion"),
+    "cycles": "atoll.analysis.limit_cycles",
+    "dynamics": "atoll.analysis.analyse",
+}
+_OTHERS: Final = "atoll_coordinator.model.pipeline"
+"""Modules that add to the table of batch functions: by function, and the module of all others."""
 
 
 _STDIN: Final = 0

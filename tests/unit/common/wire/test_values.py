@@ -18,7 +18,7 @@ from atoll_core.wire import codec
 from atoll_core.wire.values import decode_value, encode_value
 from tests.values import is_same
 
-DTYPES = ("f8", "i8", "i4", "i2", "i1", "u1", "u8", "b1")
+DTYPES = ("f8", "i8", "i4", "i2", "i1", "u1", "u8", "b1", "c16")
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ SHAPES = st.recursive(
 def arrays(draw: st.DrawFn) -> np.ndarray:
     shape = draw(st.lists(st.integers(0, 4), max_size=4))
     dtype, count = draw(st.sampled_from(DTYPES)), math.prod(shape)
-    data = draw(st.binary(min_size=8 * count, max_size=8 * count))
+    data = draw(st.binary(min_size=16 * count, max_size=16 * count))
     flat = np.frombuffer(data, "u1")[:count] % 2 if dtype == "b1" else np.frombuffer(data, dtype)[:count]
     array = flat.astype(dtype).reshape(shape)
     return np.asfortranarray(array) if draw(st.booleans()) else array
@@ -156,7 +156,13 @@ def test_what_is_no_value_of_the_type_is_refused(changed: dict[str, Any]) -> Non
 
 
 @pytest.mark.parametrize(
-    "value", [object(), Tree(np.array(["a"])), Tree(np.array([1 + 2j])), Tree(np.arange(3.0), either=PROGRAM)]
+    "value",
+    [
+        object(),
+        Tree(np.array(["a"])),
+        Tree(np.array([1 + 2j], dtype=np.complex64)),
+        Tree(np.arange(3.0), either=PROGRAM),
+    ],
 )
 def test_what_cannot_travel_is_said_at_once(value: object) -> None:
     with pytest.raises(LocalProtocolError, match="cannot be encoded"):
