@@ -524,3 +524,63 @@ def test_the_processes_of_a_pool_end_when_their_caller_is_killed() -> None:
             assert caller.stdout.readline()
         caller.kill()
         caller.stdout.read()  # until the last process that can write to the pipe has ended
+
+
+INTERRUPTED_CALLER = """
+import sys
+from concurrent.futures import ProcessPoolExecutor
+sys.path[:0] = {path!r}
+import atoll
+from tests.integration.test_executors import ENDLESS, decays
+
+def campaign(executor):
+    try:
+        for name, found in atoll.discover_many(decays(5), executor=executor, **ENDLESS):
+            print("unexpected", name, flush=True)
+    except KeyboardInterrupt:
+        print("interrupted", flush=True)
+
+if __name__ == "__main__":
+    if sys.argv[1] == "made":
+        campaign(lambda: ProcessPoolExecutor(2))
+    else:
+        with ProcessPoolExecutor(2) as pool:
+            pool.submit(int).result()
+            campaign(pool)
+            print(pool.submit(int, 3).result(), flush=True)
+"""
+
+
+def children(process: int) -> set[int]:
+    """Return the ids of the processes that a process and its children have started."""
+    found = {
+        int(word) for file in Path(f"/proc/{process}/task").glob("*/children") for word in file.read_text().split()
+    }
+    return found.union(*map(children, found))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+@pytest.mark.parametrize("pool", ["made", "given"])
+def test_an_interrupt_of_the_caller_alone_ends_tables_in_other_processes(pool: str, tmp_path: Path) -> None:
+    text = INTERRUPTED_CALLER.format(path=sys.path)
+    command = [sys.executable, "-c", text, pool]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as caller:
+        tasks: set[int] = set()
+        while len(tasks) < 2:  # both processes of the pool compute a table
+            assert caller.poll() is None
+            tasks = {child for child in children(caller.pid) if _is_task_process(child)}
+        os.kill(caller.pid, signal.SIGINT)
+        out, err = caller.communicate(timeout=100)
+    assert out.split() == ["interrupted", *(["3"] if pool == "given" else [])]
+    assert err == ""
+    assert caller.returncode == 0
+    assert [*tmp_path.iterdir()] == []
+
+
+def _is_task_process(process: int) -> bool:
+    with contextlib.suppress(OSError):
+        return "atoll.tasks.process" in Path(f"/proc/{process}/cmdline").read_text("utf-8")
+    return False

@@ -3,9 +3,9 @@
 There is one folder for each package and each digest of all source text that is compiled into its kernels. Checkouts,
 wheels and copies with equal sources therefore share machine code. Machine code of other sources is never loaded. If the
 kernels of one program change, the kernels of the other program stay compiled. A marker file for each kind of processor
-and compiler says that all kernels of the package have been compiled. If several processes find nothing compiled, one
-process compiles. The others wait and then load. If a wheel brought kernels that this machine can use, nothing is
-compiled (`prebuilt`).
+and compiler says that all kernels of the package have been compiled; another one says so for a part of the package. If
+several processes find nothing compiled, one process compiles. The others wait and then load. If a wheel brought kernels
+that this machine can use, nothing is compiled (`prebuilt`).
 """
 
 import contextlib
@@ -87,9 +87,11 @@ def _digest(package: str) -> str:
     return source_digest(packages_compiled_into(package))
 
 
-def is_compiled(package: str) -> bool:
-    """Return whether the kernels of a package are compiled for this machine, so that they are only loaded."""
-    return isinstance(wheel_kernels(package), prebuilt.Kernels) or marker(package).exists()
+def is_compiled(package: str, part: str = "") -> bool:
+    """Return whether the kernels of a package, or of a `part`, are compiled for this machine: they are only loaded."""
+    if isinstance(wheel_kernels(package), prebuilt.Kernels):
+        return True
+    return any(marker(package, one).exists() for one in {"", part})
 
 
 @functools.cache
@@ -207,9 +209,9 @@ def _test_wheel_kernels(package: str, kernels: prebuilt.Kernels, exercise: "Exer
         raise AtollError(f"the compiled kernels of the installed wheel compute wrong values on this machine; {_AGAIN}")
 
 
-def marker(package: str) -> Path:
-    """Return the file that exists if all kernels of a package have been compiled for this machine."""
-    return cache_directory(package) / f"ready-{_machine_digest()}"
+def marker(package: str, part: str = "") -> Path:
+    """Return the file that exists if all kernels of a package, or of a `part`, have been compiled for this machine."""
+    return cache_directory(package) / "-".join(word for word in ("ready", part, _machine_digest()) if word)
 
 
 def _machine_digest() -> str:
@@ -236,8 +238,13 @@ Exercise = Callable[[], str]
 """Calls every kernel with the types of arguments that the program uses, and returns a digest of what they computed."""
 
 
-def compile_or_load(package: str, exercise: Exercise, costs: Mapping[str, float], report: Report) -> None:
+def compile_or_load(
+    package: str, exercise: Exercise, costs: Mapping[str, float], report: Report, part: str = ""
+) -> None:
     """Compile or load all kernels of `package` by running `exercise`. Do nothing with ``NUMBA_DISABLE_JIT``.
+
+    If `exercise` needs only some of the kernels, `part` is their name. The kernels of a wheel are tested only with all
+    kernels of the package.
 
     `costs` has each separately compiled function, in the order of the exercise, and the seconds of a processor that it
     usually takes. `report` is called with a message before the first compilation, after each kernel and every second;
@@ -247,17 +254,17 @@ def compile_or_load(package: str, exercise: Exercise, costs: Mapping[str, float]
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
     brought = wheel_kernels(package)
-    if isinstance(brought, prebuilt.Kernels):
+    if isinstance(brought, prebuilt.Kernels) and not part:
         _test_wheel_kernels(package, brought, exercise)
         return
-    if not is_compiled(package):  # otherwise a read-only folder is enough
-        if brought is not None:
+    if not is_compiled(package, part):  # otherwise a read-only folder is enough
+        if isinstance(brought, prebuilt.Unusable):
             report(f"the compiled kernels of the installed wheel {brought.reason}; kernels are compiled here")
         with _hold_lock(_make(cache_directory(package)) / "lock", report):
-            if not is_compiled(package):
+            if not is_compiled(package, part):
                 with reporting([*costs.values()], on_ready, report):
                     exercise()
-                marker(package).touch()
+                marker(package, part).touch()
                 return
     exercise()
 

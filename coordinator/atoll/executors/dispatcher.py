@@ -5,6 +5,10 @@ of a future means that the call was lost, because `tasks.perform` raises none: i
 could not send it. It is submitted again, up to `MAX_LOSSES` times. Calls are pure, so it does no harm if one is
 computed twice. A pool that is broken, as the pools of concurrent.futures are after the death of a worker, is replaced
 if the user gave a function that makes another one.
+
+At the end, such as after Ctrl-C, calls that have not begun are cancelled. If a function of the user has made the
+executor, the processes of a process pool are killed. Tables that are computed elsewhere end when they see the
+`StopSign`.
 """
 
 import hashlib
@@ -17,7 +21,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
-from atoll.executors.executors import Adapted, ExecutorError, OtherVersionError, adapted, workers_of
+from atoll.executors.executors import Adapted, ExecutorError, OtherVersionError, adapted, end, workers_of
 from atoll.executors.tasks import (
     MAX_LOSSES,
     Call,
@@ -91,11 +95,15 @@ class Dispatcher:
 
     def __exit__(self, *_: object) -> None:
         has_open_calls = bool(self._open)
-        self.stop.set()
+        if has_open_calls:
+            self.stop.set()
         self.cancel()
         if self._is_ours:
-            # A process pool that is not waited for may print an error of its own when the interpreter ends.
-            self._adapted.executor.shutdown(wait=not has_open_calls)
+            if has_open_calls:
+                end(self._adapted.executor)
+            else:
+                # A process pool that is not waited for may print an error of its own when the interpreter ends.
+                self._adapted.executor.shutdown()
 
     def submit(self, tag: object, function: str, arguments: tuple[Any, ...], *shared: bytes) -> None:
         """Submit a call of a function of `tasks.FUNCTIONS`.

@@ -103,6 +103,7 @@ def adapted(given: object) -> Adapted:
 
     Raises:
         UsageError: `given` is none of these.
+        ExecutorError: the function raised an error, now or, by `Adapted.make`, later.
     """
     if isinstance(given, ModuleType) and given.__name__ == "ray":
         return Adapted(RayExecutor(given))
@@ -111,11 +112,27 @@ def adapted(given: object) -> Adapted:
     if isinstance(given, Executor):
         return Adapted(_forked(given), _maker_of_loky(given))
     if callable(given):
-        made = given()
-        if isinstance(made, Executor):
-            return Adapted(_forked(made), given, is_ours=_maker_of_loky(made) is None)  # loky's is for reuse
-        raise UsageError(f"{EXPECTED}; {shown(made)} was returned by the function")
+        made = _made_by(given)
+        is_ours = _maker_of_loky(made) is None  # loky's is for reuse
+        return Adapted(_forked(made), partial(_made_by, given), is_ours=is_ours)
     raise UsageError(f"{EXPECTED}; {shown(given)} was given")
+
+
+def _made_by(function: Callable[[], object]) -> Executor:
+    """Return the executor that a function of the user makes; see `adapted` for the errors."""
+    try:
+        made = function()
+    except AtollError:
+        raise
+    except Exception as error:
+        name = getattr(function, "__name__", None) or shown(function)
+        raise ExecutorError(
+            f"the function {name} of executor= made no executor, but raised {type(error).__name__}: {error}; correct "
+            "the function, or give an executor"
+        ) from error
+    if not isinstance(made, Executor):
+        raise UsageError(f"{EXPECTED}; {shown(made)} was returned by the function")
+    return made
 
 
 def _forked(executor: Executor) -> Executor:
@@ -124,6 +141,21 @@ def _forked(executor: Executor) -> Executor:
         with contextlib.suppress(RuntimeError):  # a pool that was shut down, or is broken: the first task reports it
             executor.submit(int)
     return executor
+
+
+def end(executor: Executor) -> None:
+    """Shut down an executor without waiting for its calls; the processes of a process pool are killed.
+
+    A task process ends with the process that has started it. Before Python 3.12, a pool fails if a process dies while
+    cancelled calls wait, so the pool forgets these calls first.
+    """
+    pool = isinstance(executor, ProcessPoolExecutor)
+    processes = [*(getattr(executor, "_processes", None) or {}).values()] if pool else []
+    executor.shutdown(wait=False, **({"cancel_futures": True} if pool else {}))
+    for process in processes:
+        process.kill()
+    for process in processes:
+        process.join()
 
 
 def _is_a(given: object, module: str, name: str) -> bool:

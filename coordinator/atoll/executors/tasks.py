@@ -15,16 +15,21 @@ pipe open. So `perform` lets such a process end when its parent has ended. Dask,
 Doubtful: an executor that starts another process for each task would also start a task process for each task.
 """
 
+import atexit
+import contextlib
 import functools
 import multiprocessing
 import os
 import platform
 import queue
+import secrets
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from atoll_core import task_frames as frames
@@ -176,23 +181,38 @@ def compute_batch(function: str, item: bytes, context: bytes) -> bytes:
 class StopSign:
     """Is set when a caller does not need its calls any more.
 
-    Only threads of the caller's process see this: in another process, the sign is never set.
+    Threads of the caller's process see an event. Processes that see the caller's folder of temporary files see a file
+    there. In other processes, such as those of other machines, the sign is never set. The file exists only after the
+    sign was set, so a lost file can end no call.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, file: str = "") -> None:
+        """`file` is the path of the file; by default a new name in the folder of temporary files."""
         self._event = threading.Event()
+        self._file: Final = Path(file or Path(tempfile.gettempdir()) / f"atoll-stop-{secrets.token_hex(16)}")
+        self._is_sent = False
 
-    def __reduce__(self) -> tuple[type["StopSign"], tuple[()]]:
-        return StopSign, ()
+    def __reduce__(self) -> tuple[type["StopSign"], tuple[str]]:
+        self._is_sent = True
+        if self._event.is_set():  # the executor sends a call that began just before
+            self._write()
+        return StopSign, (str(self._file),)
 
     def set(self) -> None:
-        """Let the calls in this process end."""
+        """Let the calls end. If the sign was sent to other processes, its file exists until this process ends."""
         self._event.set()
+        if self._is_sent:
+            self._write()
+
+    def _write(self) -> None:
+        with contextlib.suppress(OSError):  # then calls in other processes compute to their end
+            self._file.touch(exist_ok=True)
+            atexit.register(self._file.unlink, missing_ok=True)
 
     @property
     def is_set(self) -> bool:
         """Whether the results are not needed any more."""
-        return self._event.is_set()
+        return self._event.is_set() or self._file.exists()
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from atoll_core.compilation.progress import Report, count_of
 from atoll_core.wire.messages.tasks import AnalysisFunction, TaskFunction
 
 if TYPE_CHECKING:
@@ -19,7 +20,10 @@ Call = Callable[[Sequence[bytes], float | None, "Batches"], bytes]
 
 @dataclass(frozen=True, slots=True)
 class TaskHandler:
-    """`call` runs the function; `load` loads modules and kernels; `ready` also compiles kernels, for timed tasks."""
+    """`call` runs the function; `load` loads modules and compiles kernels; `ready` also loads them, for timed tasks.
+
+    If kernels are not compiled, one process of the machine compiles them, and the others wait for its files.
+    """
 
     load: Callable[[], None]
     ready: Callable[[], None]
@@ -29,8 +33,7 @@ class TaskHandler:
 def load_ahead() -> Iterator[None]:
     """Load the modules for preparing, yield, and load those for refining, in steps; forks inherit what is loaded.
 
-    Kernels are also loaded if they are compiled; otherwise they are left to the tasks, since compiling takes tens of
-    seconds.
+    Kernels are also loaded if they are compiled; otherwise the tasks compile them, since this takes tens of seconds.
     """
     import atoll.tasks.process  # noqa: F401
     import atoll_coordinator.data.prepare
@@ -38,7 +41,7 @@ def load_ahead() -> Iterator[None]:
     from atoll_core.compilation.cache import is_compiled
 
     has_kernels = is_compiled("atoll_coordinator")
-    if has_kernels:
+    if has_kernels or is_compiled("atoll_coordinator", "preparing"):
         ready_preparation()
     yield
     import scipy.special  # noqa: F401
@@ -53,8 +56,12 @@ def load_ahead() -> Iterator[None]:
 
 
 def load_preparation() -> None:
-    """Load the modules for preparing; its kernels are loaded when they are needed."""
+    """Load the modules for preparing, and compile its kernels if needed; they are loaded when they are used."""
     import atoll_core.data.table  # noqa: F401
+    from atoll_core.compilation.cache import is_compiled
+
+    if not is_compiled("atoll_coordinator", "preparing"):
+        ready_preparation()
 
 
 def load_refinement() -> None:
@@ -65,7 +72,7 @@ def load_refinement() -> None:
         import atoll_coordinator.model.pipeline  # noqa: F401
         from atoll_coordinator.warmup import warm_up
 
-        warm_up(_LOG.debug)
+        warm_up(_log_of_progress())
     except Exception:
         _LOG.exception("warm-up failed")
 
@@ -73,15 +80,37 @@ def load_refinement() -> None:
 def ready_preparation() -> None:
     """Load modules and kernels for preparing, compiled if needed; errors are logged: preparing raises them again."""
     try:
-        load_preparation()
         import atoll_coordinator.model.sparse.laws  # noqa: F401
-        from atoll_coordinator.data.differentiation.derivatives import warm_up as warm_up_data
-        from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
+        from atoll_coordinator.warmup import warm_up_preparing
 
-        warm_up_data()
-        warm_up_sparse()
+        warm_up_preparing(_log_of_progress())
     except Exception:
         _LOG.exception("warm-up failed")
+
+
+def _log_of_progress() -> Report:
+    """Return a function that logs messages of a warm-up: the counts between the first and the last for debugging only.
+
+    So a log says whether this process compiles kernels, or waits while another process does so.
+    """
+    counts: set[tuple[int, int]] = set()
+
+    def log(sentence: str) -> None:
+        count = count_of(sentence)
+        is_news = count is None or (not counts or count[0] == count[1])
+        counts.update(() if count is None else (count,))
+        _LOG.log(logging.INFO if is_news else logging.DEBUG, sentence)
+
+    return log
+
+
+def load_kernels_of_batches(function: str) -> None:
+    """Compile the kernels for batches of other workers' tasks if needed; the batches of epochs load their own.
+
+    Batches of preparing and of refining have the same functions, and most need only the kernels of preparing.
+    """
+    if function != "epochs":
+        load_preparation()
 
 
 def _prepare(inputs: Sequence[bytes], seconds: float | None, team: "Batches") -> bytes:

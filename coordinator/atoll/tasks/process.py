@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.tasks.functions import FUNCTIONS as TASK_FUNCTIONS
+from atoll.tasks.functions import load_kernels_of_batches
 from atoll_core import task_frames as frames
 from atoll_core.logs import fields
 from atoll_core.machine import collect_rarely, memory_bytes
@@ -241,6 +242,7 @@ def _size(call: _Call) -> int:
 def compute(batch: TaskBatch) -> frames.BatchComputed:
     """Return the result of a batch of another worker's task; if it fails here, that worker computes it."""
     try:
+        load_kernels_of_batches(batch.function)
         return frames.BatchComputed(batch.number, _computed(batch.function, batch.context, batch.item))
     except MemoryError:
         return frames.BatchComputed(batch.number, None, "memory", "memory ran out")

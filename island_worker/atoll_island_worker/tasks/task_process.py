@@ -183,7 +183,7 @@ class TaskProcess:
         return self._done > 0 and self._running is not None and not self._running.is_complete
 
     def stop(self) -> None:
-        """End the process and its task; the end is not posted."""
+        """Let the process and its task end, without waiting for this; the end is not posted."""
         if self._running is not None:
             self._running.stop()
             self._running = None
@@ -249,10 +249,10 @@ class _Running:
         self._outgoing.put(message)
 
     def stop(self) -> None:
+        """Let the process end; the reading thread waits for its end, since a busy server reports it seconds later."""
         self._is_stopped = True
         self._process.kill()
         self._shut_down()
-        self._reading.join(2.0 * END_LIMIT_S)
 
     def _shut_down(self) -> None:
         """Close the pipe in both directions, which also ends a process whose id is not known yet."""

@@ -1,13 +1,19 @@
 """What the coordinator compiles or loads ahead: all its kernels, and when it does so."""
 
+import fcntl
 import importlib
 import logging
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from atoll.tasks.functions import load_refinement
+from atoll.tasks.functions import FUNCTIONS, load_kernels_of_batches, load_refinement
+from atoll_coordinator import warmup
+from atoll_core.compilation import cache
 from tests.unit.documents import ROOT
 
 CALLED = {
@@ -122,3 +128,68 @@ def test_a_real_coordinator_warms_up_its_kernels(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("atoll_coordinator.warmup.warm_up", lambda report: called.append(1))
     load_refinement()
     assert called == [1]
+
+
+class Hearing(logging.Handler):
+    """Collects messages and sets `has_heard` at the first."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self.messages: list[str] = []
+        self.has_heard = threading.Event()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.messages.append(record.getMessage())
+        self.has_heard.set()
+
+
+@pytest.mark.parametrize(
+    "load", [FUNCTIONS["prepare"].load, FUNCTIONS["prepare"].ready, lambda: load_kernels_of_batches("pursue")],
+    ids=["prepare", "prepare within a time", "batch"],
+)  # fmt: skip
+def test_only_one_process_compiles_the_kernels_of_preparing(
+    load: Callable[[], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exercised: list[int] = []
+    monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path))
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    monkeypatch.setattr(cache, "wheel_kernels", lambda package: None)
+    monkeypatch.setattr(warmup, "exercise_preparing", lambda: str(exercised.append(1)))
+    folder, hearing = cache.cache_directory(warmup.PACKAGE), Hearing()
+    folder.mkdir(parents=True)
+    log = logging.getLogger("atoll.tasks.functions")
+    monkeypatch.setattr(log, "level", logging.INFO)
+    log.addHandler(hearing)
+    try:
+        with (folder / "lock").open("w") as other:  # as a process that compiles; a dead process holds no lock
+            fcntl.flock(other, fcntl.LOCK_EX)
+            thread = threading.Thread(target=load)
+            thread.start()
+            assert hearing.has_heard.wait(30.0)
+            assert exercised == []
+            assert "waiting" in hearing.messages[0]
+        thread.join(30.0)
+        assert exercised == [1]
+        load()
+        assert hearing.messages[-1].startswith("compiling kernels"), "the second call compiles nothing"
+        assert cache.is_compiled(warmup.PACKAGE, warmup.PREPARING)
+    finally:
+        log.removeHandler(hearing)
+
+
+def test_the_remaining_time_counts_only_kernels_that_are_not_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path))
+    monkeypatch.setattr(cache, "wheel_kernels", lambda package: None)
+    given: list[float] = []
+    monkeypatch.setattr(warmup, "compile_or_load", lambda *arguments: given.append(sum(arguments[2].values())))
+    warmup.warm_up(lambda sentence: None)
+    warmup.warm_up_preparing(lambda sentence: None)
+    file = cache.marker(warmup.PACKAGE, warmup.PREPARING)
+    file.parent.mkdir(parents=True)
+    file.touch()
+    warmup.warm_up(lambda sentence: None)
+    whole, preparing, others = given
+    assert whole == pytest.approx(preparing + others)
+    assert min(preparing, others) > 0.0

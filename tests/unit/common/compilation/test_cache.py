@@ -151,6 +151,21 @@ def test_who_comes_while_another_compiles_waits_and_then_loads(folder: Path) -> 
     assert said == ["waiting while another process of this machine compiles the kernels"]
 
 
+def test_a_compiled_part_is_not_compiled_again_and_is_not_the_whole_package() -> None:
+    said: list[str] = []
+    exercise = Exercise()
+    compile_or_load(PACKAGE, exercise, {"one": 1.0}, said.append, "first")
+    assert said[-1] == sentence_of(1, 1)
+    assert cache.is_compiled(PACKAGE, "first")
+    assert not cache.is_compiled(PACKAGE)
+    number = len(said)
+    compile_or_load(PACKAGE, exercise, {"one": 1.0}, said.append, "first")
+    assert len(said) == number
+    warm_up(said.append, exercise)
+    assert said[-1] == sentence_of(2, 2)
+    assert cache.is_compiled(PACKAGE, "second"), "the package has all its parts"
+
+
 def test_a_cache_that_cannot_be_written_is_said_with_advice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path / "file"))

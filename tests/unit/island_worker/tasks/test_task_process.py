@@ -86,7 +86,7 @@ def test_one_process_runs_task_after_task_elsewhere_until_it_has_done_enough(
     assert pids[0] == pids[1] != pids[2] == pids[3]
     assert os.getpid() not in pids
     assert worker.process.is_started
-    assert is_gone(pids[0])
+    until(lambda: is_gone(pids[0]))
     monkeypatch.setattr(module, "MAX_MEMORY", 1)
     assert int(worker.result("pid")) != pids[3]
 
@@ -133,7 +133,7 @@ def test_what_is_stopped_in_the_middle_ends_and_says_nothing_more(worker: Worker
     pid = pid_in(tmp_path / "mark")
     assert worker.hear() == Begun("t")
     worker.process.stop()
-    assert is_gone(pid)
+    until(lambda: is_gone(pid))
     assert not worker.process.is_started
     assert worker.said.empty()
     worker.begin("spin", path_bytes(tmp_path / "other"))
@@ -174,7 +174,7 @@ def test_a_process_that_takes_nothing_in_keeps_nobody_waiting(worker: Worker) ->
     os.kill(pid, signal.SIGSTOP)
     worker.begin("echo", b"x" * 10_000_000)
     worker.process.stop()
-    assert is_gone(pid)
+    until(lambda: is_gone(pid))
     assert worker.result("echo", b"x") == b"x"
 
 
@@ -264,8 +264,38 @@ def test_a_process_without_work_ends(worker: Worker) -> None:
     assert not is_gone(pid)
     worker.now += 0.1
     worker.process.stop_if_idle()
-    assert is_gone(pid)
+    until(lambda: is_gone(pid))
     worker.process.stop_if_idle()
+
+
+class Unresponsive(Interpreters):
+    """Its processes end only when the test allows this, as forks of a server that is still loading."""
+
+    def __init__(self) -> None:
+        self.may_end = threading.Event()
+        self.ends: queue.SimpleQueue[bool] = queue.SimpleQueue()
+
+    def start(self, connection: object) -> module.StartedProcess:
+        process = super().start(connection)  # type: ignore[arg-type]
+        wait = process.wait
+
+        def delayed(timeout: float) -> int | None:
+            self.ends.put(self.may_end.wait(timeout))
+            return wait(timeout)
+
+        process.wait = delayed  # type: ignore[method-assign]
+        return process
+
+
+def test_to_stop_a_process_is_not_to_wait_for_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "END_LIMIT_S", LIMIT_S)
+    starter = Unresponsive()
+    process = TaskProcess(starter)
+    process.send(Run("t", "pid", ()))
+    process.stop()
+    assert not process.is_started
+    starter.may_end.set()
+    assert starter.ends.get(timeout=2.0 * LIMIT_S), "the process was allowed to end after stop had returned"
 
 
 class Nowhere(Interpreters):

@@ -184,6 +184,31 @@ def test_a_broken_pool_that_cannot_be_replaced_is_an_error_that_says_what_to_giv
             results(dispatcher, 1)
 
 
+def test_an_error_of_the_function_that_makes_an_executor_has_a_sentence_and_its_cause() -> None:
+    def make_pool() -> Executor:
+        raise OSError("no such scheduler")
+
+    with pytest.raises(ExecutorError, match=r"make_pool.*OSError: no such scheduler; correct") as caught:
+        Dispatcher(make_pool)
+    assert isinstance(caught.value.__cause__, OSError)
+
+
+def test_a_broken_pool_whose_function_fails_the_second_time_has_the_same_error() -> None:
+    made: list[Losing] = []
+
+    def make_pool() -> Losing:
+        if made:
+            raise OSError("no such scheduler")
+        made.append(Losing(lambda number: True, BrokenExecutor("a process died")))
+        return made[-1]
+
+    with Dispatcher(make_pool, 2) as dispatcher:
+        dispatcher.submit(1, "joined", (1,), b"ab")
+        with pytest.raises(ExecutorError, match="no such scheduler") as caught:
+            results(dispatcher, 1)
+    assert isinstance(caught.value.__cause__, OSError)
+
+
 def test_results_of_cancelled_calls_are_dropped() -> None:
     with Dispatcher(InlineExecutor(), 1) as dispatcher:
         for number in range(4):
