@@ -36,7 +36,8 @@ start values, and a fit of whole trajectories uses all information of the data.
 Doubts. A variance is estimated by its most probable value for the residuals, and not integrated out of the likelihood.
 So if a model fits a state exactly, the weight of this state follows from `SmoothingSettings.smallest_noise`. Two rules
 were measured on one machine: when a step is first integrated without sensitivities, and the work of an evaluation of
-the rates. These rules do not change a fit. They change the counted work, and so the point at which a search stops. Letters: D states, P fitted constants, L numbers of a segment, G segments, N rows, O measured states.
+the rates. These rules do not change a fit. They change the counted work, and so the point at which a search stops.
+Letters: D states, P fitted constants, L numbers of a segment, G segments, N rows, O measured states.
 """
 
 import hashlib
@@ -132,8 +133,8 @@ _Step = tuple[FloatArray, FloatArray]
 
 
 class MultipleShooting:
-    """Fits systems to `measurements`. `work` is the sum, over all integrations, of the evaluations of the rates times the
-    integrated numbers, see `Method.work`.
+    """Fits systems to `measurements`. `work` is the sum, over all integrations, of the evaluations of the rates
+    times the integrated numbers, see `Method.work`.
 
     Several threads may fit at the same time.
     """
