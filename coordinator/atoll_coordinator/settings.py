@@ -106,7 +106,7 @@ class RowSettings:
 class EffortSettings:
     """Amounts of work, in the unit of `MultipleShooting.work`."""
 
-    work: int = 240_000_000
+    work: int = 180_000_000
     """Limit of the work of each part of a selection (libraries, exchange, local search): some seconds of one core.
     Beyond the limit, no new fit starts. Fits that have begun may need the same amount again."""
     steps: int = 40
@@ -128,14 +128,14 @@ class EffortSettings:
     @property
     def evaluations(self) -> int:
         """Point evaluations of the fits to one target after which no new program is tried."""
-        return self.work // 20
+        return self.work // 15
 
     @property
     def fitted_sensitivities(self) -> int:
         """Largest product of the number of rows and the squared number of states in a fit of constants. The squared
         number of states is the number of sensitivities of a row to the initial states. With this limit, a fit takes
-        `work` at most, if a row takes one or two steps."""
-        return self.work // (4 * self.steps)
+        `work` at most, if a row takes a step of three evaluations."""
+        return self.work // (3 * self.steps)
 
     @property
     def longest_sum(self) -> int:
