@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from atoll.api.model import Model
+from atoll.executors.batches import spread_over
 from atoll.executors.executors import ExecutorError
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
@@ -109,6 +111,22 @@ def test_a_worker_killed_during_an_analysis_changes_nothing() -> None:
 def test_a_broken_pool_that_cannot_be_made_again_is_an_error() -> None:
     with Striking(3) as executor, pytest.raises(ExecutorError, match="ProcessPoolExecutor"):
         oscillator().suggest(rivals=[RIVAL], executor=executor)
+
+
+def test_an_analysis_that_is_interrupted_ends_the_processes_of_its_own_pool() -> None:
+    made = pool()
+
+    def interrupt() -> None:
+        with spread_over(lambda: made):
+            made.submit(time.sleep, 60.0)
+            processes.extend(made._processes.values())
+            raise KeyboardInterrupt
+
+    processes: list[Any] = []
+    with pytest.raises(KeyboardInterrupt):
+        interrupt()
+    assert processes
+    assert not any(process.is_alive() for process in processes)
 
 
 @pytest.mark.parametrize("method", ["analyse", "suggest", "identifiability", "profile", "report", "to_html"])

@@ -50,5 +50,4 @@ def spread_over(executor: object) -> Iterator[Spread]:
         yield Spread(ExecutorBatches(used))
         is_done = True
     finally:
-        if used.is_ours:
-            used.executor.shutdown(wait=is_done)
+        used.close(is_done=is_done)

@@ -21,7 +21,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
-from atoll.executors.executors import Adapted, ExecutorError, OtherVersionError, adapted, end, workers_of
+from atoll.executors.executors import Adapted, ExecutorError, OtherVersionError, adapted, workers_of
 from atoll.executors.tasks import (
     MAX_LOSSES,
     Call,
@@ -81,8 +81,8 @@ class Dispatcher:
 
         Several dispatchers may share one that is `Adapted` already; it is not shut down.
         """
+        self._is_shared: Final = isinstance(executor, Adapted)
         self._adapted = executor if isinstance(executor, Adapted) else adapted(executor)
-        self._is_ours = self._adapted.is_ours and self._adapted is not executor
         self.workers: Final = workers or workers_of(self._adapted.executor)
         self.inbox: Final[Inbox] = queue.SimpleQueue()
         self.stop: Final = StopSign()
@@ -98,12 +98,8 @@ class Dispatcher:
         if has_open_calls:
             self.stop.set()
         self.cancel()
-        if self._is_ours:
-            if has_open_calls:
-                end(self._adapted.executor)
-            else:
-                # A process pool that is not waited for may print an error of its own when the interpreter ends.
-                self._adapted.executor.shutdown()
+        if not self._is_shared:
+            self._adapted.close(is_done=not has_open_calls)
 
     def submit(self, tag: object, function: str, arguments: tuple[Any, ...], *shared: bytes) -> None:
         """Submit a call of a function of `tasks.FUNCTIONS`.

@@ -86,6 +86,16 @@ class Adapted:
             if self.executor is broken and self.make is not None:
                 self.executor = self.make()
 
+    def close(self, *, is_done: bool) -> None:
+        """Shut down an executor that is ours, and make no other; if calls are not done, its processes are killed."""
+        with self._lock:
+            self.make = None
+        if self.is_ours and is_done:
+            # A process pool that is not waited for may print an error of its own when the interpreter ends.
+            self.executor.shutdown()
+        elif self.is_ours:
+            end(self.executor)
+
 
 def check_executor(given: object) -> None:
     """Raise UsageError if `adapted` does not take this object; a function is not called."""
