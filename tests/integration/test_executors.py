@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -553,9 +554,10 @@ if __name__ == "__main__":
 
 def children(process: int) -> set[int]:
     """Return the ids of the processes that a process and its children have started."""
-    found = {
-        int(word) for file in Path(f"/proc/{process}/task").glob("*/children") for word in file.read_text().split()
-    }
+    found: set[int] = set()
+    for file in Path(f"/proc/{process}/task").glob("*/children"):
+        with suppress(OSError):  # the thread has ended meanwhile
+            found.update(map(int, file.read_text().split()))
     return found.union(*map(children, found))
 
 

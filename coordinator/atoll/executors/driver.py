@@ -45,7 +45,7 @@ from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.tasks.background import iso_now
 from atoll_coordinator.service.tasks.task_controller import HELP_AFTER_S
-from atoll_coordinator.service.tasks.task_table import HELPED, MOST_THREADS
+from atoll_coordinator.service.tasks.task_table import MOST_THREADS
 from atoll_coordinator.tasks.preparing import PreparationOutcome
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core import task_frames as frames
@@ -314,7 +314,7 @@ class JobDriver:
     ) -> frames.TaskFinished | frames.Failed | frames.Ended | None:
         """Give batches of a task to the executor until the task ends, and return its end; None: the job has ended."""
         begun_at: float | None = None
-        helpers = self._dispatcher.workers if function in HELPED and self._dispatcher.workers > 1 else 0
+        helpers = self._dispatcher.workers if self._dispatcher.workers > 1 else 0
         asked: set[int] = set()
         given: set[int] = set()
         self._task = TaskView(function=function)

@@ -81,10 +81,16 @@ class Adapted:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def replace(self, broken: Executor) -> None:
-        """Replace a `broken` executor, unless another thread has done so; `make` must be known."""
+        """Replace a `broken` executor, unless another thread has done so; `make` must be known.
+
+        Raises ExecutorError if no executor is made.
+        """
         with self._lock:
             if self.executor is broken and self.make is not None:
-                self.executor = self.make()
+                try:
+                    self.executor = self.make()
+                except UsageError as error:  # what was given was right at first
+                    raise ExecutorError(str(error)) from error
 
     def close(self, *, is_done: bool) -> None:
         """Shut down an executor that is ours, and make no other; if calls are not done, its processes are killed."""

@@ -187,32 +187,44 @@ class StopSign:
     """
 
     def __init__(self, file: str = "") -> None:
-        """`file` is the path of the file; by default a new name in the folder of temporary files."""
+        """`file` is the path of the file; a sign that is sent gets a new name in the folder of temporary files."""
         self._event = threading.Event()
-        self._file: Final = Path(file or Path(tempfile.gettempdir()) / f"atoll-stop-{secrets.token_hex(16)}")
-        self._is_sent = False
+        self._file = file
 
     def __reduce__(self) -> tuple[type["StopSign"], tuple[str]]:
-        self._is_sent = True
+        with contextlib.suppress(OSError):  # without such a folder, calls in other processes compute to their end
+            self._file = self._file or str(Path(tempfile.gettempdir()) / f"atoll-stop-{secrets.token_hex(16)}")
         if self._event.is_set():  # the executor sends a call that began just before
             self._write()
-        return StopSign, (str(self._file),)
+        return StopSign, (self._file,)
 
     def set(self) -> None:
         """Let the calls end. If the sign was sent to other processes, its file exists until this process ends."""
         self._event.set()
-        if self._is_sent:
+        if self._file:
             self._write()
 
     def _write(self) -> None:
         with contextlib.suppress(OSError):  # then calls in other processes compute to their end
-            self._file.touch(exist_ok=True)
-            atexit.register(self._file.unlink, missing_ok=True)
+            Path(self._file).touch(exist_ok=True)
+            atexit.register(_remove_seen, Path(self._file), time.monotonic() + _SEEN_S)
 
     @property
     def is_set(self) -> bool:
         """Whether the results are not needed any more."""
-        return self._event.is_set() or self._file.exists()
+        # unlike Path.exists, this is False, too, for a folder into which another user may not look
+        return self._event.is_set() or (self._file != "" and os.path.exists(self._file))  # noqa: PTH110
+
+
+_SEEN_S: Final = 1.0
+"""Time after which all processes have seen the file of a sign: they look several times a second."""
+
+
+def _remove_seen(file: Path, until: float) -> None:
+    """Remove the file of a sign, at the earliest at a time of the monotonic clock."""
+    time.sleep(max(0.0, until - time.monotonic()))
+    with contextlib.suppress(OSError):
+        file.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True, slots=True)

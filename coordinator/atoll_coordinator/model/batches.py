@@ -28,8 +28,8 @@ Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
 FUNCTIONS: Final[dict[str, Callable[[bytes, bytes], bytes]]] = {}
-"""Batch functions by name; each takes the bytes of a context and of a batch. All functions are registered after the
-import of `pipeline`."""
+"""Batch functions by name; each takes the bytes of a context and of a batch. A function is registered
+by its module; see `atoll.tasks.process` for the modules."""
 
 CANCELLED: Final = b""
 """The result of a batch that was not computed before the deadline: empty bytes. No other result is empty."""

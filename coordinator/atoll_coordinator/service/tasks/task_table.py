@@ -33,9 +33,6 @@ _BY_HELPERS: Final[frozenset[TaskFunction]] = frozenset({"prepare"})
 """Functions that get helpers in place of threads: their batches are mostly Python, so that threads would wait for each
 other."""
 
-HELPED: frozenset[TaskFunction] = frozenset({"prepare", "refine", "profile"})
-"""Functions whose work comes in batches, with which other workers can help."""
-
 State = Literal["waiting", "leased", "running", "ended"]
 Step = Literal["lease", "begin", "lose", "retry", "end"]
 
@@ -288,7 +285,7 @@ def plan_leases(
             host = free.host  # it gets no other task, so that it becomes free
             made.recalled += [one.worker for one in left if one.host == host and one.helps is not None]
             left = [one for one in left if one.host != host]
-    helped = [task for task in running if task.function in HELPED and not task.is_alone]
+    helped = [task for task in running if not task.is_alone]
     helped.sort(key=lambda task: (len(task.helpers), task.waiting_since))
     idle_slots = [slot for slot in left if slot.helps is None]
     if len(idle_slots) == 1 and len(helped) == 1 and helped[0].threads > 1 and busy_hosts[idle_slots[0].host]:

@@ -1,6 +1,9 @@
 """Which task goes to which worker, and who helps with which."""
 
 from collections import Counter
+from typing import get_args
+
+import pytest
 
 from atoll_coordinator.service.tasks.task_table import Slot, Task, TaskPlan, plan_leases
 from atoll_core.wire.messages.tasks import TaskFunction
@@ -57,10 +60,15 @@ def test_preparing_gets_helpers_in_place_of_threads() -> None:
     assert helps(plan_leases([], [running("t", "prepare")], [slot("w1")], Counter({"lab": 1}))) == [("t", "w1")]
 
 
-def test_who_is_idle_helps_with_what_has_fewest_helpers_and_comes_in_batches() -> None:
-    tasks = [running("a", helpers=2), running("b", since=2.0), running("c", since=1.0), running("d", "suggest")]
+def test_who_is_idle_helps_with_what_has_fewest_helpers() -> None:
+    tasks = [running("a", helpers=2), running("b", since=2.0), running("c", since=1.0)]
     made = plan_leases([], tasks, [slot(f"w{number}") for number in range(4)], Counter())
     assert helps(made) == [("c", "w0"), ("b", "w1"), ("a", "w2"), ("c", "w3")]
+
+
+@pytest.mark.parametrize("function", get_args(TaskFunction))
+def test_workers_help_with_every_function(function: TaskFunction) -> None:
+    assert helps(plan_leases([], [running("t", function)], [slot("w1")], Counter({"lab": 1}))) == [("t", "w1")]
 
 
 def test_a_helper_is_recalled_only_for_a_task_that_nobody_else_can_take() -> None:
