@@ -504,7 +504,7 @@ class _DesignSearch:
         self, function: BatchFunction[_Candidates, ItemT, OutcomeT], items: Sequence[ItemT], size: int = 1
     ) -> list[OutcomeT]:
         computed = self.spread.map(function, lambda: self.candidates, items, size, self.parts)
-        return [one for one in computed if one is not None]
+        return [one for one in computed if one is not None]  # analyses have no deadline, so none is left out
 
     def _examine(self, finalists: Sequence[_EvaluatedDesign]) -> list[_EvaluatedDesign]:
         """Return experiments with a more accurate gain: the candidates with the largest weights are fitted again.

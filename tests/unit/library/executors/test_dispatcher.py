@@ -209,6 +209,21 @@ def test_a_broken_pool_whose_function_fails_the_second_time_has_the_same_error()
     assert isinstance(caught.value.__cause__, OSError)
 
 
+def test_a_function_that_returns_no_executor_the_second_time_is_an_error_of_the_executor() -> None:
+    made: list[Losing] = []
+
+    def make_pool() -> Losing | None:
+        if made:
+            return None
+        made.append(Losing(lambda number: True, BrokenExecutor("a process died")))
+        return made[-1]
+
+    with Dispatcher(make_pool, 2) as dispatcher:
+        dispatcher.submit(1, "joined", (1,), b"ab")
+        with pytest.raises(ExecutorError, match="None was returned by the function"):
+            results(dispatcher, 1)
+
+
 def test_results_of_cancelled_calls_are_dropped() -> None:
     with Dispatcher(InlineExecutor(), 1) as dispatcher:
         for number in range(4):

@@ -3,6 +3,7 @@
 import os
 import pickle
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,19 @@ def test_a_copy_is_set_when_the_sign_is(folder: Path) -> None:
     sign.set()
     assert copy.is_set
     assert len([*folder.iterdir()]) == 1
+
+
+def test_the_file_is_removed_only_after_other_processes_have_looked(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr(time, "monotonic", lambda: 100.0)
+    monkeypatch.setattr(time, "sleep", slept.append)
+    file = folder / "sign"
+    file.touch()
+    tasks._remove_seen(file, 100.75)
+    assert slept == [0.75]
+    assert not file.exists()
 
 
 def test_a_copy_that_is_sent_after_the_end_is_set() -> None:
