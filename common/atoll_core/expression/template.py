@@ -17,7 +17,7 @@ Letters: V variables, P parameters, U unknowns, D equations.
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -107,6 +107,7 @@ class Template:
         unknowns: the unknowns (U).
         sides: by equation, programs over variables, then parameters, then unknowns.
         texts: the sides as the user wrote them, by equation.
+        equations: names of the equations (D) of the system that is composed, see `for_equations`.
     """
 
     names: tuple[str, ...]
@@ -114,6 +115,7 @@ class Template:
     unknowns: tuple[Unknown, ...]
     sides: Mapping[str, Program]
     texts: Mapping[str, str] = field(default_factory=dict)
+    equations: tuple[str, ...] = ()
 
     @property
     def starts(self) -> FloatArray:
@@ -136,22 +138,28 @@ class Template:
         return [place for place, _ in enumerate(self.parameters) if len(self.names) + place in used]
 
     def for_equations(self, equations: Sequence[str]) -> "Template | None":
-        """Return the part of the template that belongs to these equations; None if it has no side of them.
+        """Return the template of the system of these equations; None if it has no side of them.
 
         The parameters stay the same, so that their values keep their order.
         """
         sides = {name: side for name, side in self.sides.items() if name in equations}
-        return Template(self.names, self.parameters, self.unknowns, sides, self.texts) if sides else None
+        return replace(self, sides=sides, equations=tuple(equations)) if sides else None
 
-    def compose(self, equations: Sequence[str], slots: Sequence[Program], values: FloatArray) -> Composition:
-        """Return the right-hand sides of these equations (D).
+    def first_program(self, equation: str) -> Program:
+        """Return the side of this equation with the start values of its parameters; its unknown parts are 0."""
+        zero = Program.of([(CONSTANT, 0, 0, 0.0)])
+        slots = {unknown.home: zero for unknown in self.unknowns}
+        return _Draft(self, slots, self.starts).compose(self.sides[equation])
+
+    def compose(self, slots: Sequence[Program], values: FloatArray) -> Composition:
+        """Return the right-hand sides of the equations (D).
 
         Args:
-            equations: names of the equations.
             slots: for each equation, the program of its unknown or, without a side, of the whole right-hand side.
                 Programs of sides without an unknown of their own are ignored.
             values: values (P,) of the parameters.
         """
+        equations = self.equations
         by_equation = dict(zip(equations, slots, strict=True))
         places: list[dict[int, tuple[Place, ...]]] = [{} for _ in equations]
         parameters: list[tuple[Place, ...]] = [() for _ in self.parameters]
@@ -317,8 +325,8 @@ def _place_unknowns(labels: Mapping[str, _Occurrences], option: str) -> tuple[Un
         if not settle(label, set()):
             where = ", ".join(occurrences.equations)
             raise UsageError(
-                f"{option}: there are more unknown parts than equations that could determine them ({label} in {where}); "
-                "write one ? for each equation"
+                f"{option}: there are more unknown parts than equations that could determine them ({label} in {where}"
+                "); write one ? for each equation"
             )
     return tuple(
         Unknown(label.split(" ")[0], homes[label], tuple(one.equations), one.variables) for label, one in labels.items()

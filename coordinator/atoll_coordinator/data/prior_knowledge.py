@@ -15,6 +15,7 @@ from typing import Final, TypeVar
 from atoll_coordinator.data.recording import component_name
 from atoll_coordinator.data.roles.names_and_options import split_unit
 from atoll_coordinator.data.roles.roles import Roles
+from atoll_coordinator.data.templates import template_of
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.errors import UsageError
@@ -173,7 +174,8 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
                 f"--require wants {excluded} in the equation of '{name}', but --allow lets it use "
                 f"{', '.join(usable)} only; change one of the two"
             )
-    prior = PriorConfig(guesses=guesses, known=known, bounds=bounds)
+    equations = sides.single("--equation", config.prior.equations)
+    prior = PriorConfig(guesses=guesses, known=known, bounds=bounds, equations=equations, parameters=config.prior.parameters)
     resolved = config.model_copy(update={"prior": prior, "space": space})
     for name, texts in guesses.items():
         _check_guesses(resolved, name, texts, names)
@@ -183,10 +185,17 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
 def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
     """Return the programs of the known equations by variable, in the order in which they are targets of the dataset.
 
-    `config` is resolved. Raises UsageError if an equation is not an expression over the dataset's symbols.
+    Sides of the job's template in which nothing is searched are also known equations; their parameters have start
+    values. `config` is resolved. Raises UsageError if an equation is not an expression over the dataset's symbols.
     """
-    known = config.prior.known
-    return {name: _known_program(name, known[name], dataset.names) for name in dataset.variables if name in known}
+    known, template = config.prior.known, template_of(config, dataset.names)
+    return {
+        name: _known_program(name, known[name], dataset.names)
+        if name in known or template is None
+        else template.first_program(name)
+        for name in dataset.variables
+        if name in known or (template is not None and template.is_given(name))
+    }
 
 
 def guessed_programs(dataset: Dataset, config: JobConfig) -> dict[str, tuple[Program, ...]]:

@@ -104,7 +104,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         )
     values, _ = simulated_states(measurements, final.shown_fit, task.variables)
     simulated = [values[:, rows] for _, rows in rows_by_trajectory(measurements)]
-    places = list_fitted_places(final.comparison.fixed, task.variables, final.explicit)
+    places = list_fitted_places(final.comparison.held, task.variables, final.explicit)
     covariances = [joint_covariance(places, one.covariance, one.degrees_of_freedom) for one in of_groups]
     return Refinement(
         equations,
@@ -131,7 +131,7 @@ def _describe_constants(
     In the estimates for all groups together, shared constants have standard errors; other constants are means over the
     groups and have no standard errors.
     """
-    fixed, columns = final.comparison.fixed, final.free.fit.system.columns
+    fixed, columns = final.comparison.held, final.free.fit.system.columns
     described = [
         describe_constants(fixed, final.explicit, programs, errors)
         for programs, errors in zip(final.by_group or [final.programs], of_groups, strict=True)
@@ -175,10 +175,10 @@ def _describe_equation(
     name, program = task.variables[index], final.programs[index]
     programs = [group_programs[index] for group_programs in final.by_group]
     problem = task.dataset.problem(name)
-    error, mse = measure_grouped_errors(problem, programs or [program], task.config.evolution.loss)
+    error, mse = measure_grouped_errors(problem, programs or [final.searched[index]], task.config.evolution.loss)
     together = final.rounded.together
     return Refined(
-        task.candidates[name].member_of(program),
+        task.candidates[name].member_of(final.searched[index]),
         program,
         error,
         mse,
@@ -203,16 +203,19 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
     is_crossed = final.held_out_comparison is None and ranking.validated is not None
     alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
     for alternative in ranking.alternatives[index]:
-        programs, nats = alternative.model.programs, alternative.model.nats - best.nats
+        model, nats = alternative.model, alternative.model.nats - best.nats
+        programs = model.programs
         r2 = compute_r2(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
         held_out_r2 = None if alternative.validated is None else alternative.validated[index]
         if nats <= SETTINGS.inference.distinct_nats and final.held_out_comparison is not None and not final.by_group:
-            fit = fit_initial_states(final.held_out_comparison, programs)
+            parameters = None if comparison.template is None else model.fit.system.parameter_values
+            fit = fit_initial_states(final.held_out_comparison, programs, parameters=parameters)
             measurements = final.held_out_comparison.estimator.measurements
             held_out_r2 = -math.inf if fit is None else compute_r2(measurements, fit, slice(None))[index]
         is_crossed = alternative.validated is not None
         origin = final.find_origin(index, programs[index])
-        alternatives.append(Alternative(programs[index], nats, r2, held_out_r2, False, is_crossed, origin))
+        equation = comparison.equations_of(model)[index]
+        alternatives.append(Alternative(equation, nats, r2, held_out_r2, False, is_crossed, origin))
     return tuple(alternatives)
 
 

@@ -45,6 +45,7 @@ from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.system import SharedNumber
+from atoll_coordinator.result.equations import SimpleNumber
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, structure
@@ -83,9 +84,10 @@ class FinalModel(ShownEquations):
     `comparison` fits the constants, in pieces of at most `piece` rows, possibly to a subset of the rows.
     `shown_comparison` simulates the equations as they are shown: over all rows and, if possible, along whole
     trajectories; `shown_fit` is this simulation. `held_out_comparison` contains the held-out trajectories; None if
-    there are none.
+    there are none. `searched` are the searched programs as they are shown; with a template, they are its unknown parts.
     """
 
+    searched: tuple[Program, ...]
     task: ModellingTask
     ranking: Ranking
     origins: Sequence[Mapping[bytes, Origin]]
@@ -170,6 +172,8 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
     equations = _show_by_group(whole) if task.recording.groups else _show_on_all_rows(whole)
     if equations is None:
         return None
+    searched = equations.programs
+    whole = replace(whole, task=replace(whole.task, parameters=equations.rounded.parameters))
     task, piece = whole.task, whole.task.piece
     shown_comparison, fit = whole.comparison, equations.fit.fit
     if not equations.by_group:
@@ -177,8 +181,9 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
     held_out_comparison = None
     if any(trajectory.held_out for trajectory in task.recording.trajectories):
         held_out_comparison = task.make_comparison(task.measurements(task.variables, held_out=True), task.variables)
+    equations = _compose_shown(whole.comparison, equations)
     return FinalModel(
-        **vars(equations), task=task, ranking=ranking, origins=origins, held_out_comparison=held_out_comparison,
+        **vars(equations), searched=searched, task=task, ranking=ranking, origins=origins, held_out_comparison=held_out_comparison,
         comparison=whole.comparison, shown_comparison=shown_comparison, shown_fit=fit, piece=piece,
     )  # fmt: skip
 
@@ -274,7 +279,7 @@ def _simulate_in_whole(
         measurements = here.measurements(here.variables)
         if here.piece != task.piece or measurements.rows > fitted:
             shown_comparison = here.make_comparison(measurements, here.variables, is_precise=True)
-            fit = fit_initial_states(shown_comparison, shown.programs)
+            fit = fit_initial_states(shown_comparison, shown.programs, parameters=shown.rounded.parameters)
             if fit is not None:
                 return here, shown_comparison, fit
     return task, comparison, shown.fit.fit
@@ -290,7 +295,7 @@ def _show_equations(
     if free is None or fitted is None:
         return None
     errors, is_exact = estimate_errors_of_constants(comparison, free), comparison.score.is_exact(free)
-    numbers = fitted.fit.system.columns[0].tolist()
+    numbers = fitted.fit.system.searched_numbers[0].tolist()
 
     def numbers_outside_intervals(rounded: RoundedEquations) -> frozenset[int]:
         """Return the indices of the fitted numbers whose shown value is outside of the 95 % interval."""
@@ -298,11 +303,54 @@ def _show_equations(
             return frozenset()  # intervals would only reflect integration errors
         known = describe_constants(comparison.fixed, explicit, rounded.programs, errors)
         searched = (constants for equation, constants in enumerate(known) if equation not in comparison.fixed)
-        written = (constant for constants in searched for constant in constants.written)
-        return frozenset(number for number, constant in zip(numbers, written, strict=True) if not constant.is_within)
+        written = [constant for constants in searched for constant in constants.written]
+        pairs = zip(numbers[: len(written)], written, strict=True)  # the other numbers are parameters
+        return frozenset(number for number, constant in pairs if not constant.is_within)
 
     rounded_fit = _round_to_fewest_digits(comparison, fitted, numbers_outside_intervals)
     return None if rounded_fit is None else ShownEquations(*rounded_fit, explicit, free)
+
+
+def _compose_shown(comparison: ModelComparison, shown: ShownEquations) -> ShownEquations:
+    """Return the whole right-hand sides of the equations; without a template, `shown` itself."""
+    template = comparison.template
+    if template is None:
+        return shown
+    leading, none = len(comparison.leading), np.zeros(len(template.parameters))
+    explicit = template.compose([coefficients.program for coefficients in shown.explicit], none)
+    written = template.compose(shown.programs, none)
+    programs = shown.fit.fit.system.programs[leading:]
+    composed, simple = list[ExplicitCoefficients](), list[tuple[SimpleNumber | None, ...]]()
+    for index, program in enumerate(explicit.programs):
+        numbers = {node: number for number, node in enumerate(constant_places(programs[index]))}
+        origins, terms, near = dict[int, int | None](), list[Program](), dict[int, SimpleNumber | None]()
+        for home, coefficients in enumerate(shown.explicit):
+            if template.is_given(template.equations[home]):
+                continue
+            nodes, places = constant_places(coefficients.program), constant_places(shown.programs[home])
+            for node, origin in zip(nodes, coefficients.origins, strict=True):
+                for _, place in filter(lambda place: place[0] == index, explicit.places[home].get(node, ())):
+                    if origin is None:
+                        origins[place] = None
+                        continue
+                    at = next(node for one, node in written.places[home][places[origin]] if one == index)
+                    origins[place] = numbers[at]
+                    near[numbers[at]] = shown.rounded.simple[home][origin] if shown.rounded.simple[home] else None
+            if explicit.places[home] and any(one == index for by in explicit.places[home].values() for one, _ in by):
+                terms += coefficients.terms
+        for parameter, places_of_parameter in enumerate(explicit.parameters):
+            for _, place in filter(lambda place: place[0] == index, places_of_parameter):
+                at = next(node for one, node in written.parameters[parameter] if one == index)
+                origins[place] = numbers[at]
+        composed.append(ExplicitCoefficients(program, tuple(origins[place] for place in sorted(origins)), tuple(terms)))
+        simple.append(tuple(near.get(number) for number in range(len(numbers))))
+    return replace(
+        shown,
+        rounded=RoundedEquations(programs, tuple(simple), (), shown.rounded.parameters),
+        fit=replace(shown.fit, programs=programs),
+        explicit=tuple(composed),
+        free=replace(shown.free, programs=shown.free.fit.system.programs[leading:]),
+    )
 
 
 def _write_refuted_factors(
@@ -310,7 +358,7 @@ def _write_refuted_factors(
 ) -> tuple[Program, ...] | None:
     """Return the programs in which refuted factors of one are written as constants. None if the data refute no
     factor."""
-    programs, errors = shown.programs, estimate_errors(comparison, shown.free)
+    programs, errors = shown.programs, estimate_errors_of_constants(comparison, shown.free)
     known = describe_constants(comparison.fixed, shown.explicit, programs, errors)
     if not any(constants.refuted_factors for constants in known):
         return None
@@ -360,7 +408,7 @@ def _round_to_digits(
     while not (further := numbers_outside_intervals(rounded)) <= estimates:
         estimates |= further
         rounded = constants.round_equations(digits, estimates)
-    fit = fit_initial_states(comparison, rounded.programs, fitted.fit)
+    fit = fit_initial_states(comparison, rounded.programs, fitted.fit, rounded.parameters)
     return None if fit is None else (rounded, comparison.score_fit(fit))
 
 
@@ -391,9 +439,7 @@ def attach_estimates(comparison: ModelComparison, model: FittedModel) -> FittedE
     system, errors = model.fit.system, estimate_errors(comparison, model)
     restrictions = [comparison.restrictions(equation) for equation in range(len(model.programs))]
     estimates = Estimates(errors.values, errors.finite_covariance)
-    return FittedEquations(
-        model.programs, estimates, restrictions, comparison.fixed, system.columns[0], system.multiples
-    )
+    return FittedEquations(model.programs, estimates, restrictions, comparison.fixed, *system.searched_numbers)
 
 
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
@@ -417,6 +463,6 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Constant
 
 
 def estimate_errors_of_constants(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
-    """Return the errors of all constants of a model; several constants may be multiples of one fitted number."""
-    system = model.fit.system
-    return estimate_errors(comparison, model).for_multiples(system.columns[0], system.multiples)
+    """Return the errors of all constants of the searched programs of a model, then of the parameters of a template;
+    several constants may be multiples of one fitted number."""
+    return estimate_errors(comparison, model).for_multiples(*model.fit.system.searched_numbers)

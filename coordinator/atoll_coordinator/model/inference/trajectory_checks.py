@@ -130,7 +130,8 @@ class TrajectoryChecks(EquationChecks):
         # An equation with more constants always fits about as well. This is no reason to doubt the equation with fewer
         # constants, unless the longer equation fits far better. Constants are counted before some of them are replaced
         # by simple numbers.
-        most = len(constant_places(final.ranking.selection.model.programs[index]))
+        chosen = final.ranking.selection
+        most = len(constant_places(chosen.comparison.equations_of(chosen.model)[index]))
         self.alternative = min((one.nats for one in drop_larger_equations(most, self.shown.alternatives)), default=None)
 
     def _count_distinct_rows(self) -> int:
@@ -161,6 +162,7 @@ class TrajectoryChecks(EquationChecks):
         """
         final, measurements, index, fit = self.final, self.measurements, self.index, self.final.shown_fit
         program, is_given = self.shown.program, index in final.comparison.fixed
+        is_held = index in final.comparison.held
         squares = deviations = effective = 0.0
         series, times = [], []
         for owner in range(len(measurements.names)):
@@ -183,7 +185,7 @@ class TrajectoryChecks(EquationChecks):
         lengths = final.free.fit.errors.lengths
         rows_of_one = max(float(lengths[index]) if len(lengths) > index else 1.0, 1.0)
         own = max(len(constant_places(program)), final.free.fit.system.count / len(final.programs))
-        constants = 0.0 if is_given else own
+        constants = 0.0 if is_held else own
         constants += max(fit.starts.size / len(measurements.observed) - len(series), 0.0)
         constants = max(constants, self.parameters - len(series))
         of_constant = log_bayes_factor(effective / rows_of_one - (len(series) - 1), constants, squares / deviations)
@@ -193,7 +195,7 @@ class TrajectoryChecks(EquationChecks):
             constants += 1.0  # the correlation of the errors was also fitted; a random walk has no such parameter
         free = effective - drift - (len(series) - 1)
         of_walk = log_bayes_factor(free, max(constants - drift, 0.0), innovations / steps)
-        price = 0.0 if is_given else structure_price(program, len(final.task.dataset.names))
+        price = 0.0 if is_given else structure_price(final.searched[index], len(final.task.dataset.names))
         return min(of_constant, of_walk) - price
 
     def check_explained_variance(self) -> Finding:

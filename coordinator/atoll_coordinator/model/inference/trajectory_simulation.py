@@ -32,10 +32,17 @@ _MOST_NUMBERS: Final = 100_000
 
 
 def fit_initial_states(
-    comparison: ModelComparison, programs: Sequence[Program], near: TrajectoryFit | None = None
-) -> TrajectoryFit | None:
-    """Return the simulation of `programs` with fitted initial states and unchanged constants; None if it fails."""
-    system = comparison.system(programs, [constant_places(program) for program in programs])
+    comparison: ModelComparison, programs: Sequence[Program], near: TrajectoryFit | None = None,
+    parameters: FloatArray | None = None,
+) -> TrajectoryFit | None:  # fmt: skip
+    """Return the simulation of `programs` with fitted initial states and unchanged constants; None if it fails.
+
+    The parameters of a template have the values `parameters`; None: their values in `near`.
+    """
+    if parameters is None and near is not None and comparison.template is not None:
+        parameters = near.system.parameter_values
+    nodes = [constant_places(program) for program in programs]
+    system = comparison.system(programs, nodes, parameters=parameters)
     starts, errors = (None, None) if near is None else (near.starts, near.errors)
     return comparison.estimator.fit(system, None, SETTINGS.effort.steps, starts, errors)
 

@@ -66,13 +66,29 @@ class Sharing:
 
 
 @dataclass(frozen=True, eq=False)
+class SearchedParts:
+    """The searched programs of a system whose equations were composed with a template.
+
+    `slots` (D) are these programs; where nothing is searched, the slot is the whole right-hand side, and its index is
+    in `given`. `nodes` has, for each slot, the node of the tape that holds each of its constants (-1 for other nodes).
+    `parameters` (P,) has the node of each parameter; -1 for a parameter of other equations.
+    """
+
+    slots: tuple[Program, ...]
+    nodes: tuple[Ints, ...]
+    parameters: Ints
+    given: frozenset[int]
+
+
+@dataclass(frozen=True, eq=False)
 class OdeSystem:
     """D equations on one tape, see `kernels.rates.Tape`; `equations` are their programs.
 
     `parameters` (N,) has, for each node, the index of its fitted constant; it is -1 for nodes without one. `places`
     (P,) are the nodes of the fitted constants, and `owners` (P,) are the indices of their equations. `lower` and
     `upper` (Q,) are bounds on the fitted numbers; None: there are no bounds. With a `sharing`, Q may differ from P, and
-    `constants` are the means over the groups. Without a `sharing`, Q is P.
+    `constants` are the means over the groups. Without a `sharing`, Q is P. `parts` are the searched programs if the
+    equations were composed with a template; None: the equations are the searched programs.
     """
 
     equations: tuple[Program, ...]
@@ -87,6 +103,7 @@ class OdeSystem:
     lower: FloatArray | None = None
     upper: FloatArray | None = None
     sharing: Sharing | None = None
+    parts: SearchedParts | None = None
 
     @property
     def tape(self) -> Tape:
@@ -211,6 +228,35 @@ class OdeSystem:
         ends = self.outputs + 1
         parts = np.split(self.constants, ends[:-1])
         return tuple(replace(equation, constants=part) for equation, part in zip(self.equations, parts, strict=True))
+
+    def searched(self, leading: int) -> tuple[Program, ...]:
+        """Return the searched programs with the constants of the system; the first `leading` equations have none."""
+        if self.parts is None:
+            return self.programs[leading:]
+        return tuple(
+            replace(slot, constants=np.where(nodes < 0, slot.constants, self.constants[nodes]))
+            for slot, nodes in zip(self.parts.slots, self.parts.nodes, strict=True)
+        )
+
+    @property
+    def parameter_values(self) -> FloatArray:
+        """The values of the parameters of a template; empty without a template, NaN for parameters of other
+        equations."""
+        if self.parts is None:
+            return np.zeros(0)
+        nodes = self.parts.parameters
+        return np.where(nodes < 0, np.nan, self.constants[nodes])
+
+    @property
+    def searched_numbers(self) -> tuple[Ints, FloatArray]:
+        """The index of the fitted number, and the multiple, of each fitted constant of the searched programs, one
+        program after the other; then of the parameters."""
+        if self.parts is None:
+            return self.columns[0], self.multiples
+        searched = [nodes for index, nodes in enumerate(self.parts.nodes) if index not in self.parts.given]
+        fitted = np.concatenate([*searched, self.parts.parameters])
+        fitted = fitted[(fitted >= 0) & (self.parameters[fitted] >= 0)]
+        return self.columns[0][self.parameters[fitted]], np.ones(len(fitted))
 
 
 def system_of(
