@@ -16,7 +16,7 @@ Letters: V variables, P parameters, U unknowns, D equations.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -24,8 +24,17 @@ import numpy as np
 
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-from atoll_core.expression.operators import CONSTANT, FUNCTIONS, VARIABLE
-from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder, constant_places, variables_of
+from atoll_core.expression import operators as op
+from atoll_core.expression.operators import ARITY, CONSTANT, FUNCTIONS, VARIABLE
+from atoll_core.expression.program import (
+    MAX_NODES,
+    Expression,
+    Program,
+    ProgramBuilder,
+    constant_places,
+    dependent_nodes,
+    variables_of,
+)
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import did_you_mean
 
@@ -145,6 +154,20 @@ class Template:
         sides = {name: side for name, side in self.sides.items() if name in equations}
         return replace(self, sides=sides, equations=tuple(equations)) if sides else None
 
+    def unknowns_in(self, equation: str) -> list[int]:
+        """Return the indices of the unknowns in the side of this equation."""
+        first, side = len(self.names) + len(self.parameters), self.sides.get(equation)
+        return sorted(index - first for index in variables_of(side) if index >= first) if side is not None else []
+
+    def solved_for(self, equation: str, unknown: int) -> Program | None:
+        """Return the value of an unknown as a program, from the value of the left-hand side of this equation.
+
+        The program is over variables, parameters and unknowns as a side is; in the place of the unknown itself it has
+        the left-hand side. None if the side cannot be solved, since the unknown occurs twice, or inside a function that
+        has the same value for several arguments.
+        """
+        return _solve(self.sides[equation], len(self.names) + len(self.parameters) + unknown)
+
     def first_program(self, equation: str) -> Program:
         """Return the side of this equation with the start values of its parameters; its unknown parts are 0."""
         zero = Program.of([(CONSTANT, 0, 0, 0.0)])
@@ -186,6 +209,62 @@ class Template:
                 for node, place in nodes.items():
                     own[node] = (*own.get(node, ()), (index, place))
         return Composition(tuple(programs), tuple(fixed), tuple(held), tuple(places), tuple(parameters))
+
+
+def _solve(side: Program, variable: int) -> Program | None:
+    """Return the inverse of `side` as a function of this variable, which occurs once; None if there is none.
+
+    The operators on the way from the output to the variable are undone one after another.
+    """
+    nodes = side.nodes()
+    leaves = [place for place, node in enumerate(nodes) if node[:2] == (VARIABLE, variable)]
+    depends = dependent_nodes(nodes, leaves)
+    builder = ProgramBuilder()
+    places = builder.copy(nodes)
+    value, place = builder.add(VARIABLE, variable), len(nodes) - 1
+    while nodes[place][:2] != (VARIABLE, variable):
+        code, left, right, _ = nodes[place]
+        is_left = depends[left]
+        if ARITY[code] == 2 and is_left and depends[right]:
+            return None
+        if ARITY[code] == 1:
+            undone = _UNDONE.get(code)
+        else:
+            undone = _UNDONE_LEFT.get(code) if is_left else _UNDONE_RIGHT.get(code)
+        if undone is None:
+            return None
+        other = 0 if ARITY[code] == 1 else places[right if is_left else left]
+        value = builder.build(undone(value, other))
+        place = left if ARITY[code] == 1 or is_left else right
+    return builder.program(value)
+
+
+_Undo = Callable[[int, int], Expression]
+"""Returns the argument of an operator, from the operator's value and its other argument."""
+_UNDONE: Final[Mapping[int, _Undo]] = {
+    op.NEGATE: lambda value, _: (op.NEGATE, value),
+    op.INVERSE: lambda value, _: (op.INVERSE, value),
+    op.EXP: lambda value, _: (op.LOG, value),
+    op.LOG: lambda value, _: (op.EXP, value),
+    op.SQRT: lambda value, _: (op.SQUARE, value),
+    op.TANH: lambda value, _: (
+        op.MULTIPLY, 0.5, (op.LOG, (op.DIVIDE, (op.ADD, 1.0, value), (op.SUBTRACT, 1.0, value))),
+    ),
+}  # fmt: skip
+_UNDONE_LEFT: Final[Mapping[int, _Undo]] = {
+    op.ADD: lambda value, other: (op.SUBTRACT, value, other),
+    op.SUBTRACT: lambda value, other: (op.ADD, value, other),
+    op.MULTIPLY: lambda value, other: (op.DIVIDE, value, other),
+    op.DIVIDE: lambda value, other: (op.MULTIPLY, value, other),
+    op.POW: lambda value, other: (op.POW, value, (op.INVERSE, other)),
+}
+_UNDONE_RIGHT: Final[Mapping[int, _Undo]] = {
+    op.ADD: lambda value, other: (op.SUBTRACT, value, other),
+    op.SUBTRACT: lambda value, other: (op.SUBTRACT, other, value),
+    op.MULTIPLY: lambda value, other: (op.DIVIDE, value, other),
+    op.DIVIDE: lambda value, other: (op.DIVIDE, other, value),
+    op.POW: lambda value, other: (op.DIVIDE, (op.LOG, value), (op.LOG, other)),
+}
 
 
 class _Draft:

@@ -175,7 +175,9 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
                 f"{', '.join(usable)} only; change one of the two"
             )
     equations = sides.single("--equation", config.prior.equations)
-    prior = PriorConfig(guesses=guesses, known=known, bounds=bounds, equations=equations, parameters=config.prior.parameters)
+    prior = PriorConfig(
+        guesses=guesses, known=known, bounds=bounds, equations=equations, parameters=config.prior.parameters
+    )
     resolved = config.model_copy(update={"prior": prior, "space": space})
     for name, texts in guesses.items():
         _check_guesses(resolved, name, texts, names)

@@ -216,7 +216,8 @@ class Preparation:
 
     If the left-hand sides were given, `counted` has the rows that fits use, with the `weights`. It includes rows whose
     weight is too small for the search, which gives all its rows equal weight. `counted` None: the rows of `dataset`;
-    `weights` None: all are 1. `source` is the table; None: not known.
+    `weights` None: all are 1. `source` is the table; None: not known. `parameters` are the parameters of the job's
+    template as the derivatives determine them; fits start with them.
     """
 
     dataset: Dataset
@@ -226,6 +227,7 @@ class Preparation:
     process: ProcessRecording | None = None
     source: Source | None = None
     counted: Dataset | None = None
+    parameters: tuple[float, ...] = ()
 
 
 def by_group(preparation: Preparation) -> Iterator[Preparation]:

@@ -45,6 +45,7 @@ class Estimate(Part):
 class Constant(Estimate):
     """A constant of an equation."""
 
+    name: Text | None = Field(default=None, description="name of the parameter, null for a constant without a name")
     shared: Flag | None = Field(
         default=None,
         description="whether the constant has the same value in all groups of trajectories, null without groups",

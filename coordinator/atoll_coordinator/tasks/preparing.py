@@ -116,9 +116,12 @@ def prepare_job(
         screen_variables,
         settled_variables,
     )
+    from atoll_coordinator.model.unknown_targets import with_unknown_targets
     from atoll_coordinator.tasks.defaults import resolve, with_units
 
     preparation = preparer(table, config)
+    if config.prior.equations:
+        preparation = with_unknown_targets(preparation, resolve(config, preparation.dataset))
     data = dataset_to_bytes(preparation.dataset)
     blob = hashlib.sha256(data).hexdigest()
     resolved = screen_variables(preparation, resolve(config, preparation.dataset))

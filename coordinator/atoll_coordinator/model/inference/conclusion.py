@@ -138,7 +138,8 @@ def _describe_constants(
     ]
     if not final.by_group:
         pairs = zip(described[0], final.rounded.simple, strict=True)
-        return [known.with_simple_numbers(simple) for known, simple in pairs], [[] for _ in final.programs]
+        known = [known.with_simple_numbers(simple) for known, simple in pairs]
+        return _name_parameters(final, known), [[] for _ in final.programs]
     are_shared = iter((columns == columns[0]).all(axis=0).tolist())
     together, by_group = list[EquationConstants](), list[list[tuple[Constant, ...]]]()
     for equation, program in enumerate(final.programs):
@@ -154,6 +155,18 @@ def _describe_constants(
         together.append(EquationConstants(tuple(written)))
         by_group.append(groups)
     return together, by_group
+
+
+def _name_parameters(final: FinalModel, known: Sequence[EquationConstants]) -> Sequence[EquationConstants]:
+    """Return the constants with the names of those that are parameters of a template."""
+    if not final.names:
+        return known
+    return [
+        replace(
+            one, written=tuple(constant.replaced(name=name) for constant, name in zip(one.written, names, strict=True))
+        )
+        for one, names in zip(known, final.names, strict=True)
+    ]
 
 
 def _combine_groups(value: float, constants: Sequence[Constant]) -> Constant:

@@ -32,6 +32,7 @@ from atoll_coordinator.model.constants.standard_errors import (
     make_explicit_if_free,
     write_refuted_factors,
 )
+from atoll_coordinator.model.inference.composed_equations import compose_equations
 from atoll_coordinator.model.inference.groups import choose_shared_constants
 from atoll_coordinator.model.inference.residual_covariance import estimate_variance_inflation, residual_covariances
 from atoll_coordinator.model.inference.shared_terms import fit_shared_terms
@@ -45,7 +46,6 @@ from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.system import SharedNumber
-from atoll_coordinator.result.equations import SimpleNumber
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, structure
@@ -62,6 +62,7 @@ class ShownEquations:
 
     `fluxes` are terms that were fitted together, see `Refinement`. If groups of trajectories have their own constants,
     `by_group` has the equations of each group; each fitted number of `free` belongs to one group or to all groups.
+    `names` has the name of each constant of each equation that is a parameter of a template.
     """
 
     rounded: RoundedEquations
@@ -70,6 +71,7 @@ class ShownEquations:
     free: FittedModel
     fluxes: tuple[tuple[Shape, Mapping[str, float | None]], ...] = ()
     by_group: Sequence[Sequence[Program]] = ()
+    names: Sequence[Sequence[str | None]] = ()
 
     @property
     def programs(self) -> tuple[Program, ...]:
@@ -183,8 +185,9 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
         held_out_comparison = task.make_comparison(task.measurements(task.variables, held_out=True), task.variables)
     equations = _compose_shown(whole.comparison, equations)
     return FinalModel(
-        **vars(equations), searched=searched, task=task, ranking=ranking, origins=origins, held_out_comparison=held_out_comparison,
-        comparison=whole.comparison, shown_comparison=shown_comparison, shown_fit=fit, piece=piece,
+        **vars(equations), searched=searched, task=task, ranking=ranking, origins=origins,
+        held_out_comparison=held_out_comparison, comparison=whole.comparison, shown_comparison=shown_comparison,
+        shown_fit=fit, piece=piece,
     )  # fmt: skip
 
 
@@ -316,40 +319,15 @@ def _compose_shown(comparison: ModelComparison, shown: ShownEquations) -> ShownE
     template = comparison.template
     if template is None:
         return shown
-    leading, none = len(comparison.leading), np.zeros(len(template.parameters))
-    explicit = template.compose([coefficients.program for coefficients in shown.explicit], none)
-    written = template.compose(shown.programs, none)
-    programs = shown.fit.fit.system.programs[leading:]
-    composed, simple = list[ExplicitCoefficients](), list[tuple[SimpleNumber | None, ...]]()
-    for index, program in enumerate(explicit.programs):
-        numbers = {node: number for number, node in enumerate(constant_places(programs[index]))}
-        origins, terms, near = dict[int, int | None](), list[Program](), dict[int, SimpleNumber | None]()
-        for home, coefficients in enumerate(shown.explicit):
-            if template.is_given(template.equations[home]):
-                continue
-            nodes, places = constant_places(coefficients.program), constant_places(shown.programs[home])
-            for node, origin in zip(nodes, coefficients.origins, strict=True):
-                for _, place in filter(lambda place: place[0] == index, explicit.places[home].get(node, ())):
-                    if origin is None:
-                        origins[place] = None
-                        continue
-                    at = next(node for one, node in written.places[home][places[origin]] if one == index)
-                    origins[place] = numbers[at]
-                    near[numbers[at]] = shown.rounded.simple[home][origin] if shown.rounded.simple[home] else None
-            if explicit.places[home] and any(one == index for by in explicit.places[home].values() for one, _ in by):
-                terms += coefficients.terms
-        for parameter, places_of_parameter in enumerate(explicit.parameters):
-            for _, place in filter(lambda place: place[0] == index, places_of_parameter):
-                at = next(node for one, node in written.parameters[parameter] if one == index)
-                origins[place] = numbers[at]
-        composed.append(ExplicitCoefficients(program, tuple(origins[place] for place in sorted(origins)), tuple(terms)))
-        simple.append(tuple(near.get(number) for number in range(len(numbers))))
+    composed = compose_equations(template, shown.explicit, shown.programs, shown.rounded.simple)
+    programs = comparison.equations_of(shown.fit)
     return replace(
         shown,
-        rounded=RoundedEquations(programs, tuple(simple), (), shown.rounded.parameters),
+        rounded=RoundedEquations(programs, composed.simple, (), shown.rounded.parameters),
         fit=replace(shown.fit, programs=programs),
-        explicit=tuple(composed),
-        free=replace(shown.free, programs=shown.free.fit.system.programs[leading:]),
+        explicit=composed.explicit,
+        free=replace(shown.free, programs=comparison.equations_of(shown.free)),
+        names=composed.names,
     )
 
 

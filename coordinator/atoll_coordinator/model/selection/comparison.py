@@ -289,7 +289,9 @@ class ModelComparison:
 
         def complete() -> TrajectoryFit:
             stiff = summary.is_stiff
-            return self.estimator.complete(fitted_system(), summary.length, summary.starts, summary.errors, is_stiff=stiff)
+            return self.estimator.complete(
+                fitted_system(), summary.length, summary.starts, summary.errors, is_stiff=stiff
+            )
 
         if self.template is None:
             ends = np.cumsum([len(program) for program in (*self.leading, *admitted)])

@@ -80,7 +80,9 @@ def squared_errors(comparison: ModelComparison, fold: Fold) -> FloatArray:
     if whole.deadline.is_over:
         return unknown
     others = _make_estimator(whole, measurements.part(set(measurements.owners.tolist()) - left_out))
-    fitted = others.fit(comparison.system(fold.programs, parameters=fold.parameters), None, steps, fold.starts[~is_out], fold.errors)
+    fitted = others.fit(
+        comparison.system(fold.programs, parameters=fold.parameters), None, steps, fold.starts[~is_out], fold.errors
+    )
     if fitted is None:
         return unknown
     rest = _make_estimator(whole, measurements.part(left_out))

@@ -41,8 +41,8 @@ class ModellingTask:
     `settled` are equations that were already fitted to noise-free targets. `spread` computes work in threads or on
     workers. `piece` is the largest number of rows that are simulated without a break. After the `deadline` nothing new
     is tried. `solver` names the solver whose errors were subtracted from the recording. `among_many` are laws that were
-    found during preparation (None: not searched). `parameters` are the values of the parameters of a template with which
-    fits start (None: the template's start values).
+    found during preparation (None: not searched). With the values `parameters` of the parameters of a template, fits
+    start (None: with the template's start values).
     """
 
     dataset: Dataset
