@@ -4,12 +4,10 @@ How it works. A side ``-c*v + k*?`` with the derivative on its left is solved fo
 c*v)/k``. These values on all rows are the target of the search, and their uncertainty is the uncertainty of the
 derivative divided by the slope of the side by the unknown. If an unknown occurs in several equations, the mean of their
 values is the target, weighted by inverse variances. Rows on which the slope is so small that they add more error than
-information are left out. Parameters of the side are estimated first: the unknown is replaced by a polynomial, and both
-are fitted to the derivatives.
+information are left out. The parameters have the values of `parameter_estimates`.
 
-Doubtful: parameters are estimated from smoothed derivatives of one equation at a time, and the estimate depends on the
-polynomial. So the target of an unknown beside free parameters has an error that its uncertainty does not contain;
-refining fits parameters and the unknown together, along the trajectories.
+Doubtful: the target of an unknown beside free parameters has an error that its uncertainty does not contain; refining
+fits parameters and the unknown together, along the trajectories.
 
 Letters: R rows, V variables, P parameters, U unknowns.
 """
@@ -24,22 +22,18 @@ import numpy as np
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.templates import template_of
-from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.sparse.atoms import polynomial_and_fourier_libraries, sum_of
+from atoll_coordinator.model.parameter_estimates import estimate_parameters
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, IntArray, Target
 from atoll_core.errors import DataError, UsageError
 from atoll_core.expression.derivative import derivative
-from atoll_core.expression.evaluation import values_and_gradient, values_of
-from atoll_core.expression.operators import BY_NAME, VARIABLE
-from atoll_core.expression.program import Expression, Program, constant_places
+from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.template import Template
 
-_ROWS_OF_A_TERM: Final = 5
-"""Rows for each term of the polynomial that stands for an unknown part while parameters are estimated."""
-_DIGITS: Final = 6
-"""Digits of estimated parameters: so few that targets are equal on all machines."""
+_CONTRADICTION: Final = 5.0
+"""Median difference of the values of an unknown part by two equations, over its uncertainty, that is reported. The
+uncertainty of a derivative is known up to a factor of two or so."""
 
 
 def with_unknown_targets(preparation: Preparation, config: JobConfig) -> Preparation:
@@ -68,7 +62,7 @@ def with_unknown_targets(preparation: Preparation, config: JobConfig) -> Prepara
             f"only {len(rows)} rows tell anything about the unknown part {labels}; sample more of them, or write the "
             "unknown part where its factor is not near 0"
         )
-    warnings = (*dataset.warnings, *estimates.warnings, *_compare_equations(template, unknowns, dataset))
+    warnings = (*dataset.warnings, *estimates.warnings, *_compare_equations(template, unknowns))
     targets = tuple(
         _unknown_target(target, unknowns[target.variable], rows, is_exact=not template.parameters_in(target.variable))
         if target.variable in unknowns
@@ -88,96 +82,6 @@ def with_unknown_targets(preparation: Preparation, config: JobConfig) -> Prepara
             for target in held_out.targets
         ))  # fmt: skip
     return replace(preparation, dataset=changed, held_out=held_out)
-
-
-# --------------------------------------------------------------------------------------------------------- parameters
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterEstimates:
-    """The values (P,) of the parameters of a template, and sentences on those that the data do not determine."""
-
-    values: FloatArray
-    warnings: tuple[str, ...] = ()
-
-
-def estimate_parameters(dataset: Dataset, config: JobConfig, template: Template) -> ParameterEstimates:
-    """Return estimates of the parameters from the derivatives, with a polynomial in the place of each unknown part.
-
-    A parameter of several equations has the mean of their estimates, weighted by inverse variances. A parameter that
-    the polynomial can replace keeps its start value.
-    """
-    starts, warnings = template.starts, list[str]()
-    weights, sums = np.zeros(len(starts)), np.zeros(len(starts))
-    replaced: dict[int, str] = {}
-    for target in dataset.targets:
-        name = target.variable
-        places = template.parameters_in(name)
-        if not places or len(template.unknowns_in(name)) > 1:
-            continue
-        slots = {unknown.home: _polynomial(dataset, config, unknown.home) for unknown in template.unknowns}
-        order = tuple(slots)
-        own = replace(template, sides={name: template.sides[name]}, equations=(*order, *({name} - {*order})))
-        zero = sum_of([1.0], [0.0])
-        composition = own.compose([slots.get(one, zero) for one in own.equations], starts)
-        place = own.equations.index(name)
-        program, held = composition.programs[place], sorted(composition.fixed[place])
-        fitted = LeastSquares(dataset.problem(name)).fit(program, held)
-        if not math.isfinite(fitted.mse):
-            continue
-        nodes = [node for node in constant_places(program) if node not in held]
-        of = {parameter: nodes.index(composition.parameters[parameter][0][1]) for parameter in places}
-        shares = _own_shares(program, nodes, dataset.inputs, list(of.values()))
-        for (parameter, at), (share, curvature) in zip(of.items(), shares, strict=True):
-            if share < CLEAN_UNCERTAINTY:
-                replaced[parameter] = name
-                continue
-            weight = curvature / max(fitted.mse, 1e-300)
-            weights[parameter] += weight
-            sums[parameter] += weight * float(fitted.program.constants[nodes[at]])
-    values = np.where(weights > 0.0, sums / np.maximum(weights, 1e-300), starts)
-    for parameter, name in replaced.items():
-        if weights[parameter] == 0.0:
-            called = template.parameters[parameter].name
-            warnings.append(
-                f"The parameter {called} of '{name}' cannot be told from the unknown part, which may contain the same "
-                f"term; give {called} as a number, or name with ?(…) the variables on which the unknown part depends."
-            )
-    for place, one in enumerate(template.parameters):
-        values[place] = min(max(float(f"{values[place]:.{_DIGITS - 1}e}"), one.lower), one.upper)
-    return ParameterEstimates(values, tuple(warnings))
-
-
-def _polynomial(dataset: Dataset, config: JobConfig, name: str) -> Program:
-    """Return a polynomial of the variables that the unknown part of an equation may contain, with as many terms as the
-    rows allow."""
-    columns = config.space.columns_for(name, dataset.names)
-    codes = [BY_NAME[text].code for text in ("+", "*")]
-    plain: list[Expression] = [1.0, *((VARIABLE, column) for column in columns)]
-    libraries = [plain, *polynomial_and_fourier_libraries(columns, codes)]
-    most = dataset.inputs.shape[1] // _ROWS_OF_A_TERM
-    terms = max((one for one in libraries if len(one) <= most), key=len, default=plain[:1])
-    starts = np.linspace(0.5, 1.0, len(terms))  # different numbers, so that no two of them become one constant
-    return sum_of(terms, starts.tolist())
-
-
-def _own_shares(
-    program: Program, nodes: Sequence[int], inputs: FloatArray, chosen: Sequence[int]
-) -> list[tuple[float, float]]:
-    """Return, for each of the `chosen` constants, the share of its effect that no other constant can replace, and the
-    curvature by this constant."""
-    _, slopes = values_and_gradient(program, inputs, nodes)
-    slopes = slopes[:, np.isfinite(slopes).all(axis=0)]
-    found = []
-    for at in chosen:
-        others = np.delete(slopes, at, axis=0)
-        scales = np.maximum(np.linalg.norm(others, axis=1, keepdims=True), 1e-300)
-        directions = np.linalg.svd(others / scales, full_matrices=False)
-        basis = directions[2][directions[1] > 1e-9 * directions[1].max(initial=0.0)]
-        left = slopes[at] - basis.T @ (basis @ slopes[at])
-        whole = float(slopes[at] @ slopes[at])
-        found.append((math.sqrt(float(left @ left) / whole) if whole > 0.0 else 0.0, float(left @ left)))
-    return found
 
 
 # ------------------------------------------------------------------------------------------------------------ targets
@@ -303,7 +207,7 @@ def _unknown_target(target: Target, unknown: _Values, rows: IntArray, *, is_exac
     return Target(target.variable, target.lhs, values, uncertainty, scale, noise)
 
 
-def _compare_equations(template: Template, unknowns: dict[str, _Values], dataset: Dataset) -> list[str]:
+def _compare_equations(template: Template, unknowns: dict[str, _Values]) -> list[str]:
     """Return a sentence for each unknown part whose equations do not agree about its values."""
     remarks = []
     for unknown in template.unknowns:
@@ -321,8 +225,3 @@ def _compare_equations(template: Template, unknowns: dict[str, _Values], dataset
                     "signs and factors."
                 )
     return remarks
-
-
-_CONTRADICTION: Final = 5.0
-"""Median difference of the values of an unknown part by two equations, over its uncertainty, that is reported. The
-uncertainty of a derivative is known up to a factor of two or so."""
