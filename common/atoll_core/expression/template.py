@@ -83,6 +83,8 @@ class Unknown:
     variables: tuple[str, ...] | None = None
 
 
+ZERO: Final = Program.of([(CONSTANT, 0, 0, 0.0)])
+"""The program that stands for an unknown part that is not known yet."""
 Place = tuple[int, int]
 """A constant: (equation, node in this equation)."""
 
@@ -170,9 +172,22 @@ class Template:
 
     def first_program(self, equation: str) -> Program:
         """Return the side of this equation with the start values of its parameters; its unknown parts are 0."""
-        zero = Program.of([(CONSTANT, 0, 0, 0.0)])
-        slots = {unknown.home: zero for unknown in self.unknowns}
-        return _Draft(self, slots, self.starts).compose(self.sides[equation])
+        return self.complete(equation, {}, self.starts)[0]
+
+    def complete(
+        self, equation: str, slots: Mapping[str, Program], values: FloatArray
+    ) -> tuple[Program, tuple[str | None, ...]]:
+        """Return one side, and the name of each of its constants that is a parameter (None: it has none).
+
+        Args:
+            equation: the equation of the side.
+            slots: the programs of unknown parts, by home; missing ones are 0.
+            values: values (P,) of the parameters.
+        """
+        draft = _Draft(self, {**{unknown.home: ZERO for unknown in self.unknowns}, **slots}, values)
+        program = draft.compose(self.sides[equation])
+        names = {node: self.parameters[place].name for place, node in draft.parameters.items()}
+        return program, tuple(names.get(node) for node in constant_places(program))
 
     def compose(self, slots: Sequence[Program], values: FloatArray) -> Composition:
         """Return the right-hand sides of the equations (D).

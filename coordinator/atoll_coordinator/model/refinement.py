@@ -65,7 +65,8 @@ class Refined:
     coefficients 1 that are not written. If groups of trajectories have their own constants, `by_group` has the program
     and constants of each group by name, and the constants of `program` that are not `shared` are means over the groups.
     `units` are the units of the constants, None if no unit is known. `simple_together` are simple numbers that two or
-    more constants may have together; None if no such numbers are likely.
+    more constants may have together; None if no such numbers are likely. With a template, `parameters` has for each
+    constant the name of its parameter (None: it has none), and `unknowns` are the unknown parts by label.
     """
 
     member: int | None
@@ -83,6 +84,8 @@ class Refined:
     by_group: Mapping[str, tuple[Program, tuple[Constant, ...]]] = field(default_factory=dict)
     units: EquationUnits | None = None
     simple_together: SimpleTogether | None = None
+    parameters: tuple[str | None, ...] = ()
+    unknowns: Mapping[str, Program] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

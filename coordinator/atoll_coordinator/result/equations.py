@@ -45,7 +45,6 @@ class Estimate(Part):
 class Constant(Estimate):
     """A constant of an equation."""
 
-    name: Text | None = Field(default=None, description="name of the parameter, null for a constant without a name")
     shared: Flag | None = Field(
         default=None,
         description="whether the constant has the same value in all groups of trajectories, null without groups",
@@ -184,6 +183,24 @@ class Member(Part):
     selected: Flag = Field(default=False, description="whether the displayed equation was derived from it")
 
 
+class UnknownPart(Part):
+    """An unknown part of a given equation, as it was found."""
+
+    label: Text = Field(description="`?`, or `?1` if it has a number")
+    expression: Text = Field(description="the expression that was found")
+    program: Text | None = Field(default=None, description="its operation list, hexadecimal")
+
+
+class GivenSide(Part):
+    """A right-hand side from `--equation`: its parameters, and its unknown parts as they were found."""
+
+    text: Text = Field(description="the right-hand side as the user wrote it")
+    parameters: dict[Text, Count] = Field(
+        default_factory=dict, description="position of each parameter in the list `constants`, from 0"
+    )
+    unknowns: tuple[UnknownPart, ...] = Field(default=(), description="the unknown parts")
+
+
 class Equation(Part):
     """One displayed equation, and how it was found; `expression` is null if no equation was found."""
 
@@ -202,6 +219,7 @@ class Equation(Part):
     r2: Number = Field(default=None, description="R2 on the target")
     converged: Flag | None = Field(default=None, description="whether the error is at most `target_error`")
     constants: tuple[Constant, ...] = Field(default=(), description="constants in the order of `program`")
+    given: GivenSide | None = Field(default=None, description="the side from `--equation`, missing without one")
     simple_together: SimpleTogether | None = Field(
         default=None, description="simple numbers for several constants, null if none are likely"
     )

@@ -56,7 +56,7 @@ from atoll_coordinator.result.findings import Errors
 from atoll_coordinator.result.listed_trajectories import Simulation
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.program import constant_places
+from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.writing.expansion import expand_program
 
@@ -138,8 +138,7 @@ def _describe_constants(
     ]
     if not final.by_group:
         pairs = zip(described[0], final.rounded.simple, strict=True)
-        known = [known.with_simple_numbers(simple) for known, simple in pairs]
-        return _name_parameters(final, known), [[] for _ in final.programs]
+        return [known.with_simple_numbers(simple) for known, simple in pairs], [[] for _ in final.programs]
     are_shared = iter((columns == columns[0]).all(axis=0).tolist())
     together, by_group = list[EquationConstants](), list[list[tuple[Constant, ...]]]()
     for equation, program in enumerate(final.programs):
@@ -157,16 +156,14 @@ def _describe_constants(
     return together, by_group
 
 
-def _name_parameters(final: FinalModel, known: Sequence[EquationConstants]) -> Sequence[EquationConstants]:
-    """Return the constants with the names of those that are parameters of a template."""
-    if not final.names:
-        return known
-    return [
-        replace(
-            one, written=tuple(constant.replaced(name=name) for constant, name in zip(one.written, names, strict=True))
-        )
-        for one, names in zip(known, final.names, strict=True)
-    ]
+def _unknown_parts(final: FinalModel, index: int) -> dict[str, Program]:
+    """Return the unknown parts of one equation, by label; empty without a template."""
+    template = final.comparison.template
+    if template is None:
+        return {}
+    name = template.equations[index]
+    unknowns = [template.unknowns[place] for place in template.unknowns_in(name)]
+    return {one.label: final.searched[template.equations.index(one.home)] for one in unknowns}
 
 
 def _combine_groups(value: float, constants: Sequence[Constant]) -> Constant:
@@ -204,6 +201,8 @@ def _describe_equation(
         if by_group
         else {},
         simple_together=together[index] if together else None,
+        parameters=tuple(final.names[index]) if final.names else (),
+        unknowns=_unknown_parts(final, index),
     )
 
 
