@@ -73,7 +73,7 @@ def estimate_parameters(dataset: Dataset, config: JobConfig, template: Template)
     return ParameterEstimates(np.clip(values, lower, upper), tuple(warnings))
 
 
-def draw_starts(parameters: Sequence[Parameter], count: int, seed: int = 0) -> FloatArray:
+def draw_starts(parameters: Sequence[Parameter], count: int) -> FloatArray:
     """Return start values (S, P) of parameters: their first values, then `count` - 1 points that fill the bounds evenly
     (Sobol 1967).
 
@@ -84,7 +84,8 @@ def draw_starts(parameters: Sequence[Parameter], count: int, seed: int = 0) -> F
     firsts = np.array([parameter.first_value for parameter in parameters])
     if not len(parameters):
         return firsts[None]
-    unit = qmc.Sobol(len(parameters), rng=np.random.default_rng(seed)).random(max(count - 1, 1))[: count - 1]
+    points = qmc.Sobol(len(parameters), scramble=False).random_base2(max(count - 1, 1).bit_length())
+    unit = points[1:count]  # the first point is the corner at 0
     drawn = np.empty((len(unit), len(parameters)))
     for place, parameter in enumerate(parameters):
         low, high = parameter.lower, parameter.upper
