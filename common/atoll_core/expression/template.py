@@ -38,7 +38,7 @@ _RESERVED: Final = frozenset({*FUNCTIONS.values(), "Abs", "tan", "cot", "pi"})
 
 
 @dataclass(frozen=True)
-class Parameter:
+class TemplateParameter:
     """A named number of a template, with bounds; `start` is the value from which fits start, None: not given.
 
     If `by_group`, each group of trajectories has its own value.
@@ -74,6 +74,8 @@ class Unknown:
     variables: tuple[str, ...] | None = None
 
 
+Parameter = TemplateParameter
+
 Place = tuple[int, int]
 """A constant: (equation, node in this equation)."""
 
@@ -98,7 +100,7 @@ class Composition:
 
 
 @dataclass(frozen=True, eq=False)
-class Template:
+class EquationTemplate:
     """Sides of equations with parameters and unknowns, see the module.
 
     Attributes:
@@ -180,6 +182,9 @@ class Template:
         return Composition(tuple(programs), tuple(fixed), tuple(held), tuple(places), tuple(parameters))
 
 
+Template = EquationTemplate
+
+
 class _Draft:
     """One side while it is composed: where its literals, parameters and constants of unknowns are."""
 
@@ -241,7 +246,7 @@ def read_template(
     found: dict[str, Parameter] = {}
     labels: dict[str, _Occurrences] = {}
     for equation, text in sides.items():
-        for name in _names_in(_without_unknowns(text)):
+        for name in _names_in(_without_unknowns(text, f"{option} for '{equation}'")):
             if name not in names and name not in _RESERVED:
                 _check_parameter_name(name, names, parameters, f"{option} for '{equation}'")
                 found.setdefault(name, parameters.get(name, Parameter(name)))
@@ -269,7 +274,8 @@ def read_template(
         try:
             programs[equation] = from_infix(_with_letters(text), [*names, *found, *own])
         except UsageError as error:
-            raise UsageError(f"{option} for '{equation}': {error}".replace(_LETTER, "?")) from error
+            sentence = re.sub(f", {_LETTER}{_LETTER}\\d+", "", str(error)).replace(_LETTER, "?")
+            raise UsageError(f"{option} for '{equation}': {sentence}") from error
         if len(programs[equation]) > MAX_NODES // 2:
             most = MAX_NODES // 2
             raise UsageError(
@@ -317,15 +323,17 @@ def _place_unknowns(labels: Mapping[str, _Occurrences], option: str) -> tuple[Un
         if not settle(label, set()):
             where = ", ".join(occurrences.equations)
             raise UsageError(
-                f"{option}: there are more unknown parts than equations that could determine them ({label} in {where}); "
-                "write one ? for each equation"
+                f"{option}: there are more unknown parts than equations that could determine them ({label} in {where}"
+                "); write one ? for each equation"
             )
     return tuple(
         Unknown(label.split(" ")[0], homes[label], tuple(one.equations), one.variables) for label, one in labels.items()
     )
 
 
-def _without_unknowns(text: str) -> str:
+def _without_unknowns(text: str, what: str) -> str:
+    if _LETTER in text:
+        raise UsageError(f"{what} has the letter {_LETTER}; write ? for an unknown part")
     return _UNKNOWN.sub(lambda match: " " * len(match[0]), text)
 
 
