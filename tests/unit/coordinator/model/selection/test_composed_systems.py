@@ -7,7 +7,7 @@ import pytest
 
 from atoll_coordinator.model.selection.comparison import Constraints, ModelComparison
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
-from atoll_core.expression.template import Parameter, read_template
+from atoll_core.expression.template import TemplateParameter, read_template
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.wire.values import decode_value, encode_value
 from tests.unit.coordinator.model.shooting.made import LOTKA, measurements
@@ -42,7 +42,7 @@ def test_a_template_that_is_unknown_as_a_whole_changes_no_bit():
 
 
 def test_parameters_are_fitted_with_the_unknown_part():
-    comparison = compared({"x": "r*x - x*x + ?", "y": "2*y + ?"}, [Parameter("r", start=1.0)])
+    comparison = compared({"x": "r*x - x*x + ?", "y": "2*y + ?"}, [TemplateParameter("r", start=1.0)])
     model = comparison.fit_model(parsed("-1.5*x*y", "-0.7*x*y - 0.7*y*y"))
     whole = compared({}).fit_model(parsed("3*x - 2*x*y - x*x", "2*y - 1*x*y - 1*y*y"))
     assert model.fit.system.parameter_values == pytest.approx([3.0], rel=0.03)
@@ -69,7 +69,7 @@ def test_an_unknown_part_of_two_equations_has_one_set_of_constants():
 
 
 def test_bounds_of_a_parameter_hold():
-    comparison = compared({"x": "r*x + ?", "y": "?"}, [Parameter("r", 0.5, 2.5)])
+    comparison = compared({"x": "r*x + ?", "y": "?"}, [TemplateParameter("r", 0.5, 2.5)])
     model = comparison.fit_model(parsed("-2*x*y - 1*x*x", "2*y - 1*x*y - 1*y*y"))
     assert model.fit.system.parameter_values[0] == 2.5
     assert model.fit.system.on_bounds.sum() == 1
@@ -83,7 +83,7 @@ def test_a_similar_system_starts_with_the_parameters_of_the_other():
 
 
 def test_a_worker_composes_the_same_system():
-    comparison = compared({"x": "r*x + ?", "y": "-?1 + 2*y - y*y"}, [Parameter("r", 0.1, 9.0)])
+    comparison = compared({"x": "r*x + ?", "y": "-?1 + 2*y - y*y"}, [TemplateParameter("r", 0.1, 9.0)])
     there = ModelComparison.from_parts(decode_value(encode_value(comparison.parts), type(comparison.parts)))
     programs = parsed("-2*x*y - 1*x*x", "1*x*y")
     here, travelled = comparison.fit_model(programs), there.fit_model(programs)
