@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.parameter_estimates import draw_starts
-from atoll_coordinator.model.unknown_targets import with_unknown_targets
+from atoll_coordinator.model.template.parameter_estimates import draw_starts
+from atoll_coordinator.model.template.unknown_targets import with_unknown_targets
 from atoll_core.config import DataConfig, JobConfig, ParameterConfig, PriorConfig, SpaceConfig
 from atoll_core.errors import UsageError
 from atoll_core.expression.template import TemplateParameter

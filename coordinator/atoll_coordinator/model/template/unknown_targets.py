@@ -22,7 +22,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.templates import template_of
-from atoll_coordinator.model.parameter_estimates import estimate_parameters
+from atoll_coordinator.model.template.parameter_estimates import estimate_parameters
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, IntArray, Target
