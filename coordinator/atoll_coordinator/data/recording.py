@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from atoll_core.data.dataset import Dataset, FloatArray
 
-Method = Literal["interpolation", "loess", "robust loess"]
+Method = Literal["interpolation", "loess", "robust loess", "hidden"]
 InputKind = Literal["smooth", "shape-preserving", "held"]
 """Kinds of an input between rows. Smooth: a curve with continuous second derivatives (de Boor 1978, chapter IV);
 shape-preserving: a curve without overshoot where the input is switched (Fritsch & Butland 1984); held: the value of a
@@ -120,7 +120,9 @@ class Recording:
     subtracted from the times of the file to centre them. `groups` are the names of groups of trajectories with
     constants of their own; empty: all trajectories share the constants. A row is the mean of about `rows_of_mean` rows
     of the file. `input_kinds` has the kind of each input between rows; empty: not known. `input_error` is the largest
-    error of these curves over the standard deviations of the inputs.
+    error of these curves over the standard deviations of the inputs. `hidden` are the last states, which no column
+    measures: their `measured` values are NaN, and their `smoothed` values are the course by the job's template.
+    `observed` are the columns among the states that are computed from states and have no equation of their own.
     """
 
     states: tuple[str, ...]
@@ -137,6 +139,8 @@ class Recording:
     rows_of_mean: int = 1
     input_kinds: tuple[InputKind, ...] = ()
     input_error: float = 0.0
+    hidden: tuple[str, ...] = ()
+    observed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
