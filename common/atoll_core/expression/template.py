@@ -196,10 +196,11 @@ class EquationTemplate:
 
         Args:
             slots: for each equation, the program of its unknown or, without a side, of the whole right-hand side.
-                Programs of sides without an unknown of their own are ignored.
+                Programs of sides without an unknown of their own are ignored, and may be missing at the end.
             values: values (P,) of the parameters.
         """
         equations = self.equations
+        slots = [*slots, *[ZERO] * (len(equations) - len(slots))]
         by_equation = dict(zip(equations, slots, strict=True))
         places: list[dict[int, tuple[Place, ...]]] = [{} for _ in equations]
         parameters: list[tuple[Place, ...]] = [() for _ in self.parameters]

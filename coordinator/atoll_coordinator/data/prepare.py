@@ -118,7 +118,8 @@ def assemble_differentiated(
         for name, estimate in zip(roles.states, estimates, strict=True)
         if name not in roles.observed
     ]
-    values += [np.zeros(measurements.row_count) for _ in roles.hidden]
+    # the number of each row stands for a hidden state until a template was fitted
+    values += [np.arange(float(measurements.row_count)) for _ in roles.hidden]
     values += [estimate.velocity for estimate in estimates if roles.velocities]
     values += [np.concatenate(parts) for parts in measurements.inputs]
     targets = [

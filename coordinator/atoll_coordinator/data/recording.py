@@ -123,6 +123,7 @@ class Recording:
     error of these curves over the standard deviations of the inputs. `hidden` are the last states, which no column
     measures: their `measured` values are NaN, and their `smoothed` values are the course by the job's template.
     `observed` are the columns among the states that are computed from states and have no equation of their own.
+    `initial` are bounds on initial values: name of the state, lower and upper bound, which are equal if it is given.
     """
 
     states: tuple[str, ...]
@@ -141,6 +142,7 @@ class Recording:
     input_error: float = 0.0
     hidden: tuple[str, ...] = ()
     observed: tuple[str, ...] = ()
+    initial: tuple[tuple[str, float, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -273,7 +273,11 @@ def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) ->
     degrees = [angle.column for angle in roles.angles if angle.degrees]
     if degrees:
         remarks.append(f"Degrees were converted to radians: {', '.join(degrees)}.")
-    variables = [name for name in (*roles.states, *roles.inputs) if name not in (*roles.equations, *roles.observed) or roles.derivatives]
+    variables = [
+        name
+        for name in (*roles.states, *roles.inputs)
+        if name not in (*roles.equations, *roles.observed) or roles.derivatives
+    ]
     for name in variables:
         values = table.column(name)[rows]
         values = values[np.isfinite(values)]

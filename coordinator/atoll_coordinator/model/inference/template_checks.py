@@ -4,18 +4,53 @@ They are made in addition to the checks of `trajectory_checks`. An unknown part 
 and more than a constant. A parameter must be determined by the data, and its best value must lie within its bounds.
 """
 
+from collections.abc import Sequence
 from typing import ClassVar
 
-from atoll_coordinator.model.inference.checks import Finding
+import numpy as np
+
+from atoll_coordinator.model.inference.checks import Finding, format_percent
+from atoll_coordinator.model.inference.final_model import FinalModel
+from atoll_coordinator.model.inference.long_run import LongRun
 from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
-from atoll_coordinator.model.refinement import JobKind
+from atoll_coordinator.model.refinement import JobKind, Refined
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
 
 
 class TemplateChecks(TrajectoryChecks):
     """The checks of an equation of a system with a template."""
 
     kind: ClassVar[JobKind] = "template"
+
+    def __init__(
+        self, final: FinalModel, long_run: LongRun, index: int, shown: Refined, held_out_r2: float | None,
+        equations: Sequence[TrajectoryChecks], errors: FloatArray | None,
+    ) -> None:  # fmt: skip
+        """Set the model and the equation; `errors` are the standard errors of simulated columns, then of hidden states,
+        by row (None: not known)."""
+        super().__init__(final, long_run, index, shown, held_out_r2, equations)
+        self.errors = errors
+
+    def check_hidden_state(self) -> Finding:
+        """Check that the data determine the course of a hidden state."""
+        measurements, most = self.measurements, SETTINGS.inference.part
+        if self.index not in measurements.hidden:
+            return Finding("not applicable", "its state is measured")
+        if self.errors is None:
+            return Finding("not made", "the errors of the hidden state are not known")
+        place = len(measurements.observed) + measurements.hidden.index(self.index)
+        course = self.final.shown_fit.simulated[self.index]
+        share = float(np.mean(self.errors[place] ** 2)) / max(float(np.var(course)), 1e-300)
+        if share <= most:
+            reason = f"errors are {format_percent(share)} of the variance of the hidden state"
+            return Finding("passed", reason, share, most)
+        reason = (
+            f"the data do not determine the hidden state {self.name} (its errors are {format_percent(share)} of its "
+            "variance)"
+        )
+        advice = "give initial values with --initial, parameters as numbers, or bounds"
+        return Finding("failed", reason, share, most, advice=advice)
 
     def check_unknown_part(self) -> Finding:
         """Check that the unknown part of the equation describes more than nothing or a constant in its place."""

@@ -310,7 +310,8 @@ class ModelComparison:
     def summarize(self, plan: FitPlan, model: FittedModel) -> FitSummary:
         """Return the summary of a model, as a worker sends it."""
         fit, sharing = model.fit, model.fit.system.sharing
-        in_whole = plan.near is not None or self.score.errors is not None
+        is_hidden = bool(self.estimator.measurements.hidden)
+        in_whole = plan.near is not None or self.score.errors is not None or is_hidden
         return FitSummary(
             fit.system.constants, None if sharing is None else sharing.constants, fit.starts, fit.errors, fit.squares,
             None if in_whole else plan.lengths[-1], fit.is_stiff, model.misfit, model.nats,
@@ -375,7 +376,8 @@ class ModelComparison:
         ]
         if self.template is not None:
             values = self.constraints.parameters if parameters is None else parameters
-            return self._composed_system(self.template.compose(programs, values), fixed, is_fixed=bool(fixed_nodes))
+            composition = self.template.compose(programs, values)
+            return self._composed_system(composition, fixed, is_fixed=bool(fixed_nodes))
         none: list[set[int]] = [set() for _ in self.leading]
         variables = self.estimator.measurements.variables
         system = system_of([*self.leading, *programs], self.names, variables, [*none, *fixed])
@@ -402,26 +404,27 @@ class ModelComparison:
         held: list[set[int]] = [set(nodes) for nodes in composition.fixed]
         not_fitted = [
             place
-            for nodes, places in zip(fixed, composition.places, strict=True)
+            for nodes, places in zip(fixed, composition.places, strict=False)
             for node in nodes
             for place in places.get(node, ())
         ]
         not_fitted += [place for places in composition.parameters for place in places] if is_fixed else []
         for equation, node in not_fitted:
             held[equation].add(node)
-        before = len(self.leading)
-        programs = [*self.leading, *composition.programs]
-        system = system_of(programs, self.names, self.estimator.measurements.variables, [*[set()] * before, *held])
-        firsts = [0, *(system.outputs + 1).tolist()][before:]
-        nodes = [np.full(len(slot), -1, np.int64) for slot in composition.slots]
-        for own, places in zip(nodes, composition.places, strict=True):
+        before, equations = len(self.leading), len(fixed)
+        programs, variables = [*self.leading, *composition.programs], self.estimator.measurements.variables
+        columns = len(composition.programs) - equations
+        system = system_of(programs, self.names, variables, [*[set[int]()] * before, *held], columns)
+        firsts, slots = system.firsts[before:], composition.slots[:equations]
+        nodes = [np.full(len(slot), -1, np.int64) for slot in slots]
+        for own, places in zip(nodes, composition.places, strict=False):
             for node, (first, *_) in places.items():
                 own[node] = firsts[first[0]] + first[1]
         parameters = np.array(
             [firsts[places[0][0]] + places[0][1] if places else -1 for places in composition.parameters], np.int64
         )
         given = frozenset(index for index, name in enumerate(template.equations) if template.is_given(name))
-        system = replace(system, parts=SearchedParts(composition.slots, tuple(nodes), parameters, given))
+        system = replace(system, parts=SearchedParts(slots, tuple(nodes), parameters, given))
         lower, upper = self._composed_ranges(composition, system, fixed)
         several = [places for by_node in composition.places for places in by_node.values()] + [*composition.parameters]
         shared = {
@@ -434,6 +437,8 @@ class ModelComparison:
             if system.sharing is not None and lower is not None and upper is not None:
                 lower, upper = system.sharing.ranges(lower, upper)
         system = replace(system, lower=lower, upper=upper)
+        if lower is not None and (lower > 0.0).any():  # positive numbers with bounds may vary over decades
+            system = replace(system, is_logarithmic=lower > 0.0)
         return system.with_values(system.values)
 
     def _composed_ranges(
@@ -443,7 +448,7 @@ class ModelComparison:
         template = self.template
         assert template is not None
         bounds: dict[Place, tuple[float, float]] = {}
-        for index, (slot, held) in enumerate(zip(composition.slots, fixed, strict=True)):
+        for index, (slot, held) in enumerate(zip(composition.slots, fixed, strict=False)):
             restrictions = self.restrictions(index)
             if restrictions.bounds is None or template.is_given(template.equations[index]):
                 continue
@@ -457,11 +462,13 @@ class ModelComparison:
 
     def equations_of(self, model: FittedModel) -> tuple[Program, ...]:
         """Return the whole right-hand sides of a model; without a template, these are its programs."""
-        return model.programs if self.template is None else model.fit.system.programs[len(self.leading) :]
+        if self.template is None:
+            return model.programs
+        return model.fit.system.programs[len(self.leading) :][: len(model.programs)]
 
     def places(self, system: OdeSystem) -> list[Place]:
         """Return equation and node of each fitted constant of a system of this comparison."""
-        firsts = [0, *(system.outputs + 1).tolist()]
+        firsts = system.firsts
         pairs = zip(system.places.tolist(), system.owners.tolist(), strict=True)
         return [(owner - len(self.leading), node - firsts[owner]) for node, owner in pairs]
 
@@ -487,6 +494,8 @@ class ModelComparison:
         admitted = self.admissible_programs(programs)
         if admitted is None:
             return None
+        if self.estimator.measurements.hidden:  # short segments would need unknown initial values
+            lengths = (None,)
         fit = fit_in_stages(self.estimator, self.system(admitted), lengths, steps)
         if fit is not None and self.score.errors is not None:
             fit = self.score.refit_with_errors(fit, self.score.errors)

@@ -142,7 +142,19 @@ class ModellingTask:
     def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> TrajectoryMeasurements:
         """Return the measurements of a system for these variables."""
         states = [self.recording.states.index(name) for name in variables]
-        return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
+        columns = [self.recording.states.index(name) for name in self.columns_observed_with(variables)]
+        return measurements_of(self.recording, states, held_out=held_out, piece=self.piece, observed=columns)
+
+    def columns_observed_with(self, variables: Sequence[str]) -> tuple[str, ...]:
+        """Return the measured columns that are computed from the states of a system for these variables: all such
+        columns if the system is whole, else none."""
+        return self.recording.observed if len(variables) == len(self.variables) else ()
+
+    @property
+    def shown_names(self) -> tuple[str, ...]:
+        """Names of the measured columns of the whole system, and then of its hidden states."""
+        hidden = self.recording.hidden
+        return (*(name for name in self.variables if name not in hidden), *self.recording.observed, *hidden)
 
     @property
     def longest(self) -> int:
@@ -155,7 +167,10 @@ class ModellingTask:
         compared."""
         settings = SETTINGS.selection
         rows = min(settings.compared_rows, settings.compared_numbers // max(len(self.variables), 1))
-        return self.measurements(self.variables).thin(rows)
+        whole = self.measurements(self.variables)
+        if whole.hidden:  # pieces in the middle of a trajectory would need unknown initial values
+            return whole.strided(-(-whole.rows // rows))
+        return whole.thin(rows)
 
     @cached_property
     def sizes(self) -> list[float]:
@@ -204,7 +219,8 @@ class ModellingTask:
             error /= longest * max(1.0, measured_rows / measurements.rows) * math.sqrt(measurements.rows)
         tolerance = max(error, _TOLERATED_NOISE * SETTINGS.shooting.exact)
         fixed = [index for index, name in enumerate(variables) if name in self.known]
-        template = None if self.template is None else self.template.for_equations(variables)
+        sides = (*variables, *self.columns_observed_with(variables))
+        template = None if self.template is None else self.template.for_equations(sides)
         restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
         restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
         return ModelComparison(
