@@ -123,7 +123,7 @@ class StartsProblem:
 
 
 _FITS: Final[BatchFunction[StartsProblem, StartPoint, ReachedPoint | None]] = BatchFunction(
-    "starts", StartsProblem, StartPoint, ReachedPoint | None, StartsProblem.fit
+    "trajectory starts", StartsProblem, StartPoint, ReachedPoint | None, StartsProblem.fit
 )
 
 
