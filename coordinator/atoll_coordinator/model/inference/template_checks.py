@@ -23,7 +23,7 @@ class TemplateChecks(TrajectoryChecks):
 
     kind: ClassVar[JobKind] = "template"
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, one more than its base class
         self, final: FinalModel, long_run: LongRun, index: int, shown: Refined, held_out_r2: float | None,
         equations: Sequence[TrajectoryChecks], errors: FloatArray | None,
     ) -> None:  # fmt: skip

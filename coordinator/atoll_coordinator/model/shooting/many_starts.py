@@ -232,7 +232,7 @@ def _misfit_of(measurements: TrajectoryMeasurements) -> Callable[[FloatArray], f
 
 def _horizons(longest: int) -> list[int]:
     """Return the rows of the growing horizons, up to the rows of the longest trajectory."""
-    rows, horizons = SETTINGS.shooting.lengths[0], []
+    rows, horizons = SETTINGS.shooting.lengths[0], list[int]()
     while rows * _GROWTH <= longest:
         horizons.append(rows)
         rows = round(rows * _GROWTH)

@@ -116,13 +116,17 @@ class OdeSystem:
         """The arrays of the nodes of the equations, as arguments of kernels."""
         code, left, right, constants, parameters = self._nodes
         if len(self.observations):
-            end = int(self.outputs[-1]) + 1
-            code, left, right, constants, parameters = (of[:end] for of in self._nodes)
+            code, left, right, constants, parameters = self._part(0, int(self.outputs[-1]) + 1)
         return code, left, right, constants, self.outputs, parameters
 
     @property
     def _nodes(self) -> tuple[Ints, Ints, Ints, FloatArray, Ints]:
         return self.code, self.left, self.right, self.constants, self.parameters
+
+    def _part(self, first: int, end: int) -> tuple[Ints, Ints, Ints, FloatArray, Ints]:
+        """Return the arrays of the nodes from `first` up to `end`."""
+        part = slice(first, end)
+        return self.code[part], self.left[part], self.right[part], self.constants[part], self.parameters[part]
 
     @property
     def arrays(self) -> list[FloatArray | Ints | npt.NDArray[np.bool_] | None]:
@@ -308,9 +312,9 @@ class OdeSystem:
         """The observations with the constants of the system, as programs over the components of a point."""
         ends, programs = (self.observations + 1).tolist(), []
         for first, end in zip(self.firsts[len(self.outputs) :], ends, strict=True):
-            code, left, right, constants, _ = (of[first:end] for of in self._nodes)
+            code, *arguments, constants, _ = self._part(first, end)
             is_leaf = (code == VARIABLE) | (code == CONSTANT)
-            left, right = (np.where(is_leaf, of, np.maximum(of - first, 0)).astype(np.int16) for of in (left, right))
+            left, right = (np.where(is_leaf, of, np.maximum(of - first, 0)).astype(np.int16) for of in arguments)
             programs.append(Program(code.astype(np.int8), left, right, constants))
         return programs
 
