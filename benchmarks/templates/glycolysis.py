@@ -211,8 +211,8 @@ def line(outcome: GlycolysisOutcome) -> str:
     """Return how one draw came out, for following a long run."""
     frequency = "-" if outcome.frequency is None else f"{100.0 * outcome.frequency:+.1f} %"
     return (
-        f"{outcome.key.title}: frequency {frequency}, rest {outcome.rest}, covers {outcome.is_covered}, {outcome.grade}; "
-        f"{outcome.seconds:.1f} s{'; ' + outcome.failure if outcome.failure else ''}"
+        f"{outcome.key.title}: frequency {frequency}, rest {outcome.rest}, covers {outcome.is_covered}, "
+        f"{outcome.grade}; {outcome.seconds:.1f} s{'; ' + outcome.failure if outcome.failure else ''}"
     )
 
 
