@@ -73,10 +73,10 @@ SYSTEMS: Final[Mapping[str, TemplateSystem]] = {
     ),
     "FitzHugh-Nagumo from v": TemplateSystem(
         truths={"v": "v - v**3/3 - w + 0.5", "w": "0.08*(v + 0.7 - 0.8*w)"},
-        given={"v": "v - v**3/3 - w + J", "w": "eps*(v + a - b*w)"},
+        given={"v": "v - v**3/3 - w + 0.5", "w": "eps*(v + a - b*w)"},
         starts=((-1.0, 1.0),), duration=150.0, rows=300,
-        parameters={"J": (0.05, 5.0), "eps": (0.005, 1.0), "a": (0.05, 5.0), "b": (0.05, 5.0)},
-        values={"J": 0.5, "eps": 0.08, "a": 0.7, "b": 0.8}, hidden=("w",), initial={"w": (-2.0, 2.0)},
+        parameters={"eps": (0.005, 1.0), "a": (0.05, 5.0), "b": (0.05, 5.0)},
+        values={"eps": 0.08, "a": 0.7, "b": 0.8}, hidden=("w",), initial={"w": (-2.0, 2.0)},
     ),
     "Lorenz from x": TemplateSystem(
         truths={"x": "10*(y - x)", "y": "x*(28 - z) - y", "z": "x*y - 2.6666666666666665*z"},

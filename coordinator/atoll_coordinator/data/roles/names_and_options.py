@@ -137,7 +137,7 @@ def check_options(config: DataConfig) -> None:
     """Raise UsageError if options contradict each other, regardless of the data."""
 
     def is_set(name: str) -> bool:
-        return config.order == 2 if name == "order" else getattr(config, name) not in (None, False, ())
+        return config.order == 2 if name == "order" else getattr(config, name) not in (None, False, (), {})
 
     for name, others, reason in _EXCLUSIONS:
         for other in others.split():
