@@ -449,9 +449,7 @@ def fit_displayed(measured: FitData, result: Result) -> EquationSetFit:
 
     If the residuals of whole trajectories exceed the noise, the equations are fitted to shorter pieces.
     """
-    equations, measurements = equations_of(result), measured.measurements
-    negligible = SETTINGS.common.negligible * measurements.scales[measurements.observed]
-    most = SETTINGS.inference.excess * np.maximum(measurements.noise, negligible)
+    equations, most = equations_of(result), most_residuals(measured.measurements)
     first = None
     for rows in (None, *reversed(SETTINGS.shooting.lengths[1:])):
         if rows is not None and 2 * rows > measured.longest:
@@ -464,6 +462,12 @@ def fit_displayed(measured: FitData, result: Result) -> EquationSetFit:
     if first is None:
         raise AtollError("the equations cannot be simulated along the measured trajectories, so they cannot be fitted")
     return first
+
+
+def most_residuals(measurements: TrajectoryMeasurements) -> FloatArray:
+    """Return the largest root mean squared residuals (O,) that count as noise."""
+    negligible = SETTINGS.common.negligible * measurements.scales[measurements.observed]
+    return np.asarray(SETTINGS.inference.excess * np.maximum(measurements.noise, negligible))
 
 
 def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -> EquationSetFit | None:
