@@ -426,6 +426,10 @@ class EquationSetFit:
         """Return the sum of squared residuals over the variances of `errors`, minus the same sum of this fit."""
         return self.fit.estimator.cost(fit) - self.fit.estimator.cost(self.fit)
 
+    def deviance_of(self, residuals: FloatArray) -> float:
+        """Return `deviance` of residuals (O, N)."""
+        return self.deviance(replace(self.fit, residuals=residuals))
+
     def refit(self, system: OdeSystem, starts: FloatArray) -> TrajectoryFit | None:
         """Fit a system to the same trajectories with the same errors; None if it cannot be simulated.
 

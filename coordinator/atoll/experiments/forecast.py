@@ -1,20 +1,19 @@
 """Forecasts: the states after the last row, with bands, and the horizon within which they are informative.
 
 How it works. The state at the last row is fitted to the last rows of the trajectory, the window, with the constants of
-the result (ADR 0109). The window grows backwards from a few rows to twice as many rows, again and again, while one
-simulation describes both halves: two separate simulations of the halves have D more fitted numbers, so for the right
-law the deviance falls by a chi-squared number with D degrees of freedom (Wilks 1938). So errors that grow (chaos), and
-effects that the law misses, end the window. Then draws are simulated. Each draw has constants from their covariance
-and a state at the last row that belongs to these constants (`states`). If other systems describe the measurements of
-the result about as well, each of them gets its share of the draws: its Akaike weight (`alternatives`). Quantiles of
-the draws are the bands.
+the result (ADR 0109). Windows are doubled as long as one simulation describes both halves (`states`): errors that grow
+(chaos), and effects that the law misses, end them. Of these windows, the one is taken from which the last state is
+known best: errors of the constants grow along a window. Then draws are simulated. Each draw has constants (`draws`)
+and a state at the last row that belongs to these constants. If other systems describe the measurements of the result
+about as well, each of them gets its share of the draws: its Akaike weight (`alternatives`). Quantiles of the draws are
+the bands.
 
 The horizon. Without a forecast, the best guess of a state is the range that holds 95 % of its measured values. A
 forecast is worth one bit if its 95 % band is half as wide as this range. The horizon of a state ends where the band
 becomes wider. The range also contains the median of the forecast up to that time: a state that grows beyond all
 measured values needs no narrower band than before.
 
-Doubtful: the draws of constants and states are normal; draws far from the fit may contradict the data. The bands assume
+Doubtful: for given constants, the drawn states at the last row are normal, and shifted to first order. The bands assume
 that one of the drawn systems is right, and contain no measurement errors. For a stochastic process, the last row counts
 as exact, and so do the constants. Letters: D states, U inputs, K offsets, P constants, N times, M draws, R rows.
 """
@@ -31,6 +30,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from atoll.experiments.alternatives import WeightedSystem, alternatives_of
+from atoll.experiments.draws import draw_constants, root_of
 from atoll.experiments.fits import config_of
 from atoll.experiments.states import KnownLaw, StateFit, cut
 from atoll.model.arguments import GivenInputs, InputFunctions, inputs_along, values_of_curve
@@ -63,8 +63,6 @@ _SHARES: Final = (0.025, 0.25, 0.5, 0.75, 0.975)
 """Shares of the draws below the ends of the 95 % band, the 50 % band, and the median."""
 _BANDS: Final = {0.95: (0, 4), 0.5: (1, 3)}
 """The ends of each band among these shares."""
-_LEVEL: Final = 0.01
-"""Significance level at which a longer window is refused."""
 _ROWS_PER_NUMBER: Final = 2
 """Measured values of the first window for each fitted number."""
 _FEWEST_ROWS: Final = 5
@@ -381,78 +379,67 @@ def _central_range(values: FloatArray) -> FloatArray:
 
 
 def _last_window(law: KnownLaw, trajectory: TrajectoryMeasurements) -> StateFit | None:
-    """Return the law along the longest window of last rows that one simulation describes as well as two."""
-    from scipy.special import chdtri
+    """Return the law along the window of last rows from which the last state is known best.
 
+    A window is twice as long as the previous one, as long as one simulation describes it as well as two.
+    """
     rows, numbers = trajectory.rows, len(law.states) + len(trajectory.offset)
     length = min(max(_FEWEST_ROWS, math.ceil(_ROWS_PER_NUMBER * numbers / len(trajectory.observed))), rows)
-    most = float(chdtri(numbers, _LEVEL)) * max(1.0, float(law.share.max()))  # the result may list only some rows
-    best = law.fit_states(cut(trajectory, [(rows - length, rows)]))
-    while best is not None and length < rows:
+    last = law.fit_states(cut(trajectory, [(rows - length, rows)]))
+    windows = [] if last is None else [last]
+    while last is not None and length < rows:
         longer = min(2 * length, rows)
         older = law.fit_states(cut(trajectory, [(rows - longer, rows - length)]))
         both = None
         if older is not None:
             both = law.fit_states(cut(trajectory, [(rows - longer, rows)]), older.fit.starts)
-        if older is None or both is None or both.cost - older.cost - best.cost > most:
+        if older is None or both is None or not law.describes_as_well(both, [older, last]):
             break
-        best, length = both, longer
-    return best
+        last, length = both, longer
+        windows.append(both)
+    constants, scales = law.fitted.bounded_covariance, trajectory.scales
+
+    def uncertainty(window: StateFit) -> float:
+        total = float((window.end.variances(constants)[: len(scales)] / scales**2).sum())
+        return total if math.isfinite(total) else math.inf
+
+    return min(windows, key=uncertainty, default=None)
 
 
 def _draw(
     law: KnownLaw, window: StateFit, count: int, course: tuple[FloatArray, FloatArray, FloatArray],
     random: np.random.Generator,
 ) -> FloatArray:  # fmt: skip
-    """Return the states of `count` draws (M, G, D) along a `course` that begins at the last row, see `_paths`.
-
-    Draws of few rows have Student's t distribution: the size of the errors was estimated from the same rows.
-    """
+    """Return the states of `count` draws (M, G, D) along a `course` that begins at the last row, see `_paths`."""
     if not count:
         return np.zeros((0, len(course[0]), len(law.states)))
-    fit, system, states = window.fit, window.fit.system, len(law.states)
-    fitted, local = system.count, fit.starts.shape[1]
-    at_end = np.zeros((local, fitted + local))  # the last state, then the offsets
-    at_end[:states, : fitted + states] = fit.integrated_sensitivities()[-1][:, : fitted + states]
-    at_end[states:, fitted + states :] = np.eye(local - states)
-    mean = np.concatenate([fit.simulated[:, -1], fit.starts[0, states:]])
-    # before the window, states are only known to lie in the measured range
-    scales = window.measurements.scales
-    before = 1.0 / np.append(scales, scales[window.measurements.offset]) ** 2
-    own = np.linalg.inv(fit.blocks.own[0] + np.diag(before))
-    by_constants = at_end[:, :fitted] - at_end[:, fitted:] @ own @ fit.blocks.coupling[0].T
-    freedom = law.fitted.degrees_of_freedom
-    widening = np.sqrt(freedom / random.chisquare(freedom, count))[:, None]
-    moved = widening * random.standard_normal((count, fitted)) @ _root(law.fitted.bounded_covariance).T
-    errors = widening * random.standard_normal((count, local)) @ _root(own).T
-    ends = mean + moved @ by_constants.T + errors @ at_end[:, fitted:].T
+    end, states = window.end, len(law.states)
+    constants, variances = draw_constants(law.fitted, count, random)
+    errors = random.standard_normal((count, len(end.mean))) @ root_of(end.spread).T
+    ends = end.mean + (constants - law.fitted.values) @ end.by_constants.T + np.sqrt(variances)[:, None] * errors
     starts = _with_kept_signs(law, window, ends[:, :states])
-    paths = _paths(law, window, starts, system.values + moved, course)
+    paths = _paths(law, window, starts, constants, course)
     paths[:, :, window.measurements.observed[window.measurements.offset]] += ends[:, None, states:]
     return paths
 
 
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return a root W of a covariance W W'."""
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
 def _with_kept_signs(law: KnownLaw, window: StateFit, states: FloatArray) -> FloatArray:
-    """Return drawn states (M, D), reflected at 0 where the law keeps the sign of a state.
+    """Return drawn states (M, D), reflected at 0 where the law keeps the sign of a state along the trajectory.
 
-    Such a state, as a population, has at 0 a rate that points back. A normal draw beyond 0 is an error of the
-    approximation.
+    If such a state, as a population, were 0 at any row, its rate would not point to the other side. A normal draw
+    beyond 0 is an error of the approximation.
     """
-    measurements, last = window.measurements, window.fit.simulated[:, -1]
-    rows = [measurements.variables.index(name) for name in law.fitted.equations.names]
-    states = states.copy()
-    for place in np.flatnonzero((states * np.sign(last) < 0.0).any(axis=0)).tolist():
-        point = np.concatenate([last, measurements.inputs[:, -1]])
-        point[place] = 0.0
-        rate = float(values_of(window.fit.system.programs[place], point[rows][:, None])[0])
-        if rate * np.sign(last[place]) >= 0.0:
-            states[:, place] = np.copysign(states[:, place], last[place])
+    whole, system = law.measurements, window.fit.system
+    own = whole.owners_of_rows == int(window.measurements.owners[0])
+    along = np.concatenate([whole.smoothed, whole.inputs])[:, own]
+    rows = [whole.variables.index(name) for name in law.fitted.equations.names]
+    signs, states = np.sign(along[: len(law.states)].sum(axis=1)), states.copy()
+    for place in np.flatnonzero((states * signs < 0.0).any(axis=0)).tolist():
+        points = along.copy()
+        points[place] = 0.0
+        rates = values_of(system.programs[place], np.ascontiguousarray(points[rows]))
+        if (rates * signs[place] >= 0.0).all():
+            states[:, place] = np.copysign(states[:, place], signs[place])
     return states
 
 

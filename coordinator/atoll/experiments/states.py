@@ -14,6 +14,7 @@ of the previous piece. Letters: O measured states, D states, P constants, K offs
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
+
+_LEVEL: Final = 0.01
+"""Significance level at which one simulation is given up for several shorter ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,20 +124,48 @@ class KnownLaw:
         return StateFit(measurements, fit, _is_like_noise(fit, measurements))
 
     def fit_in_pieces(self, trajectory: TrajectoryMeasurements) -> "StateFit | None":
-        """Return the law along one trajectory, from as few initial states as describe it up to its noise.
+        """Return the law along one trajectory, from as few initial states as describe it as well as more would.
 
-        If no length of pieces does, the pieces with the smallest residuals are returned. None: the law cannot be
-        simulated.
+        None: the law cannot be simulated.
         """
-        fits = []
+        fits: list[StateFit] = []
         for rows in (None, SETTINGS.shooting.piece, *reversed(SETTINGS.shooting.lengths)):
             if rows is not None and 2 * rows > trajectory.rows:
                 continue
             fit = self.fit_states(cut(trajectory, trajectory.segments(rows).tolist()))
-            if fit is not None and fit.is_like_noise:
-                return fit
             fits += [] if fit is None else [fit]
-        return min(fits, key=lambda fit: float(np.log(np.maximum(fit.fit.squares, 1e-300)).sum()), default=None)
+        return next((fit for fit in fits if all(self.describes_as_well(fit, [other]) for other in fits)), None)
+
+    def describes_as_well(self, longer: "StateFit", shorter: Sequence["StateFit"]) -> bool:
+        """Tell whether a simulation describes its rows as well as simulations of shorter pieces of the same rows.
+
+        The shorter ones have more fitted numbers, k. For the right law, their deviance is smaller by a chi-squared
+        number of k degrees of freedom (Wilks 1938).
+        """
+        from scipy.special import chdtri
+
+        more = sum(other.fit.starts.size for other in shorter) - longer.fit.starts.size
+        if more <= 0:
+            return True
+        rows_in_row = max(1.0, float(self.share.max()))  # errors of a result that lists some of its rows
+        return longer.cost - sum(other.cost for other in shorter) <= rows_in_row * float(chdtri(more, _LEVEL))
+
+
+@dataclass(frozen=True, eq=False)
+class EndState:
+    """The state at the last row, and the offsets: L = D + K numbers.
+
+    `mean` (L,) are their values, `by_constants` K (L, P) their derivatives by the constants, and `spread` (L, L) is
+    their covariance for known constants.
+    """
+
+    mean: FloatArray
+    by_constants: FloatArray
+    spread: FloatArray
+
+    def variances(self, constants: FloatArray) -> FloatArray:
+        """Return the variances (L,), with the covariance (P, P) of the constants."""
+        return np.asarray(np.diag(self.spread) + ((self.by_constants @ constants) * self.by_constants).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +183,27 @@ class StateFit:
     def cost(self) -> float:
         """The sum of squared residuals, each divided by the variance of its error."""
         return self.fit.estimator.cost(self.fit)
+
+    @cached_property
+    def end(self) -> EndState:
+        """The state at the last row of a single piece.
+
+        Before its first row, a state is only known to lie in the measured range: its prior standard deviation is the
+        standard deviation of the state.
+        """
+        fit, states = self.fit, len(self.measurements.scales)
+        fitted, local = fit.system.count, fit.starts.shape[1]
+        at_end = np.zeros((local, fitted + local))
+        at_end[:states, : fitted + states] = fit.integrated_sensitivities()[-1][:, : fitted + states]
+        at_end[states:, fitted + states :] = np.eye(local - states)
+        scales = self.measurements.scales
+        before = 1.0 / np.append(scales, scales[self.measurements.offset]) ** 2
+        own = np.linalg.pinv(fit.blocks.own[0] + np.diag(before), hermitian=True)
+        return EndState(
+            np.concatenate([fit.simulated[:, -1], fit.starts[0, states:]]),
+            at_end[:, :fitted] - at_end[:, fitted:] @ own @ fit.blocks.coupling[0].T,
+            at_end[:, fitted:] @ own @ at_end[:, fitted:].T,
+        )
 
 
 def cut(trajectory: TrajectoryMeasurements, ranges: Sequence[Sequence[int]]) -> TrajectoryMeasurements:
