@@ -1,6 +1,7 @@
 """Draws of the constants of a fitted system from their distribution given the data.
 
-The first draws are normal, with the covariance of the fit. Where the data determine a constant badly, such draws may
+The first draws are normal, with the covariance of the fit and a prior standard error of 100 % (`EquationSetFit.root`).
+Where the data determine a constant badly, such draws may
 contradict them: a denominator changes its sign, or two changes that cancel to first order no longer cancel. So each
 draw is simulated along short pieces of the fitted trajectories. There the deviance of a right approximation is the
 quadratic function that follows from the sensitivities. A larger deviance is added to the deviance of the draw. Draws
@@ -45,7 +46,7 @@ def draw_constants(fitted: EquationSetFit, count: int, random: np.random.Generat
     variances = freedom / random.chisquare(freedom, size)
     if not len(values):
         return np.zeros((count, 0)), variances[:count]
-    excess, root = _Excess(fitted), root_of(fitted.bounded_covariance)
+    excess, root = _Excess(fitted), fitted.root
 
     def at(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return constants (M, P) and deviances (M,) of points (M, P) in units of the normal distribution."""
@@ -77,12 +78,6 @@ def _resampled(weights: FloatArray, count: int, random: np.random.Generator) -> 
     """Return `count` indices, each as often as its weight requires, up to less than one (systematic resampling)."""
     places = (random.random() + np.arange(count)) / count
     return np.minimum(np.searchsorted(np.cumsum(weights), places), len(weights) - 1)
-
-
-def root_of(covariance: FloatArray) -> FloatArray:
-    """Return a root W of a covariance W W'."""
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 class _Excess:

@@ -2,20 +2,22 @@
 
 How it works. The state at the last row is fitted to the last rows of the trajectory, the window, with the constants of
 the result (ADR 0109). Windows are doubled as long as one simulation describes both halves (`states`): errors that grow
-(chaos), and effects that the law misses, end them. Of these windows, the one is taken from which the last state is
-known best: errors of the constants grow along a window. Then draws are simulated. Each draw has constants (`draws`)
-and a state at the last row that belongs to these constants. If other systems describe the measurements of the result
-about as well, each of them gets its share of the draws: its Akaike weight (`alternatives`). Quantiles of the draws are
-the bands.
+(chaos), and effects that the law misses, end them. Of these windows, the longest one is taken from which the last state
+is known well. Then draws are simulated. Each draw has constants (`draws`) and a state at the last row that belongs to
+these constants. If other systems describe the measurements of the result about as well, each of them gets its share of
+the draws: its Akaike weight (`alternatives`). Quantiles of the draws are the bands.
 
 The horizon. Without a forecast, the best guess of a state is the range that holds 95 % of its measured values. A
 forecast is worth one bit if its 95 % band is half as wide as this range. The horizon of a state ends where the band
 becomes wider. The range also contains the median of the forecast up to that time: a state that grows beyond all
 measured values needs no narrower band than before.
 
-Doubtful: for given constants, the drawn states at the last row are normal, and shifted to first order. The bands assume
-that one of the drawn systems is right, and contain no measurement errors. For a stochastic process, the last row counts
-as exact, and so do the constants. Letters: D states, U inputs, K offsets, P constants, N times, M draws, R rows.
+Doubtful: a window that is shorter than the fit of the constants shares its rows with them, so that the band at the last
+row may be too narrow, by a fifth for a straight line. For given constants, the drawn states at the last row are normal,
+and they follow the constants to first order. The bands assume that one of the drawn systems is right, and contain no
+measurement errors. For a stochastic process, the last row counts as exact, and so do the constants.
+
+Letters: D states, U inputs, K offsets, P constants, N times, M draws, R rows.
 """
 
 import csv
@@ -30,8 +32,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from atoll.experiments.alternatives import WeightedSystem, alternatives_of
-from atoll.experiments.draws import draw_constants, root_of
-from atoll.experiments.fits import config_of
+from atoll.experiments.draws import draw_constants
+from atoll.experiments.fits import config_of, eigenaxes
 from atoll.experiments.states import KnownLaw, StateFit, cut
 from atoll.model.arguments import GivenInputs, InputFunctions, inputs_along, values_of_curve
 from atoll.model.core import ModelCore
@@ -227,10 +229,10 @@ class Forecast:
     def _horizon_sentence(self) -> str:
         if self.horizon is None:
             return f"the forecast of each state is informative to its end, {self.time} = {self.t[-1]:.6g}"
-        ends = [
-            f"of {state} {'to the end' if end is None else f'until {self.time} = {float(self.t[0]) + end:.4g}'}"
-            for state, end in self.horizons.items()
-        ]
+        ends = []
+        for state, end in self.horizons.items():
+            until = f"until {self.time} = {float(self.t[0]) + (end or 0.0):.4g}" if end else "at no time"
+            ends.append(f"of {state} {'to the end' if end is None else until}")
         return (
             f"the forecast is informative {', '.join(ends)}; then its 95 % band is wider than half of the range of "
             "95 % of the measured values"
@@ -324,7 +326,8 @@ def forecast(result: Result, request: ForecastRequest, table: Table | None = Non
             "the law cannot be simulated along the last rows, so the state at the last row is not known; give other "
             "rows with data"
         )
-    times = request.times(float(last.times[-1]) + law.offset)
+    past = law.times_of(last)
+    times = request.times(float(past[-1]))
     names = last.variables[len(law.states) :]
     inputs, notes = _inputs_after(model, dict(zip(names, last.inputs[:, -1].tolist(), strict=True)), times, u)
     course = _course(model, names, inputs, times)
@@ -339,7 +342,7 @@ def forecast(result: Result, request: ForecastRequest, table: Table | None = Non
         notes.append(f"{len(windows) - len(kept)} alternative systems cannot be simulated along the last rows")
     systems = [
         ForecastSystem(
-            each.fitted.texts(result), weight / total, float(window.measurements.times[0]) + law.offset,
+            each.fitted.texts(result), weight / total, float(past[-window.measurements.rows]),
             window.measurements.rows,
         )
         for each, weight, window in kept
@@ -351,7 +354,7 @@ def forecast(result: Result, request: ForecastRequest, table: Table | None = Non
         draws=draws,
         systems=tuple(sorted(systems, key=lambda system: -system.weight)),
         trajectory=law.measurements.names[int(last.owners[0])],
-        measured_t=last.times + law.offset,
+        measured_t=past,
         measured=dict(zip(observed, np.where(last.weights > 0.0, last.measured, np.nan), strict=True)),
         measured_range=_central_range(law.measurements.smoothed),
         noise=dict(zip(observed, law.noise.tolist(), strict=True)),
@@ -379,9 +382,12 @@ def _central_range(values: FloatArray) -> FloatArray:
 
 
 def _last_window(law: KnownLaw, trajectory: TrajectoryMeasurements) -> StateFit | None:
-    """Return the law along the window of last rows from which the last state is known best.
+    """Return the law along the longest window of last rows that tells the last state.
 
-    A window is twice as long as the previous one, as long as one simulation describes it as well as two.
+    A window is twice as long as the previous one, as long as one simulation describes it as well as two. Errors of the
+    constants grow along a window, so a longer one may tell less. The constants were fitted to the same rows: the
+    variance of the sum of two such errors is at most twice the sum of their variances. So a shorter window is
+    certainly better only if its variance is less than half.
     """
     rows, numbers = trajectory.rows, len(law.states) + len(trajectory.offset)
     length = min(max(_FEWEST_ROWS, math.ceil(_ROWS_PER_NUMBER * numbers / len(trajectory.observed))), rows)
@@ -397,13 +403,14 @@ def _last_window(law: KnownLaw, trajectory: TrajectoryMeasurements) -> StateFit 
             break
         last, length = both, longer
         windows.append(both)
-    constants, scales = law.fitted.bounded_covariance, trajectory.scales
-
-    def uncertainty(window: StateFit) -> float:
-        total = float((window.end.variances(constants)[: len(scales)] / scales**2).sum())
-        return total if math.isfinite(total) else math.inf
-
-    return min(windows, key=uncertainty, default=None)
+    constants, scales = law.fitted.root @ law.fitted.root.T, trajectory.scales
+    uncertainties = [
+        float(np.nan_to_num(window.end.variances(constants)[: len(scales)] / scales**2, nan=math.inf).sum())
+        for window in windows
+    ]
+    least = min(uncertainties, default=0.0)
+    kept = [window for window, uncertainty in zip(windows, uncertainties, strict=True) if uncertainty <= 2.0 * least]
+    return kept[-1] if kept else last
 
 
 def _draw(
@@ -415,7 +422,8 @@ def _draw(
         return np.zeros((0, len(course[0]), len(law.states)))
     end, states = window.end, len(law.states)
     constants, variances = draw_constants(law.fitted, count, random)
-    errors = random.standard_normal((count, len(end.mean))) @ root_of(end.spread).T
+    known, directions = eigenaxes(end.spread, 0.0)
+    errors = random.standard_normal((count, len(end.mean))) @ (directions * np.sqrt(known)).T
     ends = end.mean + (constants - law.fitted.values) @ end.by_constants.T + np.sqrt(variances)[:, None] * errors
     starts = _with_kept_signs(law, window, ends[:, :states])
     paths = _paths(law, window, starts, constants, course)

@@ -176,10 +176,10 @@ def _smoothed(law: KnownLaw, name: str, trajectory: TrajectoryMeasurements, widt
     measurements, fit = found.measurements, found.fit
     whole = replace(measurements, observed=np.arange(len(law.states)))  # errors of velocities too
     values, _ = simulated_states(whole, fit, law.states)
-    errors = simulated_standard_errors(whole, fit, law.fitted.bounded_covariance, 1.0)
+    errors = simulated_standard_errors(whole, fit, law.fitted.root @ law.fitted.root.T, 1.0)
     measured = np.where(measurements.weights > 0.0, measurements.measured, np.nan)
     lengths = measurements.bounds[:, 1] - measurements.bounds[:, 0]
-    times = measurements.times + law.offset
+    times = law.times_of(measurements)
     return SmoothedTrajectory(
         name=name,
         t=times,

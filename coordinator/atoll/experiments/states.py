@@ -95,6 +95,10 @@ class KnownLaw:
         """The names of the D states; velocities follow the positions."""
         return self.measurements.variables[: len(self.measurements.scales)]
 
+    def times_of(self, measurements: TrajectoryMeasurements) -> FloatArray:
+        """Return the times (N,) of rows, as in the data: fits use centred times, whose sums have rounding errors."""
+        return np.array([float(f"{time:.12g}") for time in (measurements.times + self.offset).tolist()])
+
     def trajectories(self) -> Iterator[tuple[str, TrajectoryMeasurements]]:
         """Yield each trajectory with its name."""
         for owner in np.unique(self.measurements.owners).tolist():
