@@ -478,7 +478,7 @@ def _inputs_after(
     for name, value in u.items() if isinstance(u, Mapping) else ():
         if isinstance(value, InputCurve) and value.times[-1] < end:
             notes.append(
-                f"the values of the input {name} end at {model.time} = {value.times[-1]:.6g}; it keeps the last"
+                f"the values of the input {name} end at {model.time} = {value.times[-1]:.6g}; it keeps the last one"
             )
     return inputs, notes
 
