@@ -42,6 +42,7 @@ CONTENTS: Final = {
         "how-to/chaos",
         "how-to/forecasts",
         "how-to/prior-knowledge",
+        "how-to/known-part",
         "troubleshooting",
     ),
     "Reference": (

@@ -160,6 +160,15 @@ class SpaceConfig(Frozen):
         return self.terminals or max(PAPER_TERMINALS, variables + TERMINALS_BEYOND_VARIABLES)
 
 
+class ParameterConfig(Frozen):
+    """Bounds and start value of a parameter of given equations; None: no bound, or no start value."""
+
+    lower: float | None = None
+    upper: float | None = None
+    start: float | None = None
+    by_group: bool = Field(default=False, description="each group of trajectories has its own value")
+
+
 class PriorConfig(Frozen):
     """Prior knowledge as infix text over the table's symbols, by left-hand side such as `x` or `dx/dt`.
 
@@ -172,6 +181,13 @@ class PriorConfig(Frozen):
     known: dict[str, str] = Field(default_factory=dict, description="known equations, which are not searched")
     bounds: dict[str, tuple[str, ...]] = Field(
         default_factory=dict, description="bounds on constants, such as c > 0, by left-hand side; * for all equations"
+    )
+    equations: dict[str, str] = Field(
+        default_factory=dict,
+        description="given equations; their parameters are fitted, and ? stands for an unknown part, which is searched",
+    )
+    parameters: dict[str, ParameterConfig] = Field(
+        default_factory=dict, description="bounds and start values of parameters of given equations, by name"
     )
 
 

@@ -12,7 +12,7 @@ of the previous piece. Letters: O measured states, D states, P constants, K offs
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -30,23 +30,6 @@ from atoll_core.data.table import Table
 
 _LEVEL: Final = 0.01
 """Significance level at which one simulation is given up for several shorter ones."""
-
-
-@dataclass(frozen=True, eq=False)
-class _WindowMeasurements(TrajectoryMeasurements):
-    """Measurements whose parts keep the range of all trajectories: a few rows have a range as small as their noise."""
-
-    range: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-
-    @cached_property
-    def limits(self) -> FloatArray:
-        """Range (D, 2) outside of which a simulated state has blown up."""
-        return self.range
-
-    @classmethod
-    def of(cls, whole: TrajectoryMeasurements) -> "_WindowMeasurements":
-        """Return the same measurements."""
-        return cls(**{each.name: getattr(whole, each.name) for each in fields(whole)}, range=whole.limits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +70,7 @@ class KnownLaw:
         parts = tuple(replace(part, held_out=False) for part in target.recording.trajectories)
         longest = max(len(part.times) for part in parts)
         whole = measurements_of(replace(target.recording, trajectories=parts), target.modelled, piece=longest)
-        measurements = _WindowMeasurements.of(whole)
+        measurements = replace(whole, known_limits=whole.limits)  # a few rows have a range as small as their noise
         return cls(fitted, measurements, target.recording.offset, noise, target.share, target.source)
 
     @property
@@ -198,7 +181,7 @@ class StateFit:
         fit, states = self.fit, len(self.measurements.scales)
         fitted, local = fit.system.count, fit.starts.shape[1]
         at_end = np.zeros((local, fitted + local))
-        at_end[:states, : fitted + states] = fit.integrated_sensitivities()[-1][:, : fitted + states]
+        at_end[:states, : fitted + states] = fit.integrated_sensitivities()[-1][:states, : fitted + states]
         at_end[states:, fitted + states :] = np.eye(local - states)
         scales = self.measurements.scales
         before = 1.0 / np.append(scales, scales[self.measurements.offset]) ** 2

@@ -3,7 +3,7 @@
 import numpy as np
 
 from atoll_coordinator.data.outline import describe, outline
-from atoll_core.config import BudgetConfig, DataConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll_core.config import BudgetConfig, DataConfig, JobConfig, ParameterConfig, PriorConfig, SpaceConfig
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 TABLE = table_of(oscillator())
@@ -52,3 +52,75 @@ def test_what_is_known_of_a_diffusion_is_said():
     )
     lines = describe(table_of(oscillator(120)), config).split("\n")
     assert lines[-2:] == ["known: d[x]/dt = 0.25", "bounds: d[y]/dt: c > 0.1"]
+
+
+GIVEN = JobConfig(
+    prior=PriorConfig(
+        equations={"dx": "-k*x + ?(y)", "dy": "c/2 - a*y"},
+        parameters={
+            "k": ParameterConfig(lower=0.1, upper=10.0),
+            "a": ParameterConfig(start=3.0),
+            "c": ParameterConfig(lower=2.0),
+        },
+    ),
+    space=SpaceConfig(operators=("+", "*")),
+)
+
+
+def test_of_a_given_equation_its_unknown_part_is_searched_and_its_parameters_are_listed():
+    assert outline(TABLE, GIVEN).as_text().split("\n")[:7] == [
+        "1 equation would be searched:",
+        "  dx/dt = -k*x + ?(y)",
+        "    searched: ? of dx/dt, from y, of + *",
+        "  dy/dt = c/2 - a*y (given)",
+        "  parameter k: 0.1 to 10, beginning at 1",
+        "  parameter c: at least 2, beginning at 2",
+        "  parameter a: beginning at 3",
+    ]
+    assert describe(TABLE, GIVEN).split("\n")[-2:] == ["given: dx/dt = -k*x + ?(y)", "given: dy/dt = c/2 - a*y"]
+
+
+def test_an_outline_for_programs_has_given_equations_as_mathml_and_nothing_new_without_them():
+    made = outline(TABLE, GIVEN).as_dict()
+    first, second = made["equations"]
+    assert (first["given"], first["unknown"], first["variables"]) == ("-k*x + ?(y)", "?", ["y"])
+    assert (second["given"], second["unknown"]) == ("c/2 - a*y", "")
+    assert first["mathml"].startswith("<math ")
+    assert '<mi class="unknown">?</mi>' in first["mathml"]
+    assert made["parameters"] == ["k: 0.1 to 10, beginning at 1", "c: at least 2, beginning at 2", "a: beginning at 3"]
+    plain = outline(TABLE, JobConfig()).as_dict()
+    assert "parameters" not in plain
+    assert set(plain["equations"][0]) == {"lhs", "variables", "operators", "known", "guesses"}
+
+
+def with_units(**units):
+    config = GIVEN.model_copy(update={"data": DataConfig(units=units)})
+    return outline(TABLE, config)
+
+
+def test_units_of_unknown_parts_and_parameters_follow_from_the_units_of_the_columns():
+    plan = with_units(x="m", y="m", t="s")
+    assert "searched: ? [m/s] of dx/dt" in plan.as_text()
+    assert plan.as_dict()["parameters"] == [
+        "k [1/s]: 0.1 to 10, beginning at 1",
+        "c: at least 2, beginning at 2",  # c/2: the number may have a unit as well
+        "a [1/s]: beginning at 3",
+    ]
+    assert plan.as_dict()["equations"][0]["unit"] == "m/s"
+    assert plan.warnings == ()
+
+
+def test_given_terms_with_impossible_units_are_a_warning():
+    prior = PriorConfig(equations={"dx": "-k*x + exp(y)"})
+    config = JobConfig(prior=prior, data=DataConfig(units={"x": "m", "y": "m", "t": "s"}))
+    (warning,) = outline(TABLE, config).warnings
+    assert "given equation of 'x'" in warning
+    assert "argument y of a function has the unit m" in warning
+
+
+def test_units_of_second_derivatives_and_velocities():
+    prior = PriorConfig(equations={"d2x": "-k*x - c*x_dot + ?"})
+    config = JobConfig(prior=prior, data=DataConfig(order=2, states=("x",), units={"x": "m", "t": "s"}))
+    plan = outline(TABLE, config)
+    assert plan.parameters == ("k [1/s^2]: beginning at 1", "c [1/s]: beginning at 1")
+    assert "searched: ? [m/s^2] of d2x/dt2" in plan.as_text()

@@ -78,3 +78,17 @@ def test_sympy_takes_any_name_for_a_symbol(name: str) -> None:
 
 def test_a_name_is_the_same_on_both_sides_of_an_equation() -> None:
     assert to_mathml(from_infix("x_1", ("x_1",)), ("x_1",)) in left_side_to_mathml("dx_1/dt")
+
+
+def test_the_mark_of_an_unknown_part_has_a_box() -> None:
+    names = ("x", "?", "?12")
+    program = from_infix("x*a + b", ("x", "a", "b"))
+    assert to_latex(program, names) == r"\boxed{?}_{12} + x \boxed{?}"
+    assert '<msub><mi class="unknown">?</mi><mn>12</mn></msub>' in to_mathml(program, names)
+
+
+def test_mathml_may_have_the_order_in_which_an_expression_was_written() -> None:
+    names = ("x", "y")
+    program = from_infix("y*x - 0.12345678*x + 2", names)
+    told = "".join(ElementTree.fromstring(to_mathml(program, names, digits=None)).itertext())
+    assert told.replace("\u2062", "").replace("\u00b7", "") == "yx-0.12345678x+2"
