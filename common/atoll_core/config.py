@@ -115,13 +115,21 @@ class DataConfig(Frozen):
     sheet: str | None = Field(
         default=None, description="sheet of an Excel workbook (default: the first sheet with a table)"
     )
-    hidden: tuple[str, ...] = Field(default=(), description="states of the given equations that no column measures")
+    hidden: tuple[str, ...] = Field(
+        default=(),
+        description="states of the given equations that no column measures; without given equations, their number",
+    )
     observe: dict[str, str] = Field(
         default_factory=dict, description="columns that are no states, each as an expression of states and parameters"
     )
     missing_values: tuple[float, ...] = Field(
         default=(), description="numbers that stand for missing values, which are dropped, such as -9999"
     )
+
+    @property
+    def hidden_count(self) -> int | None:
+        """The number of hidden states if `hidden` is a number; None if it names the states."""
+        return int(self.hidden[0]) if len(self.hidden) == 1 and self.hidden[0].isdecimal() else None
 
 
 class SpaceConfig(Frozen):

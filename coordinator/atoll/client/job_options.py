@@ -113,6 +113,14 @@ def names(value: object, field: Field, noun: str = "column") -> tuple[str, ...]:
     return parts
 
 
+def hidden_states(value: object, field: Field) -> tuple[str, ...]:
+    """Return the names of hidden states, or their number as the only text."""
+    found = names(value, field, "state")
+    if len(found) > 1 and any(part.isdecimal() for part in found):
+        raise UsageError("%s must be names of states or one number, but %r was given", field, value)
+    return found
+
+
 def epochs(value: object, field: Field) -> tuple[int | None, dict[str, int] | None]:
     """Return the epochs for all equations and by variable, from ``50``, ``x=20,y=12``, both, or a mapping."""
     if isinstance(value, Mapping):
@@ -308,7 +316,10 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("only", "data.only", names, "x", "search only these equations; they may use all states"),
         Option("offsets", "data.offsets", names, "x", "states with an unknown offset, fitted for each trajectory"),
         Option("step", "data.step", number, "0.1", "time between rows, if no column has times"),
-        Option("hidden", "data.hidden", names, "h", "states of given equations that no column measures"),
+        Option(
+            "hidden", "data.hidden", hidden_states, "h",
+            "states of given equations that no column measures; without equations, their number",
+        ),
         Option(
             "observe", "data.observe", partial(by_equation, example="y=a*h + b", noun="the column"), "y=a*h + b",
             "a column that is no state, as an expression of states and parameters", is_repeatable=True,

@@ -128,7 +128,8 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
     given = sides.single("--known", config.prior.known) | sides.single("--equation", config.prior.equations)
     equations = tuple(name for name in names if not only or name in only or name in given)
     resolved = resolve_prior(config, equations, symbols)
-    check_hidden_states(template_of(resolved, tuple(symbols.values())), roles, symbols)
+    if not config.data.hidden_count:
+        check_hidden_states(template_of(resolved, tuple(symbols.values())), roles, symbols)
     return resolved, equations
 
 

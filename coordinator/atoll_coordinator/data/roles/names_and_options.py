@@ -44,6 +44,9 @@ _EXCLUSIONS: Final = (
     ("hidden", "stochastic", "the likelihood of a step needs all states"),
     ("hidden", "order", "write the velocities as states of their own"),
     ("hidden", "group per_trajectory", "constants by group need all states measured"),
+    ("hidden_count", "offsets", "neither the offsets nor the hidden state would be determined"),
+    ("hidden_count", "only", "the course of a hidden state follows from the equations of all states"),
+    ("hidden_count", "observe", "name the hidden states, and give their equations with --equation"),
     ("observe", "target derivatives stochastic", "columns are computed from states along trajectories"),
     ("observe", "order", "write the velocities as states of their own"),
     ("observe", "group per_trajectory", "constants by group need all states measured"),
@@ -142,7 +145,8 @@ def check_options(config: DataConfig) -> None:
     for name, others, reason in _EXCLUSIONS:
         for other in others.split():
             if is_set(name) and is_set(other):
-                fields = (Field(option, 2 if option == "order" else None) for option in (name, other))
+                option = "hidden" if name == "hidden_count" else name
+                fields = (Field(option, 2 if option == "order" else None) for option in (option, other))
                 raise UsageError(f"%s and %s exclude each other; {reason}", *fields)
     if config.derivatives is not None and config.states is not None and len(config.derivatives) != len(config.states):
         counts = f"{len(config.states)} states and {len(config.derivatives)} derivatives"
@@ -174,6 +178,10 @@ def check_given_equations(config: JobConfig) -> None:
         if one.by_group and data.group is None and not data.per_trajectory:
             groups = (Field("parameter"), Field("group"), Field("per_trajectory"))
             raise UsageError(f"%s {name} differs between groups, but there are none; add %s or %s", *groups)
+    if data.hidden_count is not None and (prior.known or config.preset == "paper"):
+        other = Field("known") if prior.known else Field("preset", "paper")
+        reason = "the equations of a hidden state without a name are found together with all others"
+        raise UsageError(f"%s as a number and %s exclude each other; {reason}", Field("hidden"), other)
     if not prior.equations:
         if prior.parameters:
             name = next(iter(prior.parameters))
@@ -183,6 +191,11 @@ def check_given_equations(config: JobConfig) -> None:
     for option, reason in _WITHOUT_EQUATIONS:
         if getattr(data, option) not in (None, False):
             raise UsageError(f"%s and %s exclude each other; {reason}", Field("equation"), Field(option))
+    if data.hidden_count is not None:
+        raise UsageError(
+            "%s is a number, but there are equations by %s; name the hidden states instead, and give the equation of "
+            "each", Field("hidden"), Field("equation")
+        )  # fmt: skip
     if config.preset == "paper":
         reason = "the algorithm of the paper has no given equations"
         raise UsageError(f"%s and %s exclude each other; {reason}", Field("equation"), Field("preset", "paper"))

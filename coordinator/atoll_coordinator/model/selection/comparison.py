@@ -197,6 +197,16 @@ class ModelComparison:
         return self.constraints.template
 
     @property
+    def is_complete(self) -> bool:
+        """Whether the equations have no unknown part of an equation that is not compared here."""
+        template = self.template
+        return template is None or all(
+            template.unknowns[place].home in template.equations
+            for name in template.equations
+            for place in template.unknowns_in(name)
+        )
+
+    @property
     def held(self) -> frozenset[int]:
         """The equations, by index, whose constants are given, too, and not fitted."""
         template = self.template

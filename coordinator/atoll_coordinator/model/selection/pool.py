@@ -111,5 +111,9 @@ def _programs_of_search(task: ModellingTask, name: str) -> list[Program]:
 
 
 def _rank_alone(task: ModellingTask, name: str, whole: ModelComparison) -> RankedCandidates:
-    measurements = task.measurements([name]).thin(SETTINGS.selection.compared_rows)
+    measurements = task.measurements([name])
+    if measurements.hidden:  # its estimated course is as uncertain as the measured states
+        noise = max(smoothing.relative_noise for smoothing in task.recording.smoothing)
+        measurements = measurements.with_measured_course(noise)
+    measurements = measurements.thin(SETTINGS.selection.compared_rows)
     return RankedCandidates(task.make_comparison(measurements, [name]), task.dataset.problem(name), whole)

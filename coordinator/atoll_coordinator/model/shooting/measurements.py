@@ -273,6 +273,15 @@ class TrajectoryMeasurements:
         scales[hidden] = _sizes_of(course[hidden])
         return replace(self, smoothed=smoothed, scales=scales)
 
+    def with_measured_course(self, relative_noise: float) -> "TrajectoryMeasurements":
+        """Return the measurements as if the smoothed states were measured, with errors of this share of their standard
+        deviations. So an equation of a hidden state can be fitted to its estimated course."""
+        return replace(
+            self, measured=self.smoothed, weights=np.ones_like(self.smoothed), noise=relative_noise * self.scales,
+            observed=np.arange(len(self.smoothed)), hidden=(), consistency=None, inverse_variances=None, resting=None,
+            rounding=None, column_scales=None, column_course=None,
+        )  # fmt: skip
+
     def thin(self, most: int) -> "TrajectoryMeasurements":
         """Return pieces of the trajectories with about `most` rows in total; both early and late pieces are selected.
 

@@ -119,6 +119,9 @@ class HiddenCourse:
         if not recording.hidden:
             return dataset
         inputs, targets = dataset.inputs.copy(), list(dataset.targets)
+        measured = [target for target in targets if target.variable not in recording.hidden]
+        uncertainty = max((target.uncertainty for target in measured), default=1.0)
+        noise = max((target.noise for target in measured), default=1.0)
         places = [dataset.names.index(symbol) for symbol in recording.state_symbols[-len(recording.hidden) :]]
         rows = inputs[places[0]].astype(np.int64)
         for name, place in zip(recording.hidden, places, strict=True):
@@ -128,7 +131,10 @@ class HiddenCourse:
             if index is not None:
                 values = self.rates[own, rows]
                 scale = float(values.std()) or 1.0
-                targets[index] = replace(targets[index], values=values, standard_deviation=scale)
+                # the course follows the measured states, so it is about as uncertain as they are
+                targets[index] = replace(
+                    targets[index], values=values, standard_deviation=scale, uncertainty=uncertainty, noise=noise
+                )
         return replace(dataset, inputs=np.ascontiguousarray(inputs), targets=tuple(targets))
 
 
