@@ -175,6 +175,12 @@ class OdeSystem:
         shares = np.clip(change / np.where(self.is_logarithmic, values, 1.0), -1.0, 1.0)
         return self.with_values(np.where(self.is_logarithmic, values * np.exp(shares), values + change))
 
+    def in_logarithms(self) -> "OdeSystem":
+        """Return the system with all numbers fitted in logarithms whose two bounds have the same sign."""
+        if self.lower is None or self.upper is None:
+            return self
+        return replace(self, is_logarithmic=self.lower * self.upper > 0.0)
+
     def sharing_numbers(self, constants: FloatArray, shared: Collection[SharedNumber], leading: int = 0) -> "OdeSystem":
         """Return the system with one fitted number for each group and constant, except for the `shared` numbers.
 
