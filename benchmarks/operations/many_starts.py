@@ -2,11 +2,11 @@
 
 ``python -m benchmarks.operations.many_starts glycolysis --rows 60 --noise 0.05`` draws start values of all parameters
 within their bounds. It fits each start in three ways: to whole trajectories with linear steps, to whole trajectories
-with steps in logarithms, and to growing horizons. It prints how many starts of each way reach the best minimum (within
-2 nats), and the processor time of all starts. The last line is `fit_from_many_starts`: the number of starts, how often
-the best minimum was reached, and the largest relative error of a parameter. ``--noise`` is a share of each column's
-mean (glycolysis) or of its standard deviation. Glycolysis is the system of Philipps et al. 2025, t <= 1.5, with all 12
-parameters and the unknown rest k A3 free, and given initial values.
+with steps in logarithms, and to growing horizons with the prior of the bounds. It prints how many starts of each way
+reach the best minimum (within 2 nats), and the processor time of all starts. The last line is `fit_from_many_starts`:
+the number of starts, how often the best minimum was reached, and the largest relative error of a parameter. ``--noise``
+is a share of each column's mean (glycolysis) or of its standard deviation. Glycolysis is the system of Philipps et al.
+2025, t <= 1.5, with all 12 parameters and the unknown rest k A3 free, and given initial values.
 """
 
 import math
