@@ -22,52 +22,6 @@ from tests.batches import ScatteredBatches
 from tests.unit.coordinator.model.shooting.given import FREE, Bounds, given_system, measured_columns, ranges
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, Known, recording
 
-<<<<<<< HEAD
-Bounds = tuple[float, float]
-FREE = (-np.inf, np.inf)
-
-
-def given_system(
-    sides: Mapping[str, str], states: Sequence[str], parameters: Mapping[str, Bounds], inputs: Sequence[str] = ()
-) -> tuple[OdeSystem, list[str]]:
-    """Return the system of `sides`, first of the states, then of columns; and the name of each fitted number."""
-    names = (*states, *inputs)
-    template = read_template(sides, {name: TemplateParameter(name, *parameters[name]) for name in parameters}, names)
-    whole = template.for_equations(list(sides))
-    assert whole is not None
-    made = whole.compose([], template.starts)
-    system = system_of(made.programs, names, names, made.fixed, observations=len(sides) - len(states))
-    shared = [tuple((place, 1.0) for place in places) for places in made.parameters]
-    system = system.sharing_numbers(system.constants[None], shared)
-    order: dict[int, TemplateParameter] = {}
-    for parameter, places in zip(template.parameters, made.parameters, strict=True):
-        node = system.firsts[places[0][0]] + places[0][1]
-        order[int(system.columns[0, system.places.tolist().index(node)])] = parameter
-    numbers = [order[column] for column in range(system.count)]
-    lower, upper = (np.array([getattr(number, end) for number in numbers]) for end in ("lower", "upper"))
-    system = replace(system, lower=lower, upper=upper, is_logarithmic=lower > 0.0)
-    return system.with_values(np.array([number.first_value for number in numbers])), [one.name for one in numbers]
-
-
-def measured_columns(
-    values: FloatArray, times: FloatArray, names: Sequence[str], noise: FloatArray | float
-) -> TrajectoryMeasurements:
-    """Return the measurements of one trajectory of columns (O, N)."""
-    return TrajectoryMeasurements(
-        bounds=np.array([[0, len(times)]]), owners=np.zeros(1, np.int64), times=times, measured=values,
-        weights=np.ones_like(values), smoothed=values, observed=np.arange(len(values)),
-        inputs=np.zeros((0, len(times))), input_slopes=np.zeros((0, len(times))), scales=values.std(axis=1),
-        noise=np.broadcast_to(noise, len(values)), offset=np.zeros(0, np.int64), variables=tuple(names), names=("1",),
-    )  # fmt: skip
-
-
-def ranges(times: FloatArray, *bounds: Bounds) -> InitialRanges:
-    lower, upper = np.array(bounds).T
-    return InitialRanges(times[:1], lower[None], upper[None])
-
-
-=======
->>>>>>> main
 # A drug in two compartments; only the first one is measured.
 
 DRUG = {"c": "-k*c - a*c + b*p", "p": "a*c - b*p"}
