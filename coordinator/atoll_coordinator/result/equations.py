@@ -183,6 +183,34 @@ class Member(Part):
     selected: Flag = Field(default=False, description="whether the displayed equation was derived from it")
 
 
+class UnknownPart(Part):
+    """An unknown part of a given equation, as it was found."""
+
+    label: Text = Field(description="`?`, or `?1` if it has a number")
+    expression: Text = Field(description="the expression that was found")
+    program: Text | None = Field(default=None, description="its operation list, hexadecimal")
+
+
+class GivenSide(Part):
+    """A right-hand side from `--equation`: its parameters, and its unknown parts as they were found."""
+
+    text: Text = Field(description="the right-hand side as the user wrote it")
+    parameters: dict[Text, Count] = Field(
+        default_factory=dict, description="position of each parameter in the list `constants`, from 0"
+    )
+    unknowns: tuple[UnknownPart, ...] = Field(default=(), description="the unknown parts")
+
+
+class Observation(Part):
+    """A measured column that is computed from states, from `--observe`."""
+
+    column: Text = Field(description="name of the column")
+    expression: Text = Field(description="the expression with its fitted constants")
+    program: Text | None = Field(default=None, description="its operation list, hexadecimal")
+    constants: tuple[Constant, ...] = Field(default=(), description="constants in the order of `program`")
+    given: GivenSide | None = Field(default=None, description="the expression as the user wrote it")
+
+
 class Equation(Part):
     """One displayed equation, and how it was found; `expression` is null if no equation was found."""
 
@@ -201,6 +229,7 @@ class Equation(Part):
     r2: Number = Field(default=None, description="R2 on the target")
     converged: Flag | None = Field(default=None, description="whether the error is at most `target_error`")
     constants: tuple[Constant, ...] = Field(default=(), description="constants in the order of `program`")
+    given: GivenSide | None = Field(default=None, description="the side from `--equation`, missing without one")
     simple_together: SimpleTogether | None = Field(
         default=None, description="simple numbers for several constants, null if none are likely"
     )
