@@ -48,10 +48,8 @@ class TemplateChecks(TrajectoryChecks):
         if share <= most:
             reason = f"errors are {format_percent(share)} of the variance of the hidden state"
             return Finding("passed", reason, share, most)
-        reason = (
-            f"the data do not determine the hidden state {self.name} (its errors are {format_percent(share)} of its "
-            "variance)"
-        )
+        size = f"{format_percent(share)} of" if share < 1.0 else "larger than"
+        reason = f"the data do not determine the hidden state {self.name} (its errors are {size} its variance)"
         advice = "give initial values with --initial, parameters as numbers, or bounds"
         return Finding("failed", reason, share, most, advice=advice)
 
