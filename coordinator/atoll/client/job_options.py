@@ -390,7 +390,8 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option(
             "initial", "prior.initial", parameters, "h=0..10",
-            "initial value of a state of given equations: its bounds, or its value (h=0)", is_repeatable=True,
+            "value of a state of given equations at the first row of each trajectory (h=10), or bounds on it",
+            is_repeatable=True,
         ),
         Option("islands", "evolution.islands", whole, "K", "islands per state variable (default: 8)"),
         Option("max_size", "space.max_size", whole, "N", "largest complexity of an equation (default: no limit)"),

@@ -30,6 +30,8 @@ from atoll_core.data.table import Table
 
 _LEVEL: Final = 0.01
 """Significance level at which one simulation is given up for several shorter ones."""
+_SHORTEST: Final = 3
+"""Rows of the shortest pieces of a fit. From the measured first state, a law may blow up within a few rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +81,8 @@ class KnownLaw:
         return self.measurements.variables[: len(self.measurements.scales)]
 
     def times_of(self, measurements: TrajectoryMeasurements) -> FloatArray:
-        """Return the times (N,) of rows, as in the data: fits use centred times, whose sums have rounding errors."""
-        return np.array([float(f"{time:.12g}") for time in (measurements.times + self.offset).tolist()])
+        """Return the times (N,) of rows, as in the data: fits use centred times."""
+        return rounded_times(measurements.times + self.offset)
 
     def trajectories(self) -> Iterator[tuple[str, TrajectoryMeasurements]]:
         """Yield each trajectory with its name."""
@@ -100,7 +102,7 @@ class KnownLaw:
         estimator = MultipleShooting(measurements, fitted.fit.estimator.tolerance)
         best = estimator.fit(fixed, None, steps, starts, errors, is_stiff=fitted.fit.is_stiff)
         if best is None or not _is_like_noise(best, measurements):
-            staged = fit_in_stages(estimator, fixed, (*SETTINGS.shooting.lengths[:2], None), steps)
+            staged = fit_in_stages(estimator, fixed, (_SHORTEST, *SETTINGS.shooting.lengths[:2], None), steps)
             if staged is not None:
                 staged = estimator.fit(fixed, None, steps, staged.starts, errors, is_stiff=staged.is_stiff)
             found = [fit for fit in (best, staged) if fit is not None]
@@ -191,6 +193,11 @@ class StateFit:
             at_end[:, :fitted] - at_end[:, fitted:] @ own @ fit.blocks.coupling[0].T,
             at_end[:, fitted:] @ own @ at_end[:, fitted:].T,
         )
+
+
+def rounded_times(times: FloatArray) -> FloatArray:
+    """Return times (N,) without the rounding errors of sums."""
+    return np.array([float(f"{time:.12g}") for time in times.tolist()])
 
 
 def cut(trajectory: TrajectoryMeasurements, ranges: Sequence[Sequence[int]]) -> TrajectoryMeasurements:

@@ -211,6 +211,19 @@ class Source:
     read_as: str = ""
 
 
+@dataclass(frozen=True)
+class FoundMinima:
+    """What fits of a template from many `starts` found: `reached` fits ended at the best minimum.
+
+    `rivals` are the other minima that describe the rows almost as well: by how many nats each is worse, and its values
+    of the parameters.
+    """
+
+    starts: int
+    reached: int
+    rivals: tuple[tuple[float, tuple[float, ...]], ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Preparation:
     """The result of preparing a table.
@@ -223,7 +236,7 @@ class Preparation:
     If the left-hand sides were given, `counted` has the rows that fits use, with the `weights`. It includes rows whose
     weight is too small for the search, which gives all its rows equal weight. `counted` None: the rows of `dataset`;
     `weights` None: all are 1. `source` is the table; None: not known. `parameters` are the parameters of the job's
-    template as the derivatives determine them; fits start with them.
+    template as the derivatives determine them, or a fit from many starts (`minima`); fits start with them.
     """
 
     dataset: Dataset
@@ -234,6 +247,7 @@ class Preparation:
     source: Source | None = None
     counted: Dataset | None = None
     parameters: tuple[float, ...] = ()
+    minima: "FoundMinima | None" = None
 
 
 def by_group(preparation: Preparation) -> Iterator[Preparation]:

@@ -5,7 +5,7 @@ and more than a constant. A parameter must be determined by the data, and its be
 """
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from atoll_coordinator.model.refinement import JobKind, Refined
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import variables_of
+
+_LEAST_REACHED: Final = 2
+"""Fewest fits that must end at the best minimum: a minimum that is met once may be one of many."""
 
 
 class TemplateChecks(TrajectoryChecks):
@@ -46,10 +49,8 @@ class TemplateChecks(TrajectoryChecks):
         if share <= most:
             reason = f"errors are {format_percent(share)} of the variance of the hidden state"
             return Finding("passed", reason, share, most)
-        reason = (
-            f"the data do not determine the hidden state {self.name} (its errors are {format_percent(share)} of its "
-            "variance)"
-        )
+        size = f"{format_percent(share)} of" if share < 1.0 else "larger than"
+        reason = f"the data do not determine the hidden state {self.name} (its errors are {size} its variance)"
         advice = "give initial values with --initial, parameters as numbers, or bounds"
         return Finding("failed", reason, share, most, advice=advice)
 
@@ -85,6 +86,38 @@ class TemplateChecks(TrajectoryChecks):
             f"(Δ description length {gain:.2g}; {least} is needed)"
         )
         return Finding("failed", reason, gain, least)
+
+    def check_starting_values(self) -> Finding:
+        """Check that the fits from many starts agree on one minimum, so that a better one is unlikely.
+
+        Another minimum contradicts it if it describes the rows about as well, and has a parameter that is outside of
+        its 95 % interval. Parameters that the data do not determine are not counted: `check_constants` reports them.
+        """
+        minima = self.final.task.minima
+        if minima is None:
+            return Finding("not applicable", "the parameters were estimated from derivatives")
+        if minima.reached < _LEAST_REACHED:
+            reason = (
+                f"only one of {minima.starts} fits from different starts reached the best fit: a better one may exist"
+            )
+            return Finding("not made", reason, advice="give narrower bounds with --parameter, or start values")
+        template = self.final.comparison.template
+        known = {
+            name: constant.interval
+            for equation in (self.shown, *(other.shown for other in self.equations))
+            for constant, name in zip(equation.constants, equation.parameters, strict=False)
+            if name is not None and constant.interval is not None and constant.identifiable
+        }
+        for nats, values in minima.rivals:
+            for parameter, value in zip(template.parameters if template else (), values, strict=True):
+                low, high = known.get(parameter.name, (None, None))
+                if low is not None and high is not None and not low <= value <= high:
+                    reason = (
+                        f"another fit describes the rows about as well ({nats:.2g} nats) with {parameter.name} = "
+                        f"{value:.3g}"
+                    )
+                    return Finding("failed", reason, nats, SETTINGS.inference.distinct_nats)
+        return Finding("passed", f"{minima.reached} of {minima.starts} fits from different starts reached the best fit")
 
     def check_constants(self) -> Finding | None:
         """Check that the data determine all constants and parameters, and that none lies on a bound."""

@@ -446,9 +446,7 @@ class ModelComparison:
             system = system.sharing_numbers(system.constants[None], shared.values(), before)
             if system.sharing is not None and lower is not None and upper is not None:
                 lower, upper = system.sharing.ranges(lower, upper)
-        system = replace(system, lower=lower, upper=upper)
-        if lower is not None and (lower > 0.0).any():  # positive numbers with bounds may vary over decades
-            system = replace(system, is_logarithmic=lower > 0.0)
+        system = replace(system, lower=lower, upper=upper).in_logarithms()
         return system.with_values(system.values)
 
     def _composed_ranges(

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.data.recording import FoundMinima, Recording
 from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
@@ -42,7 +42,8 @@ class ModellingTask:
     workers. `piece` is the largest number of rows that are simulated without a break. After the `deadline` nothing new
     is tried. `solver` names the solver whose errors were subtracted from the recording. `among_many` are laws that were
     found during preparation (None: not searched). With the values `parameters` of the parameters of a template, fits
-    start (None: with the template's start values).
+    start (None: with the template's start values). `minima` tells what fits from many starts found, None: there were
+    none.
     """
 
     dataset: Dataset
@@ -57,6 +58,7 @@ class ModellingTask:
     solver: str | None = None
     among_many: LawsByGroup | None = None
     parameters: FloatArray | None = None
+    minima: FoundMinima | None = None
     _restrictions: dict[str, Restrictions] = field(default_factory=dict, repr=False)
 
     @property

@@ -16,13 +16,13 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.recording import Preparation, Recording, Trajectory
+from atoll_coordinator.data.recording import FoundMinima, Preparation, Recording, Trajectory
 from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
-from atoll_coordinator.model.shooting.many_starts import fit_from_many_starts
+from atoll_coordinator.model.shooting.many_starts import StartsFit, fit_from_many_starts
 from atoll_coordinator.model.sparse.atoms import sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
@@ -80,6 +80,7 @@ class HiddenCourse:
         rates: their derivatives (D, R) by the equations.
         parameters: values (P,) of the parameters of the template.
         slots: the linear functions that stand for the unknown parts, by equation.
+        minima: what the fits from many starts found.
     """
 
     variables: tuple[str, ...]
@@ -87,6 +88,7 @@ class HiddenCourse:
     rates: FloatArray
     parameters: tuple[float, ...]
     slots: Mapping[str, Program]
+    minima: FoundMinima
 
     def record(self, preparation: Preparation) -> Preparation:
         """Return the preparation with the hidden states as smoothed states."""
@@ -105,6 +107,7 @@ class HiddenCourse:
             dataset=self._fill(dataset, recording),
             held_out=None if held_out is None else self._fill(held_out, recording),
             parameters=self.parameters,
+            minima=self.minima,
         )
 
     def _with_course(self, recording: Recording, part: Trajectory, rows: IntArray) -> Trajectory:
@@ -167,11 +170,25 @@ def fit_course(preparation: Preparation, config: JobConfig, template: EquationTe
         if simulated is None:
             raise DataError("the held-out trajectories cannot be simulated by the given equations; leave --holdout out")
         fits[True] = simulated
-    return _along_trajectories(task, fits, slots)
+    return _along_trajectories(task, fits, slots, _summarize_minima(found))
+
+
+def _summarize_minima(found: StartsFit) -> FoundMinima:
+    """Return how often the best minimum was reached, and the minima that are almost as good."""
+    best, *others = found.minima
+    rivals = [
+        (
+            minimum.misfit - best.misfit,
+            tuple(found.fit.system.with_values(minimum.point.values).parameter_values.tolist()),
+        )
+        for minimum in others
+        if minimum.misfit - best.misfit < SETTINGS.inference.distinct_nats
+    ]
+    return FoundMinima(found.starts, best.reached, tuple(rivals))
 
 
 def _along_trajectories(
-    task: ModellingTask, fits: Mapping[bool, TrajectoryFit], slots: Mapping[str, Program]
+    task: ModellingTask, fits: Mapping[bool, TrajectoryFit], slots: Mapping[str, Program], minima: FoundMinima
 ) -> HiddenCourse:
     """Return the states and rates of fits at all rows, in the order of the recording's trajectories."""
     variables, count = task.variables, len(task.variables)
@@ -190,16 +207,17 @@ def _along_trajectories(
     found = dict(zip(variables, fits[False].system.searched(0), strict=True))
     return HiddenCourse(
         variables, np.concatenate(states, axis=1), np.concatenate(rates, axis=1), parameters,
-        {name: found[name] for name in slots},
+        {name: found[name] for name in slots}, minima,
     )  # fmt: skip
 
 
 def linear_part(template: EquationTemplate, config: JobConfig, equation: str) -> Program:
     """Return a linear function that stands for the unknown part of an equation: of the variables that the user named
-    for it, else of the equation's own state."""
+    for it, else of the equation's own state. It has no constant term: with few rows, each further number makes the
+    minimum flatter."""
     named = config.space.variables_of.get(equation)
     symbols = named if named is not None else (_own_symbol(template, equation),)
-    terms: list[Expression] = [1.0, *((VARIABLE, template.names.index(symbol)) for symbol in symbols)]
+    terms: list[Expression] = [(VARIABLE, template.names.index(symbol)) for symbol in symbols]
     return sum_of(terms, [_FIRST * (place + 1) for place, _ in enumerate(terms)])
 
 
