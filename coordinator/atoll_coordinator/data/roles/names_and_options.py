@@ -178,10 +178,7 @@ def check_given_equations(config: JobConfig) -> None:
         if one.by_group and data.group is None and not data.per_trajectory:
             groups = (Field("parameter"), Field("group"), Field("per_trajectory"))
             raise UsageError(f"%s {name} differs between groups, but there are none; add %s or %s", *groups)
-    if data.hidden_count is not None and (prior.known or config.preset == "paper"):
-        other = Field("known") if prior.known else Field("preset", "paper")
-        reason = "the equations of a hidden state without a name are found together with all others"
-        raise UsageError(f"%s as a number and %s exclude each other; {reason}", Field("hidden"), other)
+    _check_number_of_hidden_states(config)
     if not prior.equations:
         if prior.parameters:
             name = next(iter(prior.parameters))
@@ -191,14 +188,24 @@ def check_given_equations(config: JobConfig) -> None:
     for option, reason in _WITHOUT_EQUATIONS:
         if getattr(data, option) not in (None, False):
             raise UsageError(f"%s and %s exclude each other; {reason}", Field("equation"), Field(option))
-    if data.hidden_count is not None:
-        raise UsageError(
-            "%s is a number, but there are equations by %s; name the hidden states instead, and give the equation of "
-            "each", Field("hidden"), Field("equation")
-        )  # fmt: skip
     if config.preset == "paper":
         reason = "the algorithm of the paper has no given equations"
         raise UsageError(f"%s and %s exclude each other; {reason}", Field("equation"), Field("preset", "paper"))
+
+
+def _check_number_of_hidden_states(config: JobConfig) -> None:
+    """Raise UsageError if hidden states are given by number, but equations are given, too."""
+    prior = config.prior
+    if config.data.hidden_count is None:
+        return
+    others = {"equation": prior.equations, "known": prior.known, "initial": prior.initial}
+    for name, given in others.items():
+        if given:
+            advice = 'name the hidden states and give their equations with --equation "dh/dt=…"'
+            raise UsageError(f"%s as a number and %s exclude each other; {advice}", Field("hidden"), Field(name))
+    if config.preset == "paper":
+        reason = "the algorithm of the paper has no hidden states"
+        raise UsageError(f"%s and %s exclude each other; {reason}", Field("hidden"), Field("preset", "paper"))
 
 
 def are_units(texts: Sequence[str]) -> bool:

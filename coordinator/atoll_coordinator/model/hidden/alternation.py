@@ -106,13 +106,8 @@ def with_proposed_states(
 def _record(preparation: Preparation, course: Course) -> Preparation:
     """Return the preparation with this course of the hidden states."""
     assert preparation.recording is not None
-    whole = HiddenCourse(
-        preparation.recording.hidden,
-        np.concatenate(course.values, axis=1),
-        np.concatenate(course.rates, axis=1),
-        (),
-        {},
-    )
+    values, rates = np.concatenate(course.values, axis=1), np.concatenate(course.rates, axis=1)
+    whole = HiddenCourse(preparation.recording.hidden, values, rates, (), {}, None)
     return whole.record(preparation)
 
 
@@ -212,7 +207,7 @@ def _fit_along(comparison: ModelComparison, programs: Sequence[Program]) -> Fitt
     measurements = estimator.measurements
     problem = StartsProblem(measurements, estimator.tolerance, estimator.measured_rows, system, None)
     starts = np.ascontiguousarray(measurements.smoothed[:, measurements.bounds[:, 0]].T)
-    point = problem.fit(StartPoint(system.values, starts))
+    point, _ = problem.fit(StartPoint(system.values, starts))
     if point is None:
         return None
     fit = estimator.fit(

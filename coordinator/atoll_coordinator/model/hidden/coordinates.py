@@ -20,6 +20,7 @@ Letters: H hidden states, S measured states, U inputs, R rows of one trajectory,
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -85,21 +86,20 @@ def _gradient(values: FloatArray, times: FloatArray) -> FloatArray:
 
 def _rates(recording: Recording, states: int, count: int) -> Iterator[Course]:
     """Yield the rates of each measured state, and the relative rates of each positive state."""
-
-    def derivatives(first: FloatArray, times: FloatArray) -> FloatArray:
-        orders = [first]
-        while len(orders) < count:
-            orders.append(_gradient(orders[-1], times))
-        return np.concatenate(orders)
-
     for place in range(states):
-        name, own = recording.states[place], slice(place, place + 1)
-        yield _made(f"rate of {name}", recording, lambda part, own=own: derivatives(part.slopes[own], part.times))
+        name = recording.states[place]
+        yield _made(f"rate of {name}", recording, partial(_derivatives, place, count, is_relative=False))
         if all((part.smoothed[place] > 0.0).all() for part in recording.trajectories):
-            yield _made(
-                f"relative rate of {name}", recording,
-                lambda part, own=own: derivatives(part.slopes[own] / part.smoothed[own], part.times),
-            )  # fmt: skip
+            yield _made(f"relative rate of {name}", recording, partial(_derivatives, place, count, is_relative=True))
+
+
+def _derivatives(place: int, count: int, part: Trajectory, *, is_relative: bool) -> FloatArray:
+    """Return the rate of a state along a trajectory, or its relative rate, and derivatives of it (`count` rows)."""
+    first = part.slopes[place : place + 1]
+    orders = [first / part.smoothed[place : place + 1] if is_relative else first]
+    while len(orders) < count:
+        orders.append(_gradient(orders[-1], part.times))
+    return np.concatenate(orders)
 
 
 def _linear_coordinates(recording: Recording) -> Iterator[Course]:

@@ -66,7 +66,8 @@ def fit_without_solver_errors(
 
 def with_longest_pieces(task: ModellingTask) -> ModellingTask:
     """Return the task with the longest pieces that are ever fitted, for nearly noise-free data; else unchanged."""
-    return replace(task, piece=SETTINGS.shooting.piece) if task.is_nearly_clean else task
+    is_whole = bool(task.recording.hidden)
+    return replace(task, piece=SETTINGS.shooting.piece) if task.is_nearly_clean and not is_whole else task
 
 
 def refit_on_all_rows(selection: SelectedModel) -> SelectedModel | None:
@@ -161,6 +162,8 @@ def _fit_task(
 def _tasks_by_piece_length(task: ModellingTask) -> list[ModellingTask]:
     """Return the task with its own piece length, and with shorter piece lengths. A shorter piece has at most half of
     the rows of the longest trajectory."""
+    if task.recording.hidden:
+        return [task]
     most = min(task.piece, task.longest)
     return [task, *(replace(task, piece=rows) for rows in reversed(SETTINGS.shooting.lengths[1:]) if 2 * rows <= most)]
 
@@ -173,6 +176,8 @@ def choose_piece_length(task: ModellingTask, programs: Sequence[Program]) -> Mod
     errors; each number of this initial state costs 1/2 ln N. In a whole trajectory, terms that are not in the law would
     describe the accumulated errors.
     """
+    if task.recording.hidden:
+        return task
     lengths: dict[int, float] = {}
     tasks = {task.piece: task}
     for piece in (task.piece, *reversed(SETTINGS.shooting.lengths)):

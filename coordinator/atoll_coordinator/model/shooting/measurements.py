@@ -286,10 +286,13 @@ class TrajectoryMeasurements:
         """Return pieces of the trajectories with about `most` rows in total; both early and late pieces are selected.
 
         If groups have their own constants, the actual numbers of rows determine the number of pieces. Then each group
-        has at least one piece, if possible.
+        has at least one piece, if possible. With hidden states, every n-th row is selected instead: pieces in the
+        middle of a trajectory would need unknown initial values.
         """
         if self.rows <= most:
             return self
+        if self.hidden:
+            return self.strided(-(-self.rows // most))
         length = min(SETTINGS.shooting.piece // 2, max(SETTINGS.shooting.lengths[-1], most // len(self.bounds)))
         pieces = [
             (first, min(first + length, end), owner)

@@ -80,7 +80,7 @@ class HiddenCourse:
         rates: their derivatives (D, R) by the equations.
         parameters: values (P,) of the parameters of the template.
         slots: the linear functions that stand for the unknown parts, by equation.
-        minima: what the fits from many starts found.
+        minima: what the fits from many starts found; None: it was not found by such fits.
     """
 
     variables: tuple[str, ...]
@@ -88,7 +88,7 @@ class HiddenCourse:
     rates: FloatArray
     parameters: tuple[float, ...]
     slots: Mapping[str, Program]
-    minima: FoundMinima
+    minima: FoundMinima | None
 
     def record(self, preparation: Preparation) -> Preparation:
         """Return the preparation with the hidden states as smoothed states."""
