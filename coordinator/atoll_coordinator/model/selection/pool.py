@@ -67,7 +67,9 @@ class CandidatePool:
         most = math.inf if self.best is None else self.comparison.score.length_limit(self.best, equation)
         ranked = self._ranked[name]
         ranked.add(propose(task, name, most), most)
-        admitted = map(task.restrictions(name).admitted, ranked.programs)
+        first = task.candidates[name].simulated
+        programs = ranked.programs if first is None else [first, *ranked.programs]
+        admitted = map(task.restrictions(name).admitted, programs)
         self.lists[equation] = [one for one in admitted if one is not None and task.may_be_shown(one)]
 
     @property

@@ -108,6 +108,7 @@ class HiddenCourse:
             held_out=None if held_out is None else self._fill(held_out, recording),
             parameters=self.parameters,
             minima=self.minima,
+            parts=self.slots,
         )
 
     def _with_course(self, recording: Recording, part: Trajectory, rows: IntArray) -> Trajectory:
