@@ -43,7 +43,7 @@ class Alternative:
     equation, and negative if the alternative is shorter but predicts worse. Below about 3 nats the data hardly decide
     between the two. `r2` is the R2 of the simulated state. `held_out_r2` is the R2 on trajectories to which the
     alternative was not fitted: held-out trajectories or, if `is_cross_validated`, trajectories left out one at a time.
-    It is None if there are no such trajectories.
+    It is None if there are no such trajectories. `unknown` is the searched unknown part of an equation with a template.
     """
 
     program: Program
@@ -53,6 +53,7 @@ class Alternative:
     is_shown: bool = False
     is_cross_validated: bool = False
     origin: Origin | None = None
+    unknown: Program | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,22 +38,25 @@ def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
     return _Sympy(names).render(exact_form(program))
 
 
-def to_latex(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
+def to_latex(program: Program, names: Sequence[str], *, digits: int = 6, is_given: bool = False) -> str:
     """Return `program` as LaTeX mathematics, in the form of `to_infix`. Constants have `digits` significant digits.
 
-    Factors are separated by a space if a name is a word.
+    Factors are separated by a space if a name is a word. `is_given` is as in `to_infix`.
     """
     has_words = any(r"\mathrm" in name or r"\text" in name for name in map(_latex_name, names))
-    return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ").render(displayed_form(program, digits))
+    return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ").render(
+        displayed_form(program, digits, is_given=is_given)
+    )
 
 
-def to_mathml(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
+def to_mathml(program: Program, names: Sequence[str], *, digits: int = 6, is_given: bool = False) -> str:
     """Return `program` as presentation MathML without its ``math`` element, in the form of `to_infix`.
 
     Factors are separated by dots if a name has several letters, and before numbers.
+    `is_given` is as in `to_infix`.
     """
     times = _MATHML.dot if any(len(name) > 1 for name in names) else "<mo>\u2062</mo>"
-    return _Typeset(_MATHML, names, digits, times).render(displayed_form(program, digits))
+    return _Typeset(_MATHML, names, digits, times).render(displayed_form(program, digits, is_given=is_given))
 
 
 class _Sympy(Renderer["sympy.Expr"]):

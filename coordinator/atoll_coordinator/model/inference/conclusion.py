@@ -213,7 +213,10 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
     r2 = compute_r2(final.shown_comparison.estimator.measurements, final.shown_fit, slice(None))[index]
     origin = final.find_origin(index, best.programs[index])
     is_crossed = final.held_out_comparison is None and ranking.validated is not None
-    alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
+    template = comparison.template
+    has_unknown = template is not None and template.unknown_of(template.equations[index]) is not None
+    unknown = final.searched[index] if has_unknown else None
+    alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin, unknown)]
     for alternative in ranking.alternatives[index]:
         model, nats = alternative.model, alternative.model.nats - best.nats
         programs = model.programs
@@ -227,7 +230,8 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
         is_crossed = alternative.validated is not None
         origin = final.find_origin(index, programs[index])
         equation = comparison.equations_of(model)[index]
-        alternatives.append(Alternative(equation, nats, r2, held_out_r2, False, is_crossed, origin))
+        unknown = programs[index] if has_unknown else None
+        alternatives.append(Alternative(equation, nats, r2, held_out_r2, False, is_crossed, origin, unknown))
     return tuple(alternatives)
 
 
