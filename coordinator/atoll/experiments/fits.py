@@ -289,8 +289,8 @@ class FreeConstant:
     """A constant that is fitted.
 
     `name` is its name in `atoll.Model.params` (c1, c2, …, or the name of a parameter). The name of an unwritten
-    coefficient is `1 of` and its term. `variable` is the state of its equation. `sign` is -1 if the text has a minus before it. `is_written`: the text
-    shows it.
+    coefficient is `1 of` and its term. `variable` is the state of its equation. `sign` is -1 if the text has a minus
+    before it. `is_written`: the text shows it.
     """
 
     name: str

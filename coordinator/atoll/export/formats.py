@@ -6,7 +6,7 @@ These three are written from a result, which may be incomplete: equations that w
 import csv
 import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from atoll.export.description import Description, HeldInputs, Times, describe
@@ -14,10 +14,13 @@ from atoll.export.language import Language
 from atoll.export.languages import JULIA, MATLAB, MODELICA, PYTHON, XPPAUT, C
 from atoll.export.sbml import SBML
 from atoll.model.arguments import Given
-from atoll.model.equations import ConstantWords, constant_words, displayed_equation, remark_on_groups
+from atoll.model.equations import ConstantWords, constant_words, displayed_equation, given_words, remark_on_groups
+from atoll.model.given_sides import named_side
+from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.export import left_side_to_latex, to_latex, unit_to_latex
+from atoll_core.expression.text.names import name_to_latex
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import enumerated
 
@@ -79,10 +82,29 @@ def latex_lines(result: Result) -> list[str]:
         left = left_side_to_latex(equation.lhs, is_name=equation.lhs == equation.variable)
         unit = displayed_equation(result, equation).unit
         unit = rf" \quad \left[{unit_to_latex(unit)}\right]" if unit else ""
-        lines.append(f"{left} &= {to_latex(from_infix(equation.expression, names), names)}{unit}")
-        constants = ",\\; ".join(map(_constant_latex, constant_words(equation.constants)))
+        given = given_words(equation, names)
+        lines.append(f"{left} &= {_side_latex(equation, names)}{unit}")
+        if given is not None and given.parameters:
+            values = ",\\; ".join(
+                f"{name_to_latex(name)} = {_constant_latex(words)}" for name, words in given.parameters.items()
+            )
+            lines.append(rf"&\quad {values}")
+        fitted = equation.constants if given is None else given.constants
+        constants = ",\\; ".join(map(_constant_latex, constant_words(fitted)))
         lines += [rf"&\quad \text{{constants: }} {constants}"] if constants else []
     return lines
+
+
+def _side_latex(equation: Equation, names: Sequence[str]) -> str:
+    """Return a right-hand side; a given side has its parameters by name, and a brace below its unknown parts."""
+    side = named_side(equation, names)
+    if side is None:
+        return to_latex(from_infix(equation.expression or "", names), names)
+    parts = {
+        place: rf"\underbrace{{{to_latex(part, names, is_given=True)}}}_{{{side.names[place]}}}"
+        for place, part in side.parts.items()
+    }
+    return to_latex(side.program, [*side.names[: len(side.names) - len(parts)]], is_given=True, parts=parts)
 
 
 def _constant_latex(words: ConstantWords) -> str:

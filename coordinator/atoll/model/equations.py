@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 from atoll.model.given_sides import GivenSides, Source, program_of
 from atoll_coordinator.result.base import Pair
-from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation, UnknownPart
+from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation
 from atoll_coordinator.result.findings import Group, Noise
 from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
@@ -69,8 +69,8 @@ def displayed_equation(result: Result, equation: Equation) -> DisplayedEquation:
     if result.kind != "regression" and "/" in equation.lhs:
         both = (f"({name})" if _COMPOUND.search(name) else name for name in (above, below))
         unit = "/".join(both) + ("^2" if equation.lhs.startswith("d2") else "") if above and below else ""
-    displayed = {"expression": side_text(equation, result.names), "exact": exact, "unit": unit}
-    displayed |= {"nats": equation.nats or 0.0}
+    texts = {"expression": side_text(equation, result.names), "exact": exact, "unit": unit}
+    displayed = {**texts, "nats": equation.nats or 0.0}
     return DisplayedEquation.model_construct(**(dict(equation) | displayed))
 
 
@@ -455,11 +455,8 @@ def _given_of_group(result: Result, group: Group) -> dict[str, GivenSide]:
     of_group = sides.with_values_of([own.get(place, program) for place, program in enumerate(sides.programs)])
     for place, equation in enumerate(result.equations):
         if equation.given is not None:
-            parts = [
-                UnknownPart(label=label, expression=to_infix(part, names), program=part.to_bytes().hex())
-                for label, part in of_group.unknown_parts(place).items()
-            ]
-            given[equation.variable] = equation.given.model_copy(update={"unknowns": tuple(parts)})
+            parts = of_group.described_parts(place)
+            given[equation.variable] = equation.given.model_copy(update={"unknowns": parts})
     return given
 
 

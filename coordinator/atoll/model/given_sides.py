@@ -10,16 +10,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from atoll_coordinator.result.equations import Equation, GroupEquation
+from atoll_coordinator.result.equations import Constant, Equation, GroupEquation, UnknownPart
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
-from atoll_core.expression.template import Composition, Parameter, Place, Template, read_template
+from atoll_core.expression.template import ZERO, Composition, Parameter, Place, Template, read_template
+from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
 
@@ -57,10 +58,12 @@ class GivenSides:
     def of(cls, result: Result) -> "Self | None":
         """Return the given sides of a result; None if no side was given, or if the sides do not fit their parts."""
         given = {equation.variable: equation.given for equation in result.equations if equation.given is not None}
-        if not given or any(equation.expression is None for equation in result.equations):
+        if not given:
             return None
         names = result.names
-        programs = [program_of(equation, names) for equation in result.equations]
+        programs = [
+            ZERO if equation.expression is None else program_of(equation, names) for equation in result.equations
+        ]
         template = read_template({name: side.text for name, side in given.items()}, _parameters(result), names)
         template = replace(template, equations=tuple(equation.variable for equation in result.equations))
         slots = list(programs)
@@ -110,6 +113,17 @@ class GivenSides:
     def with_slots(self, slots: Sequence[Program]) -> Self:
         """Return the same sides with other searched programs."""
         return replace(self, slots=tuple(slots))
+
+    def with_candidate(self, index: int, unknown: Program, values: Mapping[str, float | None]) -> Self:
+        """Return the sides with another unknown part at home in a side, and with other `values` of parameters by
+        name."""
+        known = [values.get(one.name) for one in self.template.parameters]
+        pairs = zip(self.values.tolist(), known, strict=True)
+        return replace(
+            self,
+            slots=(*self.slots[:index], unknown, *self.slots[index + 1 :]),
+            values=np.array([old if new is None else new for old, new in pairs]),
+        )
 
     def without_side(self, index: int, program: Program) -> "Self | None":
         """Return the equations with a searched program instead of the side `index`; None if no given side is left."""
@@ -201,11 +215,63 @@ class GivenSides:
         unknowns = [template.unknowns[place] for place in template.unknowns_in(template.equations[index])]
         return {one.label: self.slots[template.equations.index(one.home)] for one in unknowns}
 
-    def named_side(self, index: int) -> tuple[Program, tuple[str, ...]]:
-        """Return the user's side as a program, and the names of its variables, parameters and unknown parts."""
-        template = self.template
-        names = (*template.names, *(one.name for one in template.parameters), *(one.label for one in template.unknowns))
-        return template.sides[template.equations[index]], names
+    def describe(self, equation: Equation, index: int, before: Sequence[Constant] = ()) -> Equation:
+        """Return an equation of a result with the side of this index.
+
+        Its constants have no errors. Parameters have the bounds that they have in `before`, the constants of the side
+        before its unknown parts changed.
+        """
+        given = equation.given
+        assert given is not None
+        program, sources = self.programs[index], self.sources(index)
+        values = program.constants[constant_places(program)].tolist()
+        bounds = {name: before[place].bounds for name, place in given.parameters.items() if place < len(before)}
+        called = [None if one.parameter is None else self.template.parameters[one.parameter].name for one in sources]
+        constants = [
+            Constant(value=value, bounds=bounds.get(name or "")) for value, name in zip(values, called, strict=True)
+        ]
+        side = given.model_copy(
+            update={
+                "parameters": {name: place for place, name in enumerate(called) if name is not None},
+                "unknowns": self.described_parts(index),
+            }
+        )
+        update = {"given": side, "constants": tuple(constants), "complexity": len(program)}
+        update |= {"expression": to_infix(program, self.template.names), "program": program.to_bytes().hex()}
+        return equation.model_copy(update=update)
+
+    def described_parts(self, index: int) -> tuple[UnknownPart, ...]:
+        """Return the unknown parts of a side as a result has them."""
+        names = self.template.names
+        return tuple(
+            UnknownPart(label=label, expression=to_infix(part, names), program=part.to_bytes().hex())
+            for label, part in self.unknown_parts(index).items()
+        )
+
+
+class NamedSide(NamedTuple):
+    """A side as the user wrote it: a program over `names`, which are variables, parameters and labels of unknown parts.
+
+    `parts` are the unknown parts that were found, by the index of their label.
+    """
+
+    program: Program
+    names: tuple[str, ...]
+    parts: Mapping[int, Program]
+
+
+def named_side(equation: Equation, names: Sequence[str]) -> NamedSide | None:
+    """Return the side of an equation as the user wrote it; None if the user did not give it."""
+    given = equation.given
+    if given is None:
+        return None
+    declared = {name: Parameter(name) for name in given.parameters}
+    template = read_template({equation.variable: given.text}, declared, names)
+    before = [*names, *(one.name for one in template.parameters)]
+    found = {part.label: _part_program(part.program, part.expression, names) for part in given.unknowns}
+    parts = {len(before) + place: found[one.label] for place, one in enumerate(template.unknowns)}
+    labels = [one.label for one in template.unknowns]
+    return NamedSide(template.sides[equation.variable], (*before, *labels), parts)
 
 
 def over_variables(program: Program, places: Sequence[int]) -> Program:

@@ -171,6 +171,9 @@ class Candidate(Part):
     unknown: Text | None = Field(
         default=None, description="its unknown part, missing without a side from `--equation` that has one"
     )
+    parameters: Numbers = Field(
+        default_factory=dict, description="values of parameters that were fitted with it, missing if there are none"
+    )
 
 
 class Member(Part):

@@ -5,8 +5,9 @@ text.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
 from atoll_core.expression.operators import ABS, SQRT
@@ -30,6 +31,10 @@ _UNIT_PART: Final = re.compile(
 """A power, a product, or other text."""
 
 
+Parts = Mapping[int, str]
+"""Markup that is written for variables, by index, instead of their names."""
+
+
 def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
     """Return `program` as a sympy expression over ``Symbol(name)`` for each of `names`; constants have the same bits.
 
@@ -38,25 +43,39 @@ def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
     return _Sympy(names).render(exact_form(program))
 
 
-def to_latex(program: Program, names: Sequence[str], *, digits: int = 6, is_given: bool = False) -> str:
+def to_latex(
+    program: Program,
+    names: Sequence[str],
+    *,
+    digits: int = 6,
+    is_given: bool = False,
+    parts: Parts = MappingProxyType({}),
+) -> str:
     """Return `program` as LaTeX mathematics, in the form of `to_infix`. Constants have `digits` significant digits.
 
     Factors are separated by a space if a name is a word. `is_given` is as in `to_infix`.
     """
     has_words = any(r"\mathrm" in name or r"\text" in name for name in map(_latex_name, names))
-    return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ").render(
+    return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ", parts).render(
         displayed_form(program, digits, is_given=is_given)
     )
 
 
-def to_mathml(program: Program, names: Sequence[str], *, digits: int = 6, is_given: bool = False) -> str:
+def to_mathml(
+    program: Program,
+    names: Sequence[str],
+    *,
+    digits: int = 6,
+    is_given: bool = False,
+    parts: Parts = MappingProxyType({}),
+) -> str:
     """Return `program` as presentation MathML without its ``math`` element, in the form of `to_infix`.
 
     Factors are separated by dots if a name has several letters, and before numbers.
     `is_given` is as in `to_infix`.
     """
     times = _MATHML.dot if any(len(name) > 1 for name in names) else "<mo>\u2062</mo>"
-    return _Typeset(_MATHML, names, digits, times).render(displayed_form(program, digits, is_given=is_given))
+    return _Typeset(_MATHML, names, digits, times, parts).render(displayed_form(program, digits, is_given=is_given))
 
 
 class _Sympy(Renderer["sympy.Expr"]):
@@ -123,11 +142,12 @@ class _Typeset(Renderer[str]):
     """Renders forms in a markup language: quotients as fractions, powers raised.
 
     `digits` are the significant digits of constants; `times` is the multiplication sign between factors that are not
-    numbers.
+    numbers. `parts` is written for some variables.
     """
 
-    def __init__(self, markup: _Markup, names: Sequence[str], digits: int, times: str) -> None:
+    def __init__(self, markup: _Markup, names: Sequence[str], digits: int, times: str, parts: Parts) -> None:
         super().__init__()
+        self._parts = parts
         self._markup, self._names, self._digits, self._times = markup, names, digits, times
 
     def negative(self, operand: str) -> str:
@@ -137,7 +157,7 @@ class _Typeset(Renderer[str]):
         markup = self._markup
         match form.kind:
             case Kind.NAME:
-                return markup.name(self._names[form.index])
+                return self._parts.get(form.index) or markup.name(self._names[form.index])
             case Kind.NUMBER:
                 mantissa, _, power = f"{form.value:.{self._digits}g}".partition("e")
                 return markup.scaled.format(mantissa, int(power)) if power else markup.number.format(mantissa)
