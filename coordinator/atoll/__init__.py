@@ -17,11 +17,12 @@ if TYPE_CHECKING:  # not from `typing`, which loads slowly: Ctrl-C must be handl
     from atoll.api.discoverer import Discoverer
     from atoll.api.model import Model
     from atoll.api.regressor import Regressor
+    from atoll.api.template import Template
     from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 
 __all__ = [
-    "ENGINE_REVISION", "PROTOCOL_VERSION", "VERSION", "Discoverer", "Model", "Regressor", "discover", "discover_many",
-    "submit",
+    "ENGINE_REVISION", "PROTOCOL_VERSION", "VERSION", "Discoverer", "Model", "Regressor", "Template", "discover",
+    "discover_many", "submit",
 ]  # fmt: skip
 
 _PUBLIC = {
@@ -32,6 +33,7 @@ _PUBLIC = {
     "submit": "atoll.api.discover",
     "Discoverer": "atoll.api.discoverer",
     "Regressor": "atoll.api.regressor",
+    "Template": "atoll.api.template",
 }
 """The module of each public name; a module is imported when one of its names is first used."""
 

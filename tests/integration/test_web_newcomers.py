@@ -121,6 +121,30 @@ def test_errors_have_buttons_that_mend_them_and_sites_their_names(stage: Stage) 
         expected(stage, 422)
 
 
+def test_given_equations_are_typeset_as_one_types(stage: Stage) -> None:
+    with web(stage.place, stage.address, stage.port):
+        until(stage.page.is_up)
+        tab = stage.open("#/new")
+        rows = course(lambda _, z: (z[1], -math.sin(z[0]) - 0.2 * z[1]), (1.0, 0.0), 100, 0.1)
+        put(stage, tab, "p.csv", "t,theta,v\n" + "".join(f"{t!r},{x!r},{v!r}\n" for t, (x, v) in rows))
+        tab.get_by_text("search", exact=False).filter(has_text="options").first.click()
+        field = tab.locator(".field", has_text="Given equations, with parameters and unknown parts")
+        field.get_by_role("textbox").fill("dv/dt = -g/l*sin(theta) + ?1(v)\ndtheta/dt = v")
+        field.locator("math .unknown").wait_for()
+        assert field.locator("math").count() == 2
+        field.get_by_role("textbox").fill("dv/dt = -g/l*sin(theta) +")
+        field.get_by_text("--equation for 'dv/dt'").wait_for()
+        parameters = tab.locator(".field", has_text="Parameters of given equations")
+        field.get_by_role("textbox").fill("dv/dt = -g/l*sin(theta) + ?1(v)")
+        parameters.get_by_role("textbox").fill("l=2 in 1..\ng=9.81")
+        tab.get_by_text("l: at least 1, beginning at 2").wait_for()
+        assert field.locator(".fault").is_hidden()
+        parameters.get_by_role("textbox").fill("l=2 in 3..")
+        parameters.get_by_text("parameter l: the start value 2 is outside").wait_for()
+        check(tab, "light")
+        expected(stage, 422)
+
+
 def test_warnings_have_buttons_that_do_what_they_advise(stage: Stage) -> None:
     """A voltage that is switched is made an input that is held, by two buttons; units can be given on a telephone."""
     lines = ["t [ms],voltage [V],current,sample no."]

@@ -6,10 +6,10 @@ names that are no variables are *parameters*: numbers that are fitted. Numbers i
 in several sides; it is the same expression in all of them.
 
 How it works. A side is a program over variables, then parameters, then unknowns, which are all variables of this
-program. `Template.compose` replaces each parameter by a constant and each unknown by its program, and tells where the
-constants are then. Each unknown belongs to one equation, its home: the first equation that contains it. So systems are
-still compared with one searched program for each equation; only the program of an equation with a template is the
-unknown part, and not the whole side. A side without an unknown of its own has nothing to search.
+program. `EquationTemplate.compose` replaces each parameter by a constant and each unknown by its program, and tells
+where the constants are then. Each unknown belongs to one equation, its home: the first equation that contains it. So
+systems are still compared with one searched program for each equation; only the program of an equation with a template
+is the unknown part, and not the whole side. A side without an unknown of its own has nothing to search.
 
 Letters: V variables, P parameters, U unknowns, D equations.
 """
@@ -47,7 +47,7 @@ _RESERVED: Final = frozenset({*FUNCTIONS.values(), "Abs", "tan", "cot", "pi"})
 
 
 @dataclass(frozen=True)
-class Parameter:
+class TemplateParameter:
     """A named number of a template, with bounds; `start` is the value from which fits start, None: not given.
 
     If `by_group`, each group of trajectories has its own value.
@@ -109,7 +109,7 @@ class Composition:
 
 
 @dataclass(frozen=True, eq=False)
-class Template:
+class EquationTemplate:
     """Sides of equations with parameters and unknowns, see the module.
 
     Attributes:
@@ -122,7 +122,7 @@ class Template:
     """
 
     names: tuple[str, ...]
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[TemplateParameter, ...]
     unknowns: tuple[Unknown, ...]
     sides: Mapping[str, Program]
     texts: Mapping[str, str] = field(default_factory=dict)
@@ -148,7 +148,7 @@ class Template:
         used = set() if side is None else variables_of(side)
         return [place for place, _ in enumerate(self.parameters) if len(self.names) + place in used]
 
-    def for_equations(self, equations: Sequence[str]) -> "Template | None":
+    def for_equations(self, equations: Sequence[str]) -> "EquationTemplate | None":
         """Return the template of the system of these equations; None if it has no side of them.
 
         The parameters stay the same, so that their values keep their order.
@@ -285,7 +285,7 @@ _UNDONE_RIGHT: Final[Mapping[int, _Undo]] = {
 class _Draft:
     """One side while it is composed: where its literals, parameters and constants of unknowns are."""
 
-    def __init__(self, template: Template, slots: Mapping[str, Program], values: FloatArray) -> None:
+    def __init__(self, template: EquationTemplate, slots: Mapping[str, Program], values: FloatArray) -> None:
         self._template, self._slots, self._values = template, slots, values
         self._builder = ProgramBuilder()
         self.literals: set[int] = set()
@@ -324,8 +324,11 @@ class _Draft:
 
 
 def read_template(
-    sides: Mapping[str, str], parameters: Mapping[str, Parameter], names: Sequence[str], option: str = "--equation"
-) -> Template:
+    sides: Mapping[str, str],
+    parameters: Mapping[str, TemplateParameter],
+    names: Sequence[str],
+    option: str = "--equation",
+) -> EquationTemplate:
     """Return the template of these sides.
 
     Args:
@@ -340,13 +343,13 @@ def read_template(
             twice in a side, a side has several unknowns of its own, or an unknown has the same number but other
             variables. The message is a sentence for the user.
     """
-    found: dict[str, Parameter] = {}
+    found: dict[str, TemplateParameter] = {}
     labels: dict[str, _Occurrences] = {}
     for equation, text in sides.items():
-        for name in _names_in(_without_unknowns(text)):
+        for name in _names_in(_without_unknowns(text, f"{option} for '{equation}'")):
             if name not in names and name not in _RESERVED:
                 _check_parameter_name(name, names, parameters, f"{option} for '{equation}'")
-                found.setdefault(name, parameters.get(name, Parameter(name)))
+                found.setdefault(name, parameters.get(name, TemplateParameter(name)))
         for match in _UNKNOWN.finditer(text):
             label = f"?{match['number']}" if match["number"] else f"? of {equation}"
             occurrences = labels.setdefault(label, _Occurrences())
@@ -371,13 +374,14 @@ def read_template(
         try:
             programs[equation] = from_infix(_with_letters(text), [*names, *found, *own])
         except UsageError as error:
-            raise UsageError(f"{option} for '{equation}': {error}".replace(_LETTER, "?")) from error
+            sentence = re.sub(f", {_LETTER}{_LETTER}\\d+", "", str(error)).replace(_LETTER, "?")
+            raise UsageError(f"{option} for '{equation}': {sentence}") from error
         if len(programs[equation]) > MAX_NODES // 2:
             most = MAX_NODES // 2
             raise UsageError(
                 f"{option} for '{equation}' has {len(programs[equation])} parts; at most {most} are possible"
             )
-    return Template(tuple(names), tuple(found.values()), unknowns, programs, dict(sides))
+    return EquationTemplate(tuple(names), tuple(found.values()), unknowns, programs, dict(sides))
 
 
 @dataclass
@@ -427,7 +431,9 @@ def _place_unknowns(labels: Mapping[str, _Occurrences], option: str) -> tuple[Un
     )
 
 
-def _without_unknowns(text: str) -> str:
+def _without_unknowns(text: str, what: str) -> str:
+    if _LETTER in text:
+        raise UsageError(f"{what} has the letter {_LETTER}; write ? for an unknown part")
     return _UNKNOWN.sub(lambda match: " " * len(match[0]), text)
 
 
@@ -456,7 +462,9 @@ def _arguments(match: re.Match[str], names: Sequence[str], what: str) -> tuple[s
     return texts
 
 
-def _check_parameter_name(name: str, names: Sequence[str], parameters: Mapping[str, Parameter], what: str) -> None:
+def _check_parameter_name(
+    name: str, names: Sequence[str], parameters: Mapping[str, TemplateParameter], what: str
+) -> None:
     """Refuse a name that is not declared and looks like a misspelt variable."""
     similar = did_you_mean(name, names)
     if name not in parameters and similar:

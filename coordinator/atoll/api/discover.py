@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from atoll.api.model import Model
 from atoll.api.tables import NAME, files_of, in_python, python_words, table_of
+from atoll.api.template import Template
 from atoll.client.client import connected
 from atoll.client.configure import configure
 from atoll.client.follower import KEEPING, Display, DisplayWithWarnings, Follower
@@ -290,7 +291,8 @@ def discover(  # noqa: PLR0913  # where a job runs, and its options
             function that returns one, a ``distributed.Client``, or the module ``ray``. `workers` is then the number of
             tasks at the same time; None: as many as the executor has workers. The result is the same to the bit.
         options: options of ``coordinator run``, such as ``time="year"``, ``seed=3``, ``known={"dy": "-x"}``; a value
-            may be a text, a number, a list, a mapping, or True for a switch.
+            may be a text, a number, a list, a mapping, or True for a switch. ``template=atoll.Template(…)`` gives
+            equations of which a part is known.
 
     Returns:
         The model; after Ctrl-C, the best model so far.
@@ -394,11 +396,24 @@ def config_of(options: Mapping[str, object]) -> JobConfig:
     """Return the configuration for keyword arguments (the options of ``run``); raises UsageError."""
     values = dict(options)
     job_file = values.pop("config", None)
+    values |= _template_options(values.pop("template", None), values)
     unknown = next((name for name in values if name not in OPTIONS), None)
     if unknown is not None:
         advice = _INSTEAD.get(unknown, f"see help(atoll.discover){did_you_mean(unknown, OPTIONS)}")
         raise UsageError(f"{unknown} is not an option; {advice}")
     return configure(values, job_file)
+
+
+def _template_options(template: object, others: Mapping[str, object]) -> dict[str, object]:
+    """Return the options of a template (None: not given); raises UsageError if other options also give equations."""
+    if template is None:
+        return {}
+    if not isinstance(template, Template):
+        raise UsageError(f"template must be an atoll.Template, but {shown(template)} was given")
+    both = next((name for name in ("equation", "parameter") if others.get(name) is not None), None)
+    if both is not None:
+        raise UsageError(f"template and {both} both describe given equations; leave one of them out")
+    return template.options
 
 
 def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers: int | None) -> str | Whereabouts:

@@ -8,12 +8,12 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from atoll.client.job_options import OPTIONS
-from atoll_coordinator.data.roles.names_and_options import check_options
+from atoll_coordinator.data.roles.names_and_options import check_given_equations, check_options
 from atoll_core.config import PRESETS, JobConfig
 from atoll_core.errors import Field, UsageError
 from atoll_core.expression.operators import BY_NAME
@@ -46,6 +46,7 @@ def configure(values: Mapping[str, object], job_file: object = None) -> JobConfi
         if operators is not None:
             _check_operators(operators)
     check_options(config.data)
+    check_given_equations(config)
     return config
 
 
@@ -80,17 +81,23 @@ def _refusal(error: ValidationError, given: Mapping[str, object], file: object) 
     place = Field(option.name) if option is not None else f"{'.'.join(path)} in {file}"
     value = complaint.get("input")
     if complaint["type"] == "extra_forbidden":
-        group = path[:-1]
-        fields = JobConfig.model_fields
-        for name in group:
-            kind = fields[name].annotation
-            fields = kind.model_fields if isinstance(kind, type) and issubclass(kind, BaseModel) else {}
-        known = tuple(fields)
+        known = _settings_in(path[:-1])
         hint = did_you_mean(path[-1], known)
         return UsageError("%s is not a known setting; known here: %s%s", place, ", ".join(known), hint)
     what = complaint["msg"].removeprefix("Input should be ").replace("a valid tuple", "a list")
     hint = did_you_mean(str(value), re.findall("'([^']*)'", what)) if complaint["type"] == "literal_error" else ""
     return UsageError("%s must be %s, but %r was given%s", place, what, value, hint)
+
+
+def _settings_in(path: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the settings in a group of the configuration; a group may have its name from the user."""
+    kind: Any = JobConfig
+    for name in path:
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            kind = kind.model_fields[name].annotation
+        else:  # a mapping, such as the parameters by name
+            kind = next(iter(get_args(kind)[1:]), None)
+    return tuple(kind.model_fields) if isinstance(kind, type) and issubclass(kind, BaseModel) else ()
 
 
 def _check_operators(operators: Sequence[str]) -> None:

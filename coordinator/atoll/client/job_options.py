@@ -6,7 +6,9 @@ lists and mappings. This module imports only the standard library, because ``--h
 
 import argparse
 import contextlib
+import math
 import operator
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final, NamedTuple, SupportsFloat, SupportsIndex, cast
@@ -18,6 +20,12 @@ MOST_WORKERS: Final = 1024
 """Maximum number of worker processes on one machine."""
 
 _ALL: Final = "*"
+_PARAMETER: Final = re.compile(r"(?P<name>[^\W\d]\w*)\s*(?:=\s*(?P<numbers>.*?))?\s*(?P<by>\bby\s+group)?", re.DOTALL)
+_NUMBERS: Final = re.compile(
+    r"(?:(?P<start>\S+)\s+in\s+)?(?=.*\d)(?P<lower>\S*?)\s*(?<!\.)\.\.(?!\.)\s*(?P<upper>\S*)|(?P<only>\S+)"
+)
+"""Start value and bounds of a parameter. ``0...5`` is refused: the third dot may belong to 0.5."""
+_PARAMETER_FORMS: Final = "c, c=1, c=0.1..10 or 'c=1 in 0.1..10'"
 
 Read = Callable[[object, Field], object]
 """Returns the setting for a value, or a tuple for several settings; raises UsageError that names the field."""
@@ -198,6 +206,64 @@ def bounds(value: object, field: Field) -> dict[str, tuple[str, ...]]:
     return sides
 
 
+def parameters(value: object, field: Field) -> dict[str, dict[str, object]]:
+    """Return bounds and start values by parameter, from texts such as ``c=1 in 0.1..10``, or from a mapping.
+
+    In a mapping, a value may be None, a start value, a pair of bounds, a text, or a mapping.
+    """
+    if isinstance(value, Mapping):
+        pairs = [_parameter(name, settings, field) for name, settings in value.items()]
+    else:
+        pairs = [_parameter_text(part, field) for part in _several(value)]
+    given: dict[str, dict[str, object]] = {}
+    for name, settings in pairs:
+        if name in given:
+            raise UsageError("%s names %r twice; name it once", field, name)
+        given[name] = settings
+    return given
+
+
+def _parameter(name: object, value: object, field: Field) -> tuple[str, dict[str, object]]:
+    """Return name and settings of a parameter in a mapping."""
+    if value is None:
+        return _parameter_text(name, field)
+    if isinstance(value, str):
+        return _parameter_text(f"{name} {value}" if value.strip().startswith("by") else f"{name}={value}", field)
+    name, _ = _parameter_text(name, field)
+    if isinstance(value, Mapping):
+        bounds = _bounds(value.get("lower"), value.get("upper"), field)
+        return name, {**{str(key): part for key, part in value.items() if key not in ("lower", "upper")}, **bounds}
+    if isinstance(value, (list, tuple)):
+        if len(value) != 2:
+            raise UsageError("%s must have two bounds for %s, such as (0.1, 10), but %r was given", field, name, value)
+        return name, _bounds(value[0], value[1], field)
+    return name, {"start": number(value, field)}
+
+
+def _parameter_text(part: object, field: Field) -> tuple[str, dict[str, object]]:
+    """Return name and settings of a parameter in a text such as ``c=1 in 0.1..10 by group``."""
+    line = text(part, field).strip()
+    match = _PARAMETER.fullmatch(line)
+    numbers = _NUMBERS.fullmatch(match["numbers"] or "") if match is not None else None
+    if match is None or (numbers is None and match["numbers"] is not None):
+        raise UsageError("%s must be of the form %s, but %r was given", field, _PARAMETER_FORMS, line)
+    settings: dict[str, object] = {"by_group": True} if match["by"] else {}
+    if numbers is not None:
+        start = numbers["start"] or numbers["only"]
+        settings |= {"start": number(start, field)} if start else {}
+        settings |= _bounds(numbers["lower"] or None, numbers["upper"] or None, field)
+    return match["name"], settings
+
+
+def _bounds(lower: object, upper: object, field: Field) -> dict[str, object]:
+    """Return the bounds that are given; an infinite bound is none."""
+    settings: dict[str, object] = {}
+    for name, bound, none in (("lower", lower, -math.inf), ("upper", upper, math.inf)):
+        if bound is not None and (value := number(bound, field)) != none:
+            settings[name] = value
+    return settings
+
+
 def _several(value: object) -> Sequence[object]:
     return value if isinstance(value, (list, tuple)) else [value]
 
@@ -294,6 +360,17 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option(
             "known", "prior.known", partial(by_equation, example="dy=-x/10"), "dy=EXPR",
             "a known equation, which is not searched", is_repeatable=True,
+        ),
+        Option(
+            "equation", "prior.equations", partial(by_equation, example="dv/dt=-g/l*sin(theta) - c*v + ?"),
+            '"dx/dt=EXPR"',
+            "a given equation, whose named parameters are fitted; ? is an unknown part, which is searched, ?(v,u) one "
+            "of these variables, and ?1 in several equations is the same expression", is_repeatable=True,
+        ),
+        Option(
+            "parameter", "prior.parameters", parameters, '"c=1 in 0.1..10"',
+            "start value, bounds, or both, of a parameter in --equation (also c=1, c=0.., c=..10); 'by group' at the "
+            "end: each group has its own value", is_repeatable=True,
         ),
         Option("islands", "evolution.islands", whole, "K", "islands per state variable (default: 8)"),
         Option("max_size", "space.max_size", whole, "N", "largest complexity of an equation (default: no limit)"),

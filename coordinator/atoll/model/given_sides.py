@@ -19,7 +19,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
-from atoll_core.expression.template import ZERO, Composition, Parameter, Place, Template, read_template
+from atoll_core.expression.template import ZERO, Composition, EquationTemplate, Place, TemplateParameter, read_template
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
@@ -50,7 +50,7 @@ class GivenSides:
     are the values of the parameters.
     """
 
-    template: Template
+    template: EquationTemplate
     slots: tuple[Program, ...]
     values: FloatArray
 
@@ -265,7 +265,7 @@ def named_side(equation: Equation, names: Sequence[str]) -> NamedSide | None:
     given = equation.given
     if given is None:
         return None
-    declared = {name: Parameter(name) for name in given.parameters}
+    declared = {name: TemplateParameter(name) for name in given.parameters}
     template = read_template({equation.variable: given.text}, declared, names)
     before = [*names, *(one.name for one in template.parameters)]
     found = {part.label: _part_program(part.program, part.expression, names) for part in given.unknowns}
@@ -284,12 +284,12 @@ def _part_program(encoded: str | None, expression: str, names: Sequence[str]) ->
     return from_infix(expression, names) if encoded is None else Program.from_bytes(bytes.fromhex(encoded), len(names))
 
 
-def _parameters(result: Result) -> Mapping[str, Parameter]:
+def _parameters(result: Result) -> Mapping[str, TemplateParameter]:
     """Return the parameters in given sides of a result, by name, with their bounds."""
     parameters = {}
     for equation in result.equations:
         for name, place in (equation.given.parameters if equation.given is not None else {}).items():
             low, high = equation.constants[place].bounds or (None, None)
             ends = -math.inf if low is None else low, math.inf if high is None else high
-            parameters[name] = Parameter(name, *ends)
+            parameters[name] = TemplateParameter(name, *ends)
     return parameters

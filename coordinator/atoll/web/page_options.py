@@ -41,6 +41,8 @@ LABELS: Final[Mapping[str, str]] = {
     "bound": "Bounds on constants",
     "guess": "Initial guesses of equations",
     "known": "Known equations",
+    "equation": "Given equations, with parameters and unknown parts",
+    "parameter": "Parameters of given equations",
     "islands": "Islands for each equation",
     "max_size": "Largest complexity",
     "max_time": "Time limit",

@@ -2,7 +2,8 @@
 
 - `reading`: files -> `Table`, on the client's side
 - `roles`: column names and options -> `Roles`, symbols of expressions
-- `prior_knowledge`: guesses, known equations and bounds, checked and resolved against the roles
+- `templates`: given equations with parameters and unknown parts
+- `prior_knowledge`: guesses, known and given equations and bounds, checked and resolved against the roles
 - `trajectories`: `Table` and `Roles` -> `Measurements`: rows, trajectories, times, states, split at gaps
 - `columns`: checks of the columns before anything is searched
 - `differentiation`: `Measurements` -> one `StateEstimate` for each state: values, derivatives, uncertainties

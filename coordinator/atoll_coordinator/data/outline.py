@@ -3,41 +3,74 @@
 Both are cheap: nothing is smoothed or compiled.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.columns.examination import Examination, examine
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.roles.roles import Roles, assign_symbols
+from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
+from atoll_core.expression.template import EquationTemplate, TemplateParameter
+from atoll_core.expression.text.export import GIVEN_DIGITS, left_side_to_mathml, to_mathml
+
+_ONLY_GIVEN: Final = ("given", "unknown", "mathml")
+"""Keys of an equation that is given with ``--equation``; other equations do not have them."""
 
 
 @dataclass(frozen=True)
 class EquationOutline:
-    """One equation: its left-hand side, its variables and operators, or its expression if it is `known`."""
+    """One equation: its left-hand side, its variables and operators, or its expression if it is `known`.
+
+    If a part of it is `given`, `unknown` is the part that is searched, with these variables and operators; "" if
+    nothing is searched under the name of this equation. `mathml` is the given equation.
+    """
 
     lhs: str
     variables: tuple[str, ...]
     operators: tuple[str, ...]
     known: str | None = None
     guesses: tuple[str, ...] = ()
+    given: str | None = None
+    unknown: str = ""
+    mathml: str = ""
+
+    @property
+    def is_searched(self) -> bool:
+        """Whether the equation or a part of it is searched."""
+        return self.known is None and (self.given is None or bool(self.unknown))
 
     def __str__(self) -> str:
         if self.known is not None:
             return f"{self.lhs} = {self.known} (known, not searched)"
+        if self.given is not None and not self.unknown:
+            return f"{self.lhs} = {self.given} (given)"
         begins = f", beginning from {' or '.join(self.guesses)}" if self.guesses else ""
-        return f"{self.lhs} = f({', '.join(self.variables)}) of {' '.join(self.operators)}{begins}"
+        means = f" of {' '.join(self.operators)}{begins}"
+        if self.given is None:
+            return f"{self.lhs} = f({', '.join(self.variables)}){means}"
+        searched = f"searched: {self.unknown} of {self.lhs}, from {', '.join(self.variables)},{means}"
+        return f"{self.lhs} = {self.given}\n    {searched}"
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the fields; those of a given equation only if it is given."""
+        left_out = _ONLY_GIVEN if self.given is None else ()
+        fields = {key: value for key, value in vars(self).items() if key not in left_out}
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in fields.items()}
 
 
 @dataclass(frozen=True)
 class Outline:
     """The planned search: names of `files`, how they were read, number of rows, equations, settings.
 
-    `roles` are the roles of the columns, `warnings` the findings of their examination.
+    `roles` are the roles of the columns, `warnings` the findings of their examination, `parameters` the parameters of
+    given equations.
     """
 
     files: tuple[str, ...]
@@ -49,10 +82,11 @@ class Outline:
     config: JobConfig
     roles: Roles
     warnings: tuple[str, ...] = ()
+    parameters: tuple[TemplateParameter, ...] = ()
 
     def as_text(self) -> str:
         """Return lines that list the equations to be searched, and when the search would end."""
-        searched = sum(equation.known is None for equation in self.equations)
+        searched = sum(equation.is_searched for equation in self.equations)
         sought = "1 equation" if searched == 1 else f"{searched} equations"
         config, budget = self.config, self.config.budget
         effort = f"preset {config.preset}, seed {config.seed}, {config.evolution.islands} islands for each equation"
@@ -62,6 +96,7 @@ class Outline:
         if budget.target_error is not None:
             ends[0] = f"at a normalized error of {budget.target_error:g}, or when it gets no better"
         lines = [f"{sought} would be searched:", *(f"  {equation}" for equation in self.equations)]
+        lines += [f"  parameter {_described(parameter)}" for parameter in self.parameters]
         return "\n".join([*lines, effort, f"the search ends {', '.join(ends)}", "dry run: nothing was started"])
 
     def as_dict(self) -> dict[str, object]:
@@ -69,16 +104,15 @@ class Outline:
 
         `config` has the settings that differ from the defaults, as in a job file.
         """
+        parameters = {"parameters": [_described(parameter) for parameter in self.parameters]}
         return {
             "files": list(self.files),
             "read_as": self.read_as,
             "rows": self.rows,
             "time": self.time,
             "units": self.units,
-            "equations": [
-                {key: list(value) if isinstance(value, tuple) else value for key, value in vars(equation).items()}
-                for equation in self.equations
-            ],
+            "equations": [equation.as_dict() for equation in self.equations],
+            **(parameters if self.parameters else {}),
             "warnings": list(self.warnings),
             "config": self.config.model_dump(mode="json", exclude_defaults=True),
         }
@@ -92,6 +126,7 @@ def outline(table: Table, config: JobConfig) -> Outline:
     examination, resolved, names, units = _resolved(table, config)
     roles = examination.roles
     symbols = tuple(assign_symbols(roles.variables).values())
+    template = template_of(resolved, symbols)
     equations = tuple(
         EquationOutline(
             roles.left_hand_side(name),
@@ -99,12 +134,40 @@ def outline(table: Table, config: JobConfig) -> Outline:
             resolved.space.operators_for(name),
             resolved.prior.known.get(name),
             resolved.prior.guesses.get(name, ()),
+            *_given_part(template, name, roles.left_hand_side(name)),
         )
         for name in names
     )
     used = {name: unit for name, unit in units.items() if unit and name in roles.used}
     warnings = tuple(finding.sentence for finding in examination.findings)
-    return Outline(table.files, table.read_as, table.rows, roles.time, used, equations, resolved, roles, warnings)
+    parameters = () if template is None else template.parameters
+    return Outline(
+        table.files, table.read_as, table.rows, roles.time, used, equations, resolved, roles, warnings, parameters
+    )
+
+
+def _given_part(template: EquationTemplate | None, name: str, lhs: str) -> tuple[str | None, str, str]:
+    """Return the given side of an equation (None: not given), its unknown part, and the equation in MathML."""
+    if template is None or name not in template.sides:
+        return None, "", ""
+    labels = [unknown.label for unknown in template.unknowns]
+    names = [*template.names, *(parameter.name for parameter in template.parameters), *labels]
+    unknown = template.unknown_of(name)
+    side = to_mathml(template.sides[name], names, digits=GIVEN_DIGITS, is_given=True)
+    sides = f"{left_side_to_mathml(lhs)}<mo>=</mo>{side}"
+    mathml = f'<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">{sides}</math>'
+    return template.texts[name], "" if unknown is None else unknown.label, mathml
+
+
+def _described(parameter: TemplateParameter) -> str:
+    """Return a parameter with its bounds and the value at which its fit begins."""
+    lower, upper = parameter.lower, parameter.upper
+    if math.isinf(lower):
+        bounds = "" if math.isinf(upper) else f"at most {upper:g}, "
+    else:
+        bounds = f"at least {lower:g}, " if math.isinf(upper) else f"{lower:g} to {upper:g}, "
+    groups = ", for each group of trajectories" if parameter.by_group else ""
+    return f"{parameter.name}: {bounds}beginning at {parameter.first_value:g}{groups}"
 
 
 def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> str:
@@ -138,6 +201,7 @@ def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> s
         lines.append(f"constants may differ between {len(measurements.group_names)} groups of trajectories")
     prior, side = resolved.prior, roles.left_hand_side
     lines += [f"known: {side(name)} = {text}" for name, text in prior.known.items()]
+    lines += [f"given: {side(name)} = {text}" for name, text in prior.equations.items()]
     lines += [f"guess: {side(name)} = {text}" for name, texts in prior.guesses.items() for text in texts]
     lines += [f"required: {side(name)} has {', '.join(names)}" for name, names in resolved.space.required_of.items()]
     lines += [f"bounds: {side(name)}: {'; '.join(texts)}" for name, texts in prior.bounds.items()]

@@ -1,4 +1,4 @@
-"""Prior knowledge in terms of the data: guesses, known equations, bounds, allowed and required symbols. Pure.
+"""Prior knowledge in terms of the data: guesses, known and given equations, bounds, allowed, required symbols. Pure.
 
 Several forms of left-hand sides are accepted. The equation of ``x`` may be called ``x``, ``dx``, ``dx/dt`` or ``x'``,
 for order 2 ``d2x``, ``d2x/dt2`` or ``x''``. Columns may be called by their name or by their symbol. If a column is
@@ -13,9 +13,9 @@ from itertools import chain, combinations, combinations_with_replacement
 from typing import Final, TypeVar
 
 from atoll_coordinator.data.recording import component_name
-from atoll_coordinator.data.roles.names_and_options import split_unit
+from atoll_coordinator.data.roles.names_and_options import check_given_equations, split_unit
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.templates import template_of
+from atoll_coordinator.data.templates import check_template, template_of
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.errors import UsageError
@@ -24,6 +24,7 @@ from atoll_core.expression.operators import BY_NAME, VARIABLE
 from atoll_core.expression.program import Program, tree_size
 from atoll_core.expression.restrictions import ALL_EQUATIONS, parse_bound
 from atoll_core.expression.simplification import complexity, simplify_program
+from atoll_core.expression.template import EquationTemplate
 from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import did_you_mean
@@ -116,16 +117,16 @@ class LeftSides:
 def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str]) -> tuple[JobConfig, tuple[str, ...]]:
     """Return the resolved configuration (see `resolve_prior`) and the equations of the job, in order.
 
-    These are the searched equations (all unless ``--only`` names some) and the known equations. For a stochastic
-    process every component of its diffusion is included, although the data may not determine all of them. Raises
-    UsageError.
+    These are the searched equations (all unless ``--only`` names some), the known and the given equations. For a
+    stochastic process every component of its diffusion is included, although the data may not determine all of them.
+    Raises UsageError.
     """
     names = roles.equations
     if config.data.stochastic:
         names = (*names, *(component_name(*pair) for pair in combinations_with_replacement(roles.states, 2)))
-    known = _sides(config, names, symbols).single("--known", config.prior.known)
-    only = config.data.only
-    equations = tuple(name for name in names if not only or name in only or name in known)
+    sides, only = _sides(config, names, symbols), config.data.only
+    given = sides.single("--known", config.prior.known) | sides.single("--equation", config.prior.equations)
+    equations = tuple(name for name in names if not only or name in only or name in given)
     return resolve_prior(config, equations, symbols), equations
 
 
@@ -134,7 +135,7 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
 
     Args:
         config: The configuration as submitted; a resolved configuration is returned unchanged.
-        variables: Names of the job's equations, including known equations.
+        variables: Names of the job's equations, including known and given equations.
         symbols: Symbol of each column that expressions may use, in the order of the dataset's rows.
 
     Raises:
@@ -155,7 +156,13 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
             "variables_of": {name: sides.symbols_of("--allow", texts) for name, texts in allowed.items()},
         }
     )
-    bounds = _resolved_bounds(config.prior.bounds, sides, [name for name in variables if name not in known])
+    equations = sides.single("--equation", config.prior.equations)
+    template = _checked_template(config, equations, known, names)
+    if template is not None:
+        space = space.model_copy(update={"variables_of": _variables_of_unknowns(template, space.variables_of)})
+    given = [name for name in equations if template is not None and template.is_given(name)]
+    sought = [name for name in variables if name not in known and name not in given]
+    bounds = _resolved_bounds(config.prior.bounds, sides, sought)
     for option, by_variable in (
         ("--guess", guesses),
         ("--operators", space.operators_of),
@@ -166,6 +173,8 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
         for name in by_variable:
             if name in known:
                 raise UsageError(f"{option} names '{name}', whose equation is known; leave one of the two out")
+            if name in given and template is not None:
+                raise UsageError(f"{option} names '{name}', {_why_not_searched(template, name)}")
     for name, needed in space.required_of.items():
         usable = [names[column] for column in space.columns_for(name, names)]
         excluded = next((symbol for symbol in needed if symbol not in usable), None)
@@ -174,7 +183,6 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
                 f"--require wants {excluded} in the equation of '{name}', but --allow lets it use "
                 f"{', '.join(usable)} only; change one of the two"
             )
-    equations = sides.single("--equation", config.prior.equations)
     prior = PriorConfig(
         guesses=guesses, known=known, bounds=bounds, equations=equations, parameters=config.prior.parameters
     )
@@ -211,6 +219,47 @@ def guessed_programs(dataset: Dataset, config: JobConfig) -> dict[str, tuple[Pro
         for name in dataset.variables
         if name in guesses
     }
+
+
+def _checked_template(
+    config: JobConfig, equations: Mapping[str, str], known: Mapping[str, str], names: Sequence[str]
+) -> EquationTemplate | None:
+    """Return the template of these sides by variable; None without a side. Raises UsageError if no job can have it."""
+    check_given_equations(config)
+    both = next((name for name in equations if name in known), None)
+    if both is not None:
+        raise UsageError(f"--known and --equation both give the equation of '{both}'; leave one of the two out")
+    prior = config.prior.model_copy(update={"equations": equations})
+    template = template_of(config.model_copy(update={"prior": prior}), names)
+    if template is not None:
+        check_template(template)
+    return template
+
+
+def _variables_of_unknowns(
+    template: EquationTemplate, allowed: Mapping[str, tuple[str, ...]]
+) -> dict[str, tuple[str, ...]]:
+    """Return the allowed variables by equation, with the variables that unknowns name: ``?(v, u)``."""
+    variables = dict(allowed)
+    for unknown in template.unknowns:
+        if unknown.variables is None:
+            continue
+        others = variables.setdefault(unknown.home, unknown.variables)
+        if set(others) != set(unknown.variables):
+            written = f"{unknown.label}({', '.join(unknown.variables)})"
+            raise UsageError(
+                f"--allow lets the unknown part of '{unknown.home}' use {', '.join(others)}, but --equation has "
+                f"{written}; leave one of the two out"
+            )
+    return variables
+
+
+def _why_not_searched(template: EquationTemplate, equation: str) -> str:
+    """Return why nothing is searched under the name of a given equation, as a clause, and what to do."""
+    shared = next((unknown for unknown in template.unknowns if equation in unknown.equations), None)
+    if shared is None:
+        return "whose given equation has no unknown part; leave one of the two out, or add ? to the equation"
+    return f"whose unknown part {shared.label} is searched for '{shared.home}'; name '{shared.home}' instead"
 
 
 def _sides(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, str]) -> LeftSides:

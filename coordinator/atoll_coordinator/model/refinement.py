@@ -17,9 +17,9 @@ from atoll_core.expression.program import Program
 from atoll_core.expression.writing.expansion import Shape
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
-JobKind = Literal["trajectories", "target", "process"]
-"""The kind of job decides which data test an equation: simulated trajectories, the rows of a target, or the steps of a
-stochastic process."""
+JobKind = Literal["trajectories", "template", "target", "process"]
+"""The kind of job decides which data test an equation: simulated trajectories (of a template: also what is unknown in
+it), the rows of a target, or the steps of a stochastic process."""
 CheckOutcome = Literal["passed", "failed", "not made", "not applicable"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
 """How refining ended: finished, stopped by ``--max-time`` with the best result so far, or not run."""

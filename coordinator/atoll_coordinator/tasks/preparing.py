@@ -116,7 +116,7 @@ def prepare_job(
         screen_variables,
         settled_variables,
     )
-    from atoll_coordinator.model.unknown_targets import with_unknown_targets
+    from atoll_coordinator.model.template.unknown_targets import with_unknown_targets
     from atoll_coordinator.tasks.defaults import resolve, with_units
 
     preparation = preparer(table, config)

@@ -23,6 +23,10 @@ _LATEX_ESCAPES: Final = {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", 
 }
 
 _LATEX_UNITS: Final = {" ": r"\ ", "°": r"{}^{\circ}", "µ": r"\mu ", "μ": r"\mu ", "Ω": r"\Omega "}
+_UNKNOWN: Final = re.compile(r"\?(\d*)")
+"""The name of an unknown part of a given equation."""
+GIVEN_DIGITS: Final = 15
+"""The most digits of a number that a person has written."""
 _RAISED: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺"
 _LOWERED: Final = str.maketrans(_RAISED, "0123456789-+")
 _UNIT_PART: Final = re.compile(
@@ -71,8 +75,7 @@ def to_mathml(
 ) -> str:
     """Return `program` as presentation MathML without its ``math`` element, in the form of `to_infix`.
 
-    Factors are separated by dots if a name has several letters, and before numbers.
-    `is_given` is as in `to_infix`.
+    Factors are separated by dots if a name has several letters, and before numbers. `is_given` is as in `to_infix`.
     """
     times = _MATHML.dot if any(len(name) > 1 for name in names) else "<mo>\u2062</mo>"
     return _Typeset(_MATHML, names, digits, times, parts).render(displayed_form(program, digits, is_given=is_given))
@@ -215,6 +218,9 @@ def _latex_name(name: str) -> str:
 
     A name that is not an identifier becomes text, with special characters escaped.
     """
+    unknown = _UNKNOWN.fullmatch(name)
+    if unknown is not None:
+        return rf"\boxed{{?}}_{{{unknown[1]}}}" if unknown[1] else r"\boxed{?}"
     if re.fullmatch(r"\w*", name):
         return name_to_latex(name) if name else ""
     return rf"\text{{{_latex_escaped(name)}}}"
@@ -240,7 +246,14 @@ def _unit_part(part: re.Match[str]) -> str:
 
 
 def _mathml_name(name: str) -> str:
-    """Return a name as an element, with Greek letters and indices. A name that is not an identifier is not changed."""
+    """Return a name as an element, with Greek letters and indices. A name that is not an identifier is not changed.
+
+    The question mark of an unknown part has the class ``unknown``, so that pages can draw a box around it.
+    """
+    unknown = _UNKNOWN.fullmatch(name)
+    if unknown is not None:
+        mark = '<mi class="unknown">?</mi>'
+        return f"<msub>{mark}<mn>{unknown[1]}</mn></msub>" if unknown[1] else mark
     return name_to_mathml(name) if re.fullmatch(r"\w+", name) else f"<mi>{escape(name)}</mi>"
 
 

@@ -25,7 +25,7 @@ function parsed(markup) {
 
 function copy(element) {
   const made = document.createElementNS(NAMESPACE, element.localName);
-  for (const { name, value } of element.attributes) { if (ATTRIBUTES.has(name)) made.setAttribute(name, value); }
+  for (const { name, value } of element.attributes) { if (ATTRIBUTES.has(name) || (name === "class" && value === "unknown")) made.setAttribute(name, value); }
   for (const child of element.childNodes) {
     if (child.nodeType === Node.TEXT_NODE) made.append(child.data);
     else if (child.nodeType === Node.ELEMENT_NODE && child.namespaceURI === NAMESPACE) made.append(copy(child));

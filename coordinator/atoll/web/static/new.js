@@ -4,6 +4,7 @@ import { get, paths, session, upload } from "./api.js";
 import { LinesChart, legend, thin } from "./charts.js";
 import { announce, copyable, facts, faultBox, h, redraw, setText, show, viewHeading } from "./dom.js";
 import { HAS_RESULT, plural } from "./format.js";
+import { formula } from "./mathml.js";
 import { mends, namesOf } from "./mend.js";
 
 const ROLES = ["time", "state", "input", "trajectory", "weights", "unused"];
@@ -12,13 +13,15 @@ const OPTION_OF = { time: "time", state: "states", input: "inputs", trajectory: 
 /** Settings with another name than their option. */
 const SETTINGS = { allow: "variables_of", require: "required_of" };
 const SETTLE = 500;
+/** Options for equations of which a part is given. */
+const GIVEN = ["equation", "parameter"];
 const MOST_CHARTS = 6;
 
 export default function open(root, { parameters }, app) { return new NewJob(root, parameters, app); }
 
 class NewJob {
   #options = {};
-  #fields = new Map(); #charts = []; #files = null; #from = null; #columns = []; #asked = null; #timer = null; #chosen = new Map();
+  #fields = new Map(); #beside = new Map(); #charts = []; #files = null; #from = null; #columns = []; #asked = null; #timer = null; #chosen = new Map();
   constructor(root, parameters, app) {
     this.app = app;
     this.#build(root);
@@ -82,7 +85,8 @@ class NewJob {
     this.shared.checked = job.shared;
     const result = HAS_RESULT.includes(job.state) ? await get(paths.of(id, "result")).catch(() => null) : null;
     this.#options = this.#optionsOf(result?.config ?? {}, job);
-    const found = (result?.equations ?? []).filter(({ expression, why }) => expression && why !== "known").map(({ lhs, expression }) => `${lhs}=${expression}`);
+    const given = Object.keys(result?.config?.prior?.equations ?? {}); // their expressions are not their unknown parts
+    const found = (result?.equations ?? []).filter(({ expression, why, variable }) => expression && why !== "known" && !given.includes(variable)).map(({ lhs, expression }) => `${lhs}=${expression}`);
     if (found.length) this.#options.guess = found; // the search continues from the other job's equations
     this.#fields.forEach((field, name) => field.show(this.#options[name]));
     for (const [role, option] of Object.entries(OPTION_OF)) namesOf(this.#options[option]).forEach((name) => this.#chosen.set(name, role));
@@ -124,7 +128,28 @@ class NewJob {
       else input.value = [value ?? ""].flat().join("\n");
     };
     this.#fields.set(option.name, { option, show: fill });
-    return h("div", { class: "field" }, h("label", { for: id }, option.label, " ", h("code", { class: "faint" }, option.flag)), input, h("small", { class: "faint", id: `${id}-help` }, option.help));
+    return h("div", { class: "field" }, h("label", { for: id }, option.label, " ", h("code", { class: "faint" }, option.flag)), input, this.#besideField(option.name), h("small", { class: "faint", id: `${id}-help` }, option.help));
+  }
+
+  /** Returns the place beside a field for an error in it, and for typeset equations; most fields have none. */
+  #besideField(name) {
+    if (!GIVEN.includes(name)) return "";
+    const fault = h("small", { class: "fault", hidden: true });
+    this.#beside.set(name, fault);
+    if (name === "equation") this.typeset = h("div", { class: "typeset", tabindex: "0", role: "group", "aria-label": "Typeset equations", hidden: true });
+    return name === "equation" ? [this.typeset, fault] : fault;
+  }
+  /** Shows the given equations, or an error that names an option, beside the field. */
+  #drawBeside(equations, sentence = "") {
+    const given = equations.filter(({ mathml }) => mathml);
+    const named = sentence.match(/(?:^|--)(equation|parameter)\b/)?.[1];
+    for (const [name, fault] of this.#beside) {
+      setText(fault, sentence);
+      show(fault, named === name);
+    }
+    if (sentence) return; // the last equations that could be read stay
+    redraw(this.typeset, JSON.stringify(given), () => given.map(({ mathml, lhs, given: side }) => formula(mathml, `${lhs} = ${side}`)));
+    show(this.typeset, given.length > 0);
   }
 
   #set(name, value) {
@@ -150,6 +175,7 @@ class NewJob {
     try {
       const outline = await upload("outline", this.#body, this.#query, signal);
       this.#drawOutline(outline);
+      this.#drawBeside(outline.equations);
       this.#offerMends(outline.warnings.join(" "), true);
       this.send.disabled = !session.may_write;
       this.fault.say();
@@ -158,6 +184,7 @@ class NewJob {
       if (error.name === "AbortError") return;
       setText(this.hint, `${this.#source} cannot be read with these options.`);
       this.unread.say(error.message);
+      this.#drawBeside([], error.message);
       this.send.disabled = true;
       this.#drawRefused(error.columns ?? []);
       this.#offerMends(error.message);
@@ -188,14 +215,14 @@ class NewJob {
     show(this.same, true);
   }
 
-  #drawColumns({ columns, equations }) {
-    const key = JSON.stringify([columns.map(({ name, role }) => [name, role]), equations]);
+  #drawColumns({ columns, equations, parameters = [] }) {
+    const key = JSON.stringify([columns.map(({ name, role }) => [name, role]), equations, parameters]);
     const focused = document.activeElement?.id ?? ""; // the table is drawn again while the user changes it
-    redraw(this.outline, key, () => this.#columnParts(columns, equations));
+    redraw(this.outline, key, () => this.#columnParts(columns, equations, parameters));
     if (/^(role|unit|angle)-/.test(focused)) document.getElementById(focused)?.focus();
   }
 
-  #columnParts(columns, equations) {
+  #columnParts(columns, equations, parameters) {
     const heads = ["Column", "Role", "Unit", "Angle", "First values"].map((head) => h("th", { scope: "col" }, head));
     const rows = columns.map((column, index) => {
       const role = h("select", { id: `role-${index}`, "aria-label": `Role of ${column.name}`, onchange: () => this.#choose(column.name, role.value) },
@@ -207,9 +234,15 @@ class NewJob {
       return h("tr", {}, h("th", { scope: "row" }, column.name), h("td", { "data-head": "Role" }, role), h("td", { "data-head": "Unit" }, unit), h("td", { "data-head": "Angle" }, angle),
         h("td", { class: "numbers", "data-head": "First values" }, column.first.join(", ")));
     });
-    const sought = equations.map((equation) => [equation.lhs, equation.known ? `given: ${equation.known}` : `of ${[equation.variables].flat().join(", ")}${equation.guesses?.length ? `, starting from ${[equation.guesses].flat().join("; ")}` : ""}`]);
+    const sought = equations.map((equation) => [equation.lhs, equation.known ? `given: ${equation.known}` : this.#means(equation)]);
+    if (parameters.length) sought.push(["parameters", parameters.join("; ")]);
     return [h("div", { class: "wide" }, h("table", { class: "stacked" }, h("caption", { class: "unseen" }, "Columns"), h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows))),
       ...(sought.length ? [h("h3", {}, "Equations to find"), facts(sought)] : [])];
+  }
+  #means({ lhs, given, unknown, mathml, variables, guesses }) {
+    const of = `of ${variables.join(", ")}${guesses.length ? `, starting from ${guesses.join("; ")}` : ""}`;
+    if (!mathml) return of;
+    return h("span", {}, formula(mathml, `${lhs} = ${given}`), unknown ? `${unknown} is searched, ${of}` : "given");
   }
   /** Gives a column a role ("": the service decides); an `option` without a role names the column. */
   #choose(column, role, option = null) {
@@ -299,6 +332,13 @@ function asTexts(name, value) {
   if (typeof value !== "object") return [String(value)];
   return Object.entries(value).flatMap(([side, right]) => {
     if (name === "bound") return right.map((bound) => (side === "*" ? bound : `${side}: ${bound}`));
+    if (name === "parameter") return [`${side}${parameterText(right)}`];
     return name === "guess" ? right.map((guess) => `${side}=${guess}`) : [`${side}=${[right].flat().join(",")}`];
   });
+}
+/** Returns start value and bounds of a parameter as its option has them, such as =1 in 0.1..10. */
+function parameterText({ start, lower, upper, by_group: isByGroup }) {
+  const bounds = lower === undefined && upper === undefined ? [] : [`${lower ?? ""}..${upper ?? ""}`];
+  const numbers = [...(start === undefined ? [] : [start]), ...bounds].join(" in ");
+  return `${numbers && `=${numbers}`}${isByGroup ? " by group" : ""}`;
 }

@@ -18,6 +18,7 @@ from atoll_coordinator.data.columns.values import (
     fill_values,
 )
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
+from atoll_coordinator.data.templates import check_names
 from atoll_coordinator.data.trajectories.measurements import Measurements, take_measurements
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.data.table import Table
@@ -51,6 +52,7 @@ def examine(table: Table, config: JobConfig) -> Examination:
     Raises UsageError if options contradict each other, DataError if the measurements cannot be used.
     """
     roles, options = assign_roles(table, config.data)
+    check_names(config, (*table.names, *table.skipped), roles)
     if options.missing_values:  # these values are missing in all measured columns
         is_measured = np.array([name not in (roles.time, roles.trajectory, roles.group) for name in table.names])
         is_missing = np.isin(table.columns, np.array(options.missing_values)) & is_measured[:, None]

@@ -4,11 +4,12 @@ A unit is a product of powers of known symbols, such as ``m s^-2``, ``mol/(L h)`
 distinguishes units from data and from remarks in a header; `atoll_coordinator.units` interprets them.
 """
 
+import math
 import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from atoll_core.config import DataConfig
+from atoll_core.config import DataConfig, JobConfig
 from atoll_core.errors import Field, UsageError
 
 TIME_NAMES: Final = ("t", "time", "Time", "TIME")
@@ -44,6 +45,14 @@ _EXCLUSIONS: Final = (
     ("per_trajectory", "holdout", "constants of held-out trajectories are unknown"),
 )
 """Pairs of options that exclude each other, and why."""
+_WITHOUT_EQUATIONS: Final = (
+    ("stochastic", "the likelihood of a step has no given equations"),
+    ("target", "parameters are fitted to trajectories, and rows of an explicit regression are not trajectories"),
+    ("derivatives", "parameters are fitted to trajectories, and not to given derivatives"),
+    ("group", "given equations with constants by group are not possible yet"),
+    ("per_trajectory", "given equations with constants by trajectory are not possible yet"),
+)
+"""Options that exclude equations given with ``--equation``, and why."""
 _COMPATIBLE: Final = ({"inputs", "time"}, {"trajectory", "group"})
 """Roles that one column may have."""
 _WITH_UNIT: Final = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
@@ -142,6 +151,33 @@ def check_options(config: DataConfig) -> None:
                 raise UsageError(f"%s names '{name}' twice; name it once", Field(role))
             if other != role and role != "angle" and {other, role} not in _COMPATIBLE:
                 raise UsageError(f"column '{name}' is named by both %s and %s; name it once", Field(other), Field(role))
+
+
+def check_given_equations(config: JobConfig) -> None:
+    """Raise UsageError if a job of this kind can have no given equations, or if a parameter has impossible bounds."""
+    prior, data = config.prior, config.data
+    for name, one in prior.parameters.items():
+        lower, upper = (-math.inf if one.lower is None else one.lower), (math.inf if one.upper is None else one.upper)
+        if not lower < upper:
+            raise UsageError(f"%s {name}: the lower bound {lower:g} is not below {upper:g}", Field("parameter"))
+        if one.start is not None and not lower <= one.start <= upper:
+            inside = f"outside its bounds {lower:g} to {upper:g}"
+            raise UsageError(f"%s {name}: the start value {one.start:g} is {inside}", Field("parameter"))
+        if one.by_group and data.group is None and not data.per_trajectory:
+            groups = (Field("parameter"), Field("group"), Field("per_trajectory"))
+            raise UsageError(f"%s {name} differs between groups, but there are none; add %s or %s", *groups)
+    if not prior.equations:
+        if prior.parameters:
+            name = next(iter(prior.parameters))
+            fields = (Field("parameter"), Field("equation"))
+            raise UsageError(f"%s {name} belongs to no equation; give one with %s", *fields)
+        return
+    for option, reason in _WITHOUT_EQUATIONS:
+        if getattr(data, option) not in (None, False):
+            raise UsageError(f"%s and %s exclude each other; {reason}", Field("equation"), Field(option))
+    if config.preset == "paper":
+        reason = "the algorithm of the paper has no given equations"
+        raise UsageError(f"%s and %s exclude each other; {reason}", Field("equation"), Field("preset", "paper"))
 
 
 def are_units(texts: Sequence[str]) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from atoll_coordinator.result.equations import SimpleNumber
 from atoll_core.expression.program import Program, constant_places
-from atoll_core.expression.template import Composition, Template
+from atoll_core.expression.template import Composition, EquationTemplate
 from atoll_core.expression.unit_coefficients import ExplicitCoefficients
 
 SimpleNumbers = Sequence[SimpleNumber | None]
@@ -31,7 +31,7 @@ class ComposedEquations:
 
 
 def compose_equations(
-    template: Template, explicit: Sequence[ExplicitCoefficients], shown: Sequence[Program],
+    template: EquationTemplate, explicit: Sequence[ExplicitCoefficients], shown: Sequence[Program],
     simple: Sequence[SimpleNumbers],
 ) -> ComposedEquations:  # fmt: skip
     """Return the whole sides of searched programs.
@@ -53,7 +53,7 @@ def compose_equations(
 
 @dataclass(frozen=True, eq=False)
 class _Composer:
-    template: Template
+    template: EquationTemplate
     coefficients: Sequence[ExplicitCoefficients]
     shown: Sequence[Program]
     simple: Sequence[SimpleNumbers]

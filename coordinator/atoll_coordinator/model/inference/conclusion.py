@@ -32,6 +32,7 @@ from atoll_coordinator.model.inference.final_model import FinalModel, estimate_e
 from atoll_coordinator.model.inference.long_run import assess_long_run
 from atoll_coordinator.model.inference.prediction import AlternativeSystem, compare_predictions, draw_systems
 from atoll_coordinator.model.inference.remarks import warn_of_random_walk
+from atoll_coordinator.model.inference.template_checks import TemplateChecks
 from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
     compute_r2,
@@ -83,9 +84,10 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         failed = [-math.inf for _ in held_out_r2]
         held_out_r2 = failed if held_out_fit is None else compute_r2(held_out_rows, held_out_fit, slice(None))
     compared: list[TrajectoryChecks] = []
+    checks_of = TrajectoryChecks if final.comparison.template is None else TemplateChecks
     for index, prediction in enumerate(predictions):
         equation = _describe_equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
-        compared.append(TrajectoryChecks(final, long_run, index, equation, held_out_r2[index], compared))
+        compared.append(checks_of(final, long_run, index, equation, held_out_r2[index], compared))
     equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
     measurements = final.shown_comparison.estimator.measurements
     if measurements.rows > final.comparison.estimator.measurements.rows:

@@ -17,6 +17,7 @@ Doubtful: each step decides alone, and its decision is not tested again after a 
 the shown structure with all constants free, including constants that were replaced by simple numbers.
 """
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -48,7 +49,9 @@ from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.system import SharedNumber
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import CONSTANT, SUBTRACT, VARIABLE
+from atoll_core.expression.program import Program, constant_places, structure, variables_of
 from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written
 from atoll_core.expression.writing.expansion import Shape
 from atoll_core.expression.writing.shortest import shortest_over
@@ -133,6 +136,19 @@ class FinalModel(ShownEquations):
         if fitted.rows != self.shown_comparison.estimator.measurements.rows or self.piece != self.task.piece:
             return None
         return residual_covariances(fitted, self.free.fit)
+
+    def gain_of_unknown_part(self, equation: int) -> float:
+        """Return by how many nats the model's description is shorter than without the unknown part of an equation, or
+        with a constant in its place; the better one counts."""
+        selection = self.ranking.selection
+        comparison, model = selection.comparison, selection.model
+        own, lengths = model.programs[equation], list[float]()
+        mean = float(np.mean(values_of(own, self.task.dataset.inputs)))
+        nothing = Program.of([(VARIABLE, 0, 0, 0.0), (SUBTRACT, 0, 0, 0.0)])  # 0 without a fitted constant
+        for program in (nothing, Program.of([(CONSTANT, 0, 0, mean)]))[: 2 if variables_of(own) else 1]:
+            other = comparison.fit_replacement(model, equation, program, SETTINGS.effort.steps)
+            lengths.append(math.inf if other is None or not math.isfinite(other.nats) else other.nats)
+        return min(lengths) - model.nats
 
     @cached_property
     def unknown_variances(self) -> list[tuple[str, str, float | None]]:

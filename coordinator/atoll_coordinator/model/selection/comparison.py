@@ -41,7 +41,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.restrictions import NONE, Restrictions
-from atoll_core.expression.template import Composition, Template
+from atoll_core.expression.template import Composition, EquationTemplate
 from atoll_core.wire.values import encode_value
 
 Programs = tuple[Program, ...]
@@ -121,7 +121,7 @@ class Constraints:
 
     restrictions: Mapping[int, Restrictions] = field(default_factory=dict)
     groups: GroupedRows | None = None
-    template: Template | None = None
+    template: EquationTemplate | None = None
     parameters: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
@@ -193,7 +193,7 @@ class ModelComparison:
         return self.calibration or Score.from_smoother(self.estimator, len(self.leading), self.fixed, count)
 
     @property
-    def template(self) -> Template | None:
+    def template(self) -> EquationTemplate | None:
         """The template of the equations; None: whole right-hand sides are searched."""
         return self.constraints.template
 

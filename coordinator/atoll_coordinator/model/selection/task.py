@@ -27,7 +27,7 @@ from atoll_core.data.dataset import Dataset, FloatArray
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
-from atoll_core.expression.template import Template
+from atoll_core.expression.template import EquationTemplate
 from atoll_core.expression.writing.shortest import shortest
 
 _TOLERATED_NOISE: Final = 0.01
@@ -74,7 +74,7 @@ class ModellingTask:
         }
 
     @cached_property
-    def template(self) -> Template | None:
+    def template(self) -> EquationTemplate | None:
         """The given equations with parameters and unknown parts; None: there are none."""
         return template_of(self.config, self.dataset.names)
 

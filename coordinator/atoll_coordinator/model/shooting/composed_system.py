@@ -11,14 +11,14 @@ import numpy as np
 from atoll_coordinator.model.shooting.system import OdeSystem, Place, SearchedParts, system_of
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program
-from atoll_core.expression.template import Composition, Template
+from atoll_core.expression.template import Composition, EquationTemplate
 
 Ends = tuple[float, float]
 """Lower and upper bound."""
 
 
 def composed_system(  # noqa: PLR0913, the arguments of `system_of`, and the template
-    template: Template, composition: Composition, names: Sequence[str], variables: Sequence[str],
+    template: EquationTemplate, composition: Composition, names: Sequence[str], variables: Sequence[str],
     leading: Sequence[Program], fixed: Sequence[Collection[int]], bounds: Mapping[Place, Ends], *,
     are_parameters_fixed: bool = False,
 ) -> OdeSystem:  # fmt: skip
@@ -64,7 +64,9 @@ def composed_system(  # noqa: PLR0913, the arguments of `system_of`, and the tem
     return system.with_values(system.values)
 
 
-def _searched_parts(template: Template, composition: Composition, system: OdeSystem, before: int) -> SearchedParts:
+def _searched_parts(
+    template: EquationTemplate, composition: Composition, system: OdeSystem, before: int
+) -> SearchedParts:
     firsts = [0, *(system.outputs + 1).tolist()][before:]
     nodes = [np.full(len(slot), -1, np.int64) for slot in composition.slots]
     for own, places in zip(nodes, composition.places, strict=True):
@@ -78,7 +80,7 @@ def _searched_parts(template: Template, composition: Composition, system: OdeSys
 
 
 def _ranges(
-    template: Template, composition: Composition, system: OdeSystem, before: int, bounds: Mapping[Place, Ends]
+    template: EquationTemplate, composition: Composition, system: OdeSystem, before: int, bounds: Mapping[Place, Ends]
 ) -> tuple[FloatArray, FloatArray] | tuple[None, None]:
     """Return bounds (P,) on the fitted constants; None without bounds."""
     known = dict(bounds)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from atoll_coordinator.data.outline import describe, outline
-from atoll_core.config import BudgetConfig, DataConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll_core.config import BudgetConfig, DataConfig, JobConfig, ParameterConfig, PriorConfig, SpaceConfig
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 TABLE = table_of(oscillator())
@@ -52,3 +52,42 @@ def test_what_is_known_of_a_diffusion_is_said():
     )
     lines = describe(table_of(oscillator(120)), config).split("\n")
     assert lines[-2:] == ["known: d[x]/dt = 0.25", "bounds: d[y]/dt: c > 0.1"]
+
+
+GIVEN = JobConfig(
+    prior=PriorConfig(
+        equations={"dx": "-k*x + ?(y)", "dy": "c/2 - a*y"},
+        parameters={
+            "k": ParameterConfig(lower=0.1, upper=10.0),
+            "a": ParameterConfig(start=3.0),
+            "c": ParameterConfig(lower=2.0),
+        },
+    ),
+    space=SpaceConfig(operators=("+", "*")),
+)
+
+
+def test_of_a_given_equation_its_unknown_part_is_searched_and_its_parameters_are_listed():
+    assert outline(TABLE, GIVEN).as_text().split("\n")[:7] == [
+        "1 equation would be searched:",
+        "  dx/dt = -k*x + ?(y)",
+        "    searched: ? of dx/dt, from y, of + *",
+        "  dy/dt = c/2 - a*y (given)",
+        "  parameter k: 0.1 to 10, beginning at 1",
+        "  parameter c: at least 2, beginning at 2",
+        "  parameter a: beginning at 3",
+    ]
+    assert describe(TABLE, GIVEN).split("\n")[-2:] == ["given: dx/dt = -k*x + ?(y)", "given: dy/dt = c/2 - a*y"]
+
+
+def test_an_outline_for_programs_has_given_equations_as_mathml_and_nothing_new_without_them():
+    made = outline(TABLE, GIVEN).as_dict()
+    first, second = made["equations"]
+    assert (first["given"], first["unknown"], first["variables"]) == ("-k*x + ?(y)", "?", ["y"])
+    assert (second["given"], second["unknown"]) == ("c/2 - a*y", "")
+    assert first["mathml"].startswith("<math ")
+    assert '<mi class="unknown">?</mi>' in first["mathml"]
+    assert made["parameters"] == ["k: 0.1 to 10, beginning at 1", "c: at least 2, beginning at 2", "a: beginning at 3"]
+    plain = outline(TABLE, JobConfig()).as_dict()
+    assert "parameters" not in plain
+    assert set(plain["equations"][0]) == {"lhs", "variables", "operators", "known", "guesses"}

@@ -5,7 +5,15 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.prior_knowledge import LeftSides, known_programs, resolve_prior
 from atoll_coordinator.tasks.defaults import resolve
-from atoll_core.config import BASE_OPERATORS, DataConfig, EvolutionConfig, JobConfig, PriorConfig, SpaceConfig
+from atoll_core.config import (
+    BASE_OPERATORS,
+    DataConfig,
+    EvolutionConfig,
+    JobConfig,
+    ParameterConfig,
+    PriorConfig,
+    SpaceConfig,
+)
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.infix import to_infix
 from tests.unit.coordinator.data.tables import oscillator, table_of
@@ -15,11 +23,15 @@ VARIABLES = ("x", "y-1")
 
 
 def config_of(guesses=(), known=(), operators_of=(), variables_of=(), required_of=(), bounds=(), **others):
+    parameters = {name: ParameterConfig(**settings) for name, settings in others.pop("parameters", {}).items()}
+    equations = others.pop("equations", {})
     space = SpaceConfig(
         operators_of=dict(operators_of), variables_of=dict(variables_of), required_of=dict(required_of),
         **others.pop("space", {}),
     )  # fmt: skip
-    prior = PriorConfig(guesses=dict(guesses), known=dict(known), bounds=dict(bounds))
+    prior = PriorConfig(
+        guesses=dict(guesses), known=dict(known), bounds=dict(bounds), equations=equations, parameters=parameters
+    )
     return JobConfig(prior=prior, space=space, **others)
 
 
@@ -77,6 +89,39 @@ def test_an_equation_has_its_own_operators_and_variables_the_others_the_general_
         ({"bounds": {"*": ("c > 0",)}, "known": {"x": "1", "y-1": "x"}}, ["--bound 'c > 0'", "all are known"]),
         ({"bounds": {"z": ("c > 0",)}}, ["--bound", "'z'", "searched for x, y-1"]),
         ({"bounds": {"x": ("c > 0",)}, "known": {"x": "1"}}, ["--bound", "'x'", "known"]),
+        ({"equations": {"z": "?"}}, ["--equation", "'z'", "searched for x, y-1"]),
+        ({"equations": {"x": "c*x", "dx": "?"}}, ["--equation", "'x'", "twice"]),
+        ({"equations": {"x": "c*x +"}}, ["--equation for 'x'", "the text ends"]),
+        ({"equations": {"x": "sin"}}, ["--equation for 'x'", "'sin'", "known: x, y_1, u"]),
+        ({"equations": {"x": "ln*x"}}, ["--equation", "ln", "function"]),
+        ({"equations": {"x": "y1*x"}}, ["y1", "did you mean 'y_1'?", "--parameter y1"]),
+        ({"equations": {"x": "c*x"}, "parameters": {"k": {}}}, ["--parameter k", "there are: c"]),
+        ({"equations": {"x": "c*x"}, "parameters": {"u": {}}}, ["--parameter u", "column"]),
+        (
+            {"equations": {"x": "c*x"}, "parameters": {"c": {"start": 2.0, "upper": 1.0}}},
+            ["parameter c", "start value 2"],
+        ),
+        ({"parameters": {"c": {}}}, ["parameter c", "equation"]),
+        ({"equations": {"x": "c*x"}, "known": {"dx": "1"}}, ["--known and --equation", "'x'"]),
+        ({"equations": {"x": "c*x"}, "guesses": {"x": ("1",)}}, ["--guess", "'x'", "no unknown part"]),
+        ({"equations": {"x": "c*x"}, "bounds": {"x": ("c > 0",)}}, ["--bound", "'x'", "no unknown part"]),
+        ({"equations": {"x": "c*x"}, "variables_of": {"x": ("x",)}}, ["--allow", "'x'", "no unknown part"]),
+        ({"equations": {"x": "c*x"}, "required_of": {"x": ("x",)}}, ["--require", "'x'", "no unknown part"]),
+        ({"equations": {"x": "c*x"}, "operators_of": {"x": ("+",)}}, ["--operators", "'x'", "no unknown part"]),
+        ({"equations": {"x": "?1", "y-1": "-?1"}, "guesses": {"y-1": ("1",)}}, ["--guess", "?1 is searched for 'x'"]),
+        ({"equations": {"x": "?1 + ?2"}}, ["more unknown parts than equations"]),
+        ({"equations": {"x": "?1(x)", "y-1": "?1(u)"}}, ["?1 depends on x in one place and on u in another"]),
+        ({"equations": {"x": "?(w)"}}, ["x, y_1, u, not on w"]),
+        ({"equations": {"x": "?(x)"}, "variables_of": {"x": ("u",)}}, ["--allow", "use u", "?(x)"]),
+        ({"equations": {"x": "?(x)"}, "required_of": {"x": ("u",)}}, ["--require wants u", "x only"]),
+        ({"equations": {"x": "?(x)"}, "guesses": {"x": ("u",)}}, ["uses u", "x only"]),
+        ({"equations": {"x": "c*sin(?)"}}, ["write ? once, for the whole of it"]),
+        ({"equations": {"x": "cos(x + ?)"}}, ["write ? once, for the whole of it"]),
+        ({"equations": {"x": "abs(?)"}}, ["write ? once, for the whole of it"]),
+        ({"equations": {"x": "(x + ?)**2"}}, ["write ? once, for the whole of it"]),
+        ({"equations": {"x": "?*exp(?)"}}, ["write ? once, for the whole of it"]),
+        ({"equations": {"x": "x + ʔ"}}, ["letter ʔ"]),
+        ({"equations": {"dx/dt": "?"}, "data": DataConfig(order=2)}, ["'dx/dt'", "first derivative"]),
     ],
 )
 def test_what_cannot_be_used_is_one_sentence(options, words):
@@ -166,3 +211,53 @@ def test_variables_are_named_by_column_or_symbol():
     for texts, words in ((("w",), "'w', but the variables are x, v-x, dx, u"), ((), "no variable")):
         with pytest.raises(UsageError, match=words):
             sides().symbols_of("--allow", texts)
+
+
+def test_given_equations_are_keyed_by_variable_and_their_unknown_parts_have_their_variables():
+    config = resolved(
+        equations={"dx/dt": "-c*x + ?(y_1, u)", "dy_1": "?1*exp(-x)"},
+        parameters={"c": {"lower": 0.1, "upper": 10.0}},
+        guesses={"dx": ("2*u",)},
+        bounds={"*": ("|c| < 9",)},
+        operators_of={"y-1": ("+",)},
+    )
+    assert config.prior.equations == {"x": "-c*x + ?(y_1, u)", "y-1": "?1*exp(-x)"}
+    assert config.prior.parameters == {"c": ParameterConfig(lower=0.1, upper=10.0)}
+    assert config.prior.bounds == {"x": ("|c| < 9",), "y-1": ("|c| < 9",)}
+    assert config.space.variables_of == {"x": ("y_1", "u")}
+    assert resolve_prior(config, VARIABLES, SYMBOLS) == config
+
+
+def test_bounds_on_all_equations_leave_out_equations_without_an_unknown_part():
+    config = resolved(equations={"x": "c*x"}, bounds={"*": ("c > 0",)})
+    assert config.prior.bounds == {"y-1": ("c > 0",)}
+
+
+@pytest.mark.parametrize("side", ["exp(1/?) + x", "tanh(c*?)", "2**?", "x/?", "log(?)*u", "-?", "sqrt(?)"])
+def test_an_unknown_part_may_be_wherever_the_side_determines_it(side):
+    assert resolved(equations={"x": side}).prior.equations == {"x": side}
+
+
+def test_second_derivatives_may_be_given():
+    config = resolved(equations={"d2x/dt2": "-k*x + ?"}, data=DataConfig(order=2))
+    assert config.prior.equations == {"x": "-k*x + ?"}
+
+
+def test_given_equations_are_prepared_beside_the_only_one_sought():
+    config = config_of(equations={"dy/dt": "-k*x"}, data=DataConfig(only=("x",)))
+    assert prepare(table_of(oscillator()), config).dataset.variables == ("x", "y")
+
+
+@pytest.mark.parametrize(
+    ("side", "data", "words"),
+    [
+        ("cos(t)", {}, ["time t", "--inputs t"]),
+        ("z + c", {"states": ("x", "y")}, ["uses z", "neither a state nor an input", "--inputs"]),
+    ],
+)
+def test_columns_that_are_no_variables_are_no_parameters(side, data, words):
+    columns = oscillator()
+    table = table_of(columns | {"z": columns["x"] ** 2})
+    with pytest.raises(UsageError) as caught:
+        prepare(table, config_of(equations={"dx": side}, data=DataConfig(**data)))
+    assert [word for word in words if word not in str(caught.value)] == []

@@ -6,7 +6,8 @@ import pytest
 
 from atoll.cli.parser import job_id, parse
 from atoll.cli.request import config_of as configure
-from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, PRESETS, JobConfig
+from atoll.client.job_options import OPTIONS
+from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, PRESETS, JobConfig, ParameterConfig
 from atoll_core.errors import UsageError
 
 
@@ -44,6 +45,7 @@ def config_of(line: str) -> JobConfig:
         ("--unit x=m/s --unit t=s", "data", "units", {"x": "m/s", "t": "s"}),
         ("--guess dx=x --guess dy/dt=y --guess dx=2*x", "prior", "guesses", {"dx": ("x", "2*x"), "dy/dt": ("y",)}),
         ("--known y'=-x/10", "prior", "known", {"y'": "-x/10"}),
+        ("--equation dv/dt=-c*v+?", "prior", "equations", {"dv/dt": "-c*v+?"}),
         ("--max-size 15", "space", "max_size", 15),
         ("--islands 3", "evolution", "islands", 3),
         ("--max-time 1.5h", "budget", "max_time", 5400.0),
@@ -83,6 +85,46 @@ def test_a_job_file_may_hold_what_is_known_beforehand(tmp_path: Path) -> None:
     assert config.prior.guesses == {"x": ("2*x", "y")}
     assert config.prior.known == {"dz": "0"}
     assert (config.space.operators_of, config.space.operators) == ({"x": ("+",)}, ("+", "-"))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("c", {}),
+        ("c=1", {"start": 1.0}),
+        ("c=-1e-3", {"start": -1e-3}),
+        ("c=0.1..10", {"lower": 0.1, "upper": 10.0}),
+        ("c = -2 .. -.5", {"lower": -2.0, "upper": -0.5}),
+        ("c=1 in 0.1..10", {"start": 1.0, "lower": 0.1, "upper": 10.0}),
+        ("c=0..", {"lower": 0.0}),
+        ("c=..10", {"upper": 10.0}),
+        ("c=1 in ..10", {"start": 1.0, "upper": 10.0}),
+        ("c=0..inf", {"lower": 0.0}),
+    ],
+)
+def test_a_parameter_has_a_start_value_bounds_or_both(text: str, expected: dict[str, float]) -> None:
+    config = configure(parse(["run", "data.csv", "--equation", "dx = c*x + ?", "--parameter", text]))
+    assert config.prior.parameters == {"c": ParameterConfig(**expected)}
+
+
+def test_a_parameter_by_group_needs_groups() -> None:
+    line = ["run", "data.csv", "--equation", "dx = c*x", "--parameter", "c=1 in 0.. by group"]
+    assert OPTIONS["parameter"].decide(line[-1]) == {
+        "prior.parameters": {"c": {"by_group": True, "start": 1.0, "lower": 0.0}}
+    }
+    with pytest.raises(UsageError) as caught:
+        configure(parse(line))
+    assert "add --group or --per-trajectory" in caught.value.on_command_line
+
+
+def test_a_job_file_may_have_given_equations(tmp_path: Path) -> None:
+    file = tmp_path / "job.toml"
+    file.write_text(
+        '[prior]\nequations = {"dv/dt" = "-c*v + ?"}\n[prior.parameters]\nc = {lower = 0.1, upper = 10.0}\n'
+    )
+    prior = config_of(f"--config {file}").prior
+    assert prior.equations == {"dv/dt": "-c*v + ?"}
+    assert prior.parameters == {"c": ParameterConfig(lower=0.1, upper=10.0)}
 
 
 @pytest.mark.parametrize(
@@ -128,6 +170,22 @@ def test_further_operators_may_be_tried_where_none_are_named(line: str, further:
         ("--guess =x", ["--guess", "dx=3*x-2*x*y", "'=x'"]),
         ("--known dy=", ["--known", "dy=-x/10", "'dy='"]),
         ("--known dy=1 --known dy=2", ["--known", "'dy'", "twice"]),
+        ("--equation dy=", ["--equation", "dv/dt=-g/l*sin(theta) - c*v + ?", "'dy='"]),
+        ("--equation dy=1 --equation dy=2", ["--equation", "'dy'", "twice"]),
+        ("--equation dy=?1+c --parameter c=1 --parameter c=2", ["--parameter", "'c'", "twice"]),
+        ("--equation dy=c --parameter c=0...5", ["--parameter", "'0...5'"]),
+        ("--equation dy=c --parameter c=..", ["--parameter", "'..'"]),
+        ("--equation dy=c --parameter c=", ["--parameter", "c=0.1..10", "'c='"]),
+        ("--equation dy=c --parameter c+1", ["--parameter", "c=0.1..10", "'c+1'"]),
+        ("--equation dy=c --parameter c=nan", ["--parameter", "finite", "nan"]),
+        ("--equation dy=c --parameter c=3..1", ["--parameter c", "3 is not below 1"]),
+        ("--equation dy=c --parameter c=3..3", ["--parameter c", "3 is not below 3"]),
+        ("--parameter c", ["--parameter c", "--equation"]),
+        ("--equation dy=c --stochastic", ["--equation and --stochastic exclude each other"]),
+        ("--equation dy=c --target y", ["--equation and --target exclude each other"]),
+        ("--equation dy=c --derivatives d", ["--equation and --derivatives exclude each other"]),
+        ("--equation dy=c --preset paper", ["--equation and --preset paper exclude each other"]),
+        ("--equation dy=c --group g", ["--equation and --group exclude each other"]),
         ("--allow x", ["--allow", "x=x,y", "'x'"]),
         ("--allow x=y,y", ["--allow", "'y'", "twice", "every variable"]),
         ("--require x", ["--require", "x=y", "'x'"]),
@@ -174,6 +232,7 @@ def test_a_wrong_option_is_one_sentence_that_names_it(line: str, words: list[str
         ('[data]\nstates = "x,y"\n', ["data.states in", "a list"]),
         ("[evolution\n", ["not valid TOML"]),
         ("evolution = 3\n", ["evolution in"]),
+        ("[prior.parameters]\nc = {low = 1}\n", ["prior.parameters.c.low in", "lower, upper, start", "'lower'"]),
         ('[prior]\nguesses = {x = "2*x"}\n', ["prior.guesses.x in", "a list"]),
         ('[prior]\nguess = {x = ["2*x"]}\n', ["prior.guess in", "not a known setting", "guesses"]),
         ("[space]\noperators_of = {x = []}\n", ["the list of operators is empty"]),

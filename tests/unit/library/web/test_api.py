@@ -150,6 +150,18 @@ def test_an_outline_says_how_a_file_is_read_and_what_the_command_would_be(app) -
     assert turned["columns"][1]["angle"] == "degrees"
 
 
+def test_given_equations_are_typeset_by_the_service_and_errors_in_them_name_the_option(app) -> None:
+    options = {"equation": ["dx/dt = -c*x + ?"], "parameter": ["c=0.1..10"]}
+    made = wrote(app, "POST", "/outline", CSV, filename="d.csv", options=json.dumps(options)).json
+    assert made["equations"][0]["mathml"].startswith("<math ")
+    assert made["parameters"] == ["c: 0.1 to 10, beginning at 1"]
+    assert "--equation 'dx/dt = -c*x + ?' --parameter c=0.1..10" in made["command"]
+    assert "equation=['dx/dt = -c*x + ?'], parameter=['c=0.1..10']" in made["python"]
+    options["equation"] = ["dx/dt = -c*x + sin"]
+    refused = wrote(app, "POST", "/outline", CSV, filename="d.csv", options=json.dumps(options))
+    assert (refused.status, refused.json["detail"].startswith("--equation for 'dx/dt'")) == (422, True)
+
+
 def test_several_files_are_one_table(app, client) -> None:
     sizes = [str(len(CSV))] * 2
     made = wrote(app, "POST", "/outline", CSV + CSV, filename=["a.csv", "b.csv"], bytes=sizes).json

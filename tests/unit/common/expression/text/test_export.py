@@ -7,7 +7,14 @@ import sympy
 from hypothesis import assume, given
 
 from atoll_core.expression.program import tree_size
-from atoll_core.expression.text.export import left_side_to_latex, left_side_to_mathml, to_latex, to_mathml, to_sympy
+from atoll_core.expression.text.export import (
+    GIVEN_DIGITS,
+    left_side_to_latex,
+    left_side_to_mathml,
+    to_latex,
+    to_mathml,
+    to_sympy,
+)
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix
 from atoll_core.expression.text.parsing import from_infix
 from tests.property.programs import HOSTILE_NAMES, NAMES, programs
@@ -78,3 +85,17 @@ def test_sympy_takes_any_name_for_a_symbol(name: str) -> None:
 
 def test_a_name_is_the_same_on_both_sides_of_an_equation() -> None:
     assert to_mathml(from_infix("x_1", ("x_1",)), ("x_1",)) in left_side_to_mathml("dx_1/dt")
+
+
+def test_the_mark_of_an_unknown_part_has_a_box() -> None:
+    names = ("x", "?", "?12")
+    program = from_infix("x*a + b", ("x", "a", "b"))
+    assert to_latex(program, names) == r"\boxed{?}_{12} + x \boxed{?}"
+    assert '<msub><mi class="unknown">?</mi><mn>12</mn></msub>' in to_mathml(program, names)
+
+
+def test_mathml_may_have_the_order_in_which_an_expression_was_written() -> None:
+    names = ("x", "y")
+    program = from_infix("y*x - 0.12345678*x + 2", names)
+    told = "".join(ElementTree.fromstring(to_mathml(program, names, digits=GIVEN_DIGITS, is_given=True)).itertext())
+    assert told.replace("\u2062", "").replace("\u00b7", "") == "yx-0.12345678x+2"

@@ -22,14 +22,14 @@ import numpy as np
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.templates import template_of
-from atoll_coordinator.model.parameter_estimates import estimate_parameters
+from atoll_coordinator.model.template.parameter_estimates import estimate_parameters
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, IntArray, Target
 from atoll_core.errors import DataError, UsageError
 from atoll_core.expression.derivative import derivative
 from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.template import Template
+from atoll_core.expression.template import EquationTemplate
 
 _CONTRADICTION: Final = 5.0
 """Median difference of the values of an unknown part by two equations, over its uncertainty, that is reported. The
@@ -97,7 +97,7 @@ class _Values:
     by_equation: Sequence[tuple[str, FloatArray, FloatArray]]
 
 
-def _solve(template: Template, dataset: Dataset, parameters: FloatArray) -> dict[str, _Values]:
+def _solve(template: EquationTemplate, dataset: Dataset, parameters: FloatArray) -> dict[str, _Values]:
     """Return the values of the unknown parts, by the equation that is each one's home.
 
     An equation with several unknown parts is solved when all but one are known from other equations.
@@ -134,7 +134,7 @@ def _solve(template: Template, dataset: Dataset, parameters: FloatArray) -> dict
 
 
 def _solve_one(
-    template: Template, dataset: Dataset, points: FloatArray, name: str, unknown: int, known: dict[int, _Values]
+    template: EquationTemplate, dataset: Dataset, points: FloatArray, name: str, unknown: int, known: dict[int, _Values]
 ) -> list[tuple[str, FloatArray, FloatArray, float]]:
     """Return the values of an unknown part by one equation, and their variances; nothing if the equation is not
     differentiated or cannot be solved."""
@@ -207,7 +207,7 @@ def _unknown_target(target: Target, unknown: _Values, rows: IntArray, *, is_exac
     return Target(target.variable, target.lhs, values, uncertainty, scale, noise)
 
 
-def _compare_equations(template: Template, unknowns: dict[str, _Values]) -> list[str]:
+def _compare_equations(template: EquationTemplate, unknowns: dict[str, _Values]) -> list[str]:
     """Return a sentence for each unknown part whose equations do not agree about its values."""
     remarks = []
     for unknown in template.unknowns:

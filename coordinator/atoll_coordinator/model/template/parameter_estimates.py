@@ -26,7 +26,7 @@ from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray
 from atoll_core.expression.evaluation import values_and_gradient
 from atoll_core.expression.operators import BY_NAME, VARIABLE
 from atoll_core.expression.program import Expression, Program, constant_places, with_constants
-from atoll_core.expression.template import Parameter, Template
+from atoll_core.expression.template import EquationTemplate, TemplateParameter
 
 _ROWS_OF_A_TERM: Final = 5
 """Rows for each term of the polynomial that stands for an unknown part."""
@@ -44,7 +44,7 @@ class ParameterEstimates:
     warnings: tuple[str, ...] = ()
 
 
-def estimate_parameters(dataset: Dataset, config: JobConfig, template: Template) -> ParameterEstimates:
+def estimate_parameters(dataset: Dataset, config: JobConfig, template: EquationTemplate) -> ParameterEstimates:
     """Return estimates of the parameters of a template from the derivatives in the dataset.
 
     A parameter that the unknown part can replace, such as c in ``-c*v + ?``, keeps its start value.
@@ -73,7 +73,7 @@ def estimate_parameters(dataset: Dataset, config: JobConfig, template: Template)
     return ParameterEstimates(np.clip(values, lower, upper), tuple(warnings))
 
 
-def draw_starts(parameters: Sequence[Parameter], count: int, seed: int = 0) -> FloatArray:
+def draw_starts(parameters: Sequence[TemplateParameter], count: int) -> FloatArray:
     """Return start values (S, P) of parameters: their first values, then `count` - 1 points that fill the bounds evenly
     (Sobol 1967).
 
@@ -84,7 +84,8 @@ def draw_starts(parameters: Sequence[Parameter], count: int, seed: int = 0) -> F
     firsts = np.array([parameter.first_value for parameter in parameters])
     if not len(parameters):
         return firsts[None]
-    unit = qmc.Sobol(len(parameters), rng=np.random.default_rng(seed)).random(max(count - 1, 1))[: count - 1]
+    points = qmc.Sobol(len(parameters), scramble=False).random_base2(max(count - 1, 1).bit_length())
+    unit = points[1:count]  # the first point is the corner at 0
     drawn = np.empty((len(unit), len(parameters)))
     for place, parameter in enumerate(parameters):
         low, high = parameter.lower, parameter.upper
@@ -129,7 +130,7 @@ class _Sides:
     first: FloatArray
 
     @classmethod
-    def of(cls, dataset: Dataset, config: JobConfig, template: Template, names: Sequence[str]) -> "_Sides":
+    def of(cls, dataset: Dataset, config: JobConfig, template: EquationTemplate, names: Sequence[str]) -> "_Sides":
         polynomials = {one.home: _polynomial(dataset, config, one.home) for one in template.unknowns}
         zero = sum_of([1.0], [0.0])
         equations = tuple(dict.fromkeys([*template.sides, *polynomials]))
