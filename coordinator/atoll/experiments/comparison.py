@@ -161,6 +161,10 @@ def _forms(first: ModelCore, second: ModelCore) -> dict[str, str]:
             forms[equation.lhs] = "the same equation"
         elif structure(programs[0]) != structure(programs[1]):
             forms[equation.lhs] = "another form"
+        elif equation.given is not None and other.given is not None and equation.given.text != other.given.text:
+            forms[equation.lhs] = f"the same form, given as {equation.given.text} and as {other.given.text}"
+        elif (equation.given is None) is not (other.given is None):
+            forms[equation.lhs] = "the same form; one of the models has parts that the user gave"
         else:
             constants = [
                 [constant for constant in model.params.values() if constant.variable == equation.variable]

@@ -274,6 +274,17 @@ def named_side(equation: Equation, names: Sequence[str]) -> NamedSide | None:
     return NamedSide(template.sides[equation.variable], (*before, *labels), parts)
 
 
+def with_parameter_names(equation: Equation, names: Sequence[str]) -> tuple[Program, tuple[str, ...]]:
+    """Return a right-hand side with its parameters as variables, and the names of all variables."""
+    program, given = program_of(equation, names), equation.given
+    if given is None:
+        return program, tuple(names)
+    operators, left, constants = program.operators.copy(), program.left.copy(), constant_places(program)
+    for number, place in enumerate(given.parameters.values()):
+        operators[constants[place]], left[constants[place]] = VARIABLE, len(names) + number
+    return replace(program, operators=operators, left=left), (*names, *given.parameters)
+
+
 def over_variables(program: Program, places: Sequence[int]) -> Program:
     """Return a program over other variables; `places` has the new index of each variable."""
     left = [places[index] if code == VARIABLE else index for code, index, _, _ in program.nodes()]
