@@ -41,6 +41,7 @@ CONTENTS: Final = {
         "how-to/solver-data",
         "how-to/chaos",
         "how-to/prior-knowledge",
+        "how-to/known-part",
         "troubleshooting",
     ),
     "Reference": (
