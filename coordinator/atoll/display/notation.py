@@ -110,7 +110,7 @@ def _mathml_parts(
         place: _BRACE.format(to_mathml(part, names, is_given=True), side.names[place])
         for place, part in side.parts.items()
     }
-    return left, "<mo>=</mo>", to_mathml(side.program, side.names, is_given=True, parts=parts)
+    return left, "<mo>=</mo>", to_mathml(side.program, side.variables, is_given=True, parts=parts)
 
 
 def _cells(constant: "Parameter") -> tuple[str, ...]:

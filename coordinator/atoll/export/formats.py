@@ -120,7 +120,7 @@ def _side_latex(equation: Equation, names: Sequence[str]) -> str:
         place: rf"\underbrace{{{to_latex(part, names, is_given=True)}}}_{{{side.names[place]}}}"
         for place, part in side.parts.items()
     }
-    return to_latex(side.program, [*side.names[: len(side.names) - len(parts)]], is_given=True, parts=parts)
+    return to_latex(side.program, side.variables, is_given=True, parts=parts)
 
 
 def _constant_latex(words: ConstantWords) -> str:

@@ -259,6 +259,11 @@ class NamedSide(NamedTuple):
     names: tuple[str, ...]
     parts: Mapping[int, Program]
 
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """The names without the labels, which come last."""
+        return self.names[: len(self.names) - len(self.parts)]
+
 
 def named_side(equation: Equation, names: Sequence[str]) -> NamedSide | None:
     """Return the side of an equation as the user wrote it; None if the user did not give it."""

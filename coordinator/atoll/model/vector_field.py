@@ -116,7 +116,11 @@ class VectorField:
     @property
     def named_parameters(self) -> dict[str, Parameter]:
         """The parameters by name, each once."""
-        return {parameter.name: parameter for parameter in self.parameters if parameter.name}
+        named: dict[str, Parameter] = {}
+        for parameter in self.parameters:
+            if parameter.name:
+                named.setdefault(parameter.name, parameter)
+        return named
 
     def with_values(self, values: Mapping[str, float]) -> "VectorField":
         """Return the field with other values of parameters, by name; raises UsageError for an unknown name."""
