@@ -7,12 +7,14 @@ nodes first. If an equation contradicts the earlier ones, its term is reported. 
 the order decides which one is reported.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Final
 
-from atoll_coordinator.units import Unit, expanded, product_of
+from atoll_coordinator.units import NO_UNIT, Unit, expanded, parse_unit, product_of
+from atoll_core.config import Angle
+from atoll_core.errors import UsageError
 from atoll_core.expression.operators import (
     ABS,
     ADD,
@@ -86,9 +88,75 @@ def units_of(program: Program, names: Sequence[str], units: Mapping[str, Unit], 
     return EquationUnits(tuple(written[number] for number in sorted(written)), tuple(implied), tuple(strict.faults))
 
 
+def units_of_columns(texts: Mapping[str, str], angles: Iterable[Angle]) -> dict[str, Unit]:
+    """Return the units of columns. If the text in a header is not a unit, the unit is unknown.
+
+    Angles are in radians and have no unit.
+    """
+    units = {}
+    for column, text in texts.items():
+        try:
+            units[column] = parse_unit(text)
+        except UsageError:
+            continue
+    return units | {angle.column: NO_UNIT for angle in angles if units}
+
+
+def rate_unit(unit: Unit | None, time: Unit | None, order: int) -> Unit | None:
+    """Return the unit of a derivative of this order; None if a unit is not known."""
+    return None if unit is None or time is None else unit.times(time, -order)
+
+
+def units_of_sides(
+    sides: Mapping[str, Program], names: Sequence[str], units: Mapping[str, Unit], lefts: Mapping[str, Unit]
+) -> tuple[dict[str, Unit], dict[str, tuple[str, ...]]]:
+    """Return the units that follow from several equations together, and their terms with impossible units.
+
+    Numbers in the equations may have any unit. A name has one unit in all equations.
+
+    Args:
+        sides: the right-hand sides, by equation.
+        names: names of the variables of the programs.
+        units: known units of variables, by name.
+        lefts: known units of left-hand sides, by equation.
+
+    Returns:
+        The units of names whose unit was not known and follows; and by equation, clauses about impossible terms.
+    """
+    strict, shown = dict[str, Vector](), dict[str, Vector]()
+    faults: dict[str, tuple[str, ...]] = {}
+    for equation, program in sides.items():
+        left = lefts.get(equation)
+        checked = _Inference(
+            program, names, {name: expanded(unit) for name, unit in units.items()}, units, _solved=strict, tag=equation
+        )
+        checked.close(None if left is None else expanded(left), left)
+        written = _Inference(
+            program,
+            names,
+            {name: dict(unit.powers) for name, unit in units.items()},
+            units,
+            _solved=shown,
+            tag=equation,
+        )
+        written.close(None if left is None else dict(left.powers), left)
+        strict, shown = checked._solved, written._solved
+        if checked.faults:
+            faults[equation] = tuple(checked.faults)
+    solved = {name: shown.get(f" {name}") for name in names if name not in units}
+    return {
+        name: Unit.of(powers)
+        for name, powers in solved.items()
+        if powers is not None and not any(map(_is_unknown, powers))
+    }, faults
+
+
 @dataclass
 class _Inference:
-    """Units of all nodes, and the equations between them, solved for one unknown each (reduced echelon form)."""
+    """Units of all nodes, and the equations between them, solved for one unknown each (reduced echelon form).
+
+    Constants of different programs have different tags.
+    """
 
     program: Program
     names: Sequence[str]
@@ -96,6 +164,7 @@ class _Inference:
     given: Mapping[str, Unit]
     faults: list[str] = field(default_factory=list)
     _solved: dict[str, Vector] = field(default_factory=dict)
+    tag: str = ""
     _of_nodes: list[Vector] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -140,7 +209,7 @@ class _Inference:
             name = self.names[left]
             return dict(self.known[name]) if name in self.known else {f" {name}": Fraction(1)}
         if code == CONSTANT:
-            return {f" constant {index}": Fraction(1)}
+            return {f" constant {index} {self.tag}": Fraction(1)}
         first = self._of_nodes[left]
         second = self._of_nodes[right] if ARITY[code] == 2 else {}
         if code in (ADD, SUBTRACT):

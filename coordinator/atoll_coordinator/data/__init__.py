@@ -2,7 +2,7 @@
 
 - `reading`: files -> `Table`, on the client's side
 - `roles`: column names and options -> `Roles`, symbols of expressions
-- `templates`: given equations with parameters and unknown parts
+- `templates`, `template_units`: given equations with parameters and unknown parts, and their units
 - `prior_knowledge`: guesses, known and given equations and bounds, checked and resolved against the roles
 - `trajectories`: `Table` and `Roles` -> `Measurements`: rows, trajectories, times, states, split at gaps
 - `columns`: checks of the columns before anything is searched

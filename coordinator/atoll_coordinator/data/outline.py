@@ -13,14 +13,16 @@ import numpy as np
 from atoll_coordinator.data.columns.examination import Examination, examine
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.roles.roles import Roles, assign_symbols
+from atoll_coordinator.data.template_units import units_of_template
 from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.data.trajectories.measurements import Measurements
+from atoll_coordinator.units import Unit
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 from atoll_core.expression.template import EquationTemplate, TemplateParameter
 from atoll_core.expression.text.export import GIVEN_DIGITS, left_side_to_mathml, to_mathml
 
-_ONLY_GIVEN: Final = ("given", "unknown", "mathml")
+_ONLY_GIVEN: Final = ("given", "unknown", "mathml", "unit")
 """Keys of an equation that is given with ``--equation``; other equations do not have them."""
 
 
@@ -29,7 +31,8 @@ class EquationOutline:
     """One equation: its left-hand side, its variables and operators, or its expression if it is `known`.
 
     If a part of it is `given`, `unknown` is the part that is searched, with these variables and operators; "" if
-    nothing is searched under the name of this equation. `mathml` is the given equation.
+    nothing is searched under the name of this equation. `mathml` is the given equation, `unit` the unit of its unknown
+    part if it follows from the units of the columns.
     """
 
     lhs: str
@@ -40,6 +43,7 @@ class EquationOutline:
     given: str | None = None
     unknown: str = ""
     mathml: str = ""
+    unit: str | None = None
 
     @property
     def is_searched(self) -> bool:
@@ -55,7 +59,8 @@ class EquationOutline:
         means = f" of {' '.join(self.operators)}{begins}"
         if self.given is None:
             return f"{self.lhs} = f({', '.join(self.variables)}){means}"
-        searched = f"searched: {self.unknown} of {self.lhs}, from {', '.join(self.variables)},{means}"
+        unit = f" [{self.unit}]" if self.unit is not None else ""
+        searched = f"searched: {self.unknown}{unit} of {self.lhs}, from {', '.join(self.variables)},{means}"
         return f"{self.lhs} = {self.given}\n    {searched}"
 
     def as_dict(self) -> dict[str, object]:
@@ -69,8 +74,8 @@ class EquationOutline:
 class Outline:
     """The planned search: names of `files`, how they were read, number of rows, equations, settings.
 
-    `roles` are the roles of the columns, `warnings` the findings of their examination, `parameters` the parameters of
-    given equations.
+    `roles` are the roles of the columns, `warnings` the findings of their examination, `parameters` describes the
+    parameters of given equations.
     """
 
     files: tuple[str, ...]
@@ -82,7 +87,7 @@ class Outline:
     config: JobConfig
     roles: Roles
     warnings: tuple[str, ...] = ()
-    parameters: tuple[TemplateParameter, ...] = ()
+    parameters: tuple[str, ...] = ()
 
     def as_text(self) -> str:
         """Return lines that list the equations to be searched, and when the search would end."""
@@ -96,7 +101,7 @@ class Outline:
         if budget.target_error is not None:
             ends[0] = f"at a normalized error of {budget.target_error:g}, or when it gets no better"
         lines = [f"{sought} would be searched:", *(f"  {equation}" for equation in self.equations)]
-        lines += [f"  parameter {_described(parameter)}" for parameter in self.parameters]
+        lines += [f"  parameter {parameter}" for parameter in self.parameters]
         return "\n".join([*lines, effort, f"the search ends {', '.join(ends)}", "dry run: nothing was started"])
 
     def as_dict(self) -> dict[str, object]:
@@ -104,7 +109,7 @@ class Outline:
 
         `config` has the settings that differ from the defaults, as in a job file.
         """
-        parameters = {"parameters": [_described(parameter) for parameter in self.parameters]}
+        parameters = {"parameters": list(self.parameters)}
         return {
             "files": list(self.files),
             "read_as": self.read_as,
@@ -126,7 +131,7 @@ def outline(table: Table, config: JobConfig) -> Outline:
     examination, resolved, names, units = _resolved(table, config)
     roles = examination.roles
     symbols = tuple(assign_symbols(roles.variables).values())
-    template = template_of(resolved, symbols)
+    template, implied = template_of(resolved, symbols), units_of_template(resolved, roles, units)
     equations = tuple(
         EquationOutline(
             roles.left_hand_side(name),
@@ -135,14 +140,16 @@ def outline(table: Table, config: JobConfig) -> Outline:
             resolved.prior.known.get(name),
             resolved.prior.guesses.get(name, ()),
             *_given_part(template, name, roles.left_hand_side(name)),
+            None if (unit := implied.unknowns.get(name)) is None else str(unit),
         )
         for name in names
     )
     used = {name: unit for name, unit in units.items() if unit and name in roles.used}
     warnings = tuple(finding.sentence for finding in examination.findings)
     parameters = () if template is None else template.parameters
+    described = tuple(_describe(parameter, implied.parameters.get(parameter.name)) for parameter in parameters)
     return Outline(
-        table.files, table.read_as, table.rows, roles.time, used, equations, resolved, roles, warnings, parameters
+        table.files, table.read_as, table.rows, roles.time, used, equations, resolved, roles, warnings, described
     )
 
 
@@ -159,15 +166,16 @@ def _given_part(template: EquationTemplate | None, name: str, lhs: str) -> tuple
     return template.texts[name], "" if unknown is None else unknown.label, mathml
 
 
-def _described(parameter: TemplateParameter) -> str:
-    """Return a parameter with its bounds and the value at which its fit begins."""
+def _describe(parameter: TemplateParameter, unit: Unit | None) -> str:
+    """Return a parameter with its unit, its bounds and the value at which its fit begins."""
     lower, upper = parameter.lower, parameter.upper
     if math.isinf(lower):
         bounds = "" if math.isinf(upper) else f"at most {upper:g}, "
     else:
         bounds = f"at least {lower:g}, " if math.isinf(upper) else f"{lower:g} to {upper:g}, "
     groups = ", for each group of trajectories" if parameter.by_group else ""
-    return f"{parameter.name}: {bounds}beginning at {parameter.first_value:g}{groups}"
+    name = parameter.name if unit is None else f"{parameter.name} [{unit}]"
+    return f"{name}: {bounds}beginning at {parameter.first_value:g}{groups}"
 
 
 def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> str:

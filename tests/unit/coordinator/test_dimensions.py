@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll_coordinator.dimensions import units_of
+from atoll_coordinator.dimensions import units_of, units_of_sides
 from atoll_coordinator.units import parse_unit
 from atoll_core.expression.text.parsing import from_infix
 
@@ -64,3 +64,34 @@ def test_nothing_is_said_where_units_are_not_known():
     assert [str(unit) if unit else None for unit in units_found.constants] == ["1/s", None]
     assert units("exp(u)", known=("x",)).faults == ()
     assert units("2*exp(x)", left=None).faults != ()
+
+
+def units_together(**sides):
+    names = (*NAMES, "k", "c", "q")
+    programs = {name: from_infix(text, names) for name, text in sides.items()}
+    lefts = {"x": parse_unit("m/s"), "y": parse_unit("m/s^2")}
+    found, faults = units_of_sides(programs, names, UNITS, lefts)
+    return {name: str(unit) for name, unit in found.items()}, faults
+
+
+@pytest.mark.parametrize(
+    ("sides", "expected"),
+    [
+        ({"x": "-k*x + q"}, {"k": "1/s", "q": "m/s"}),
+        ({"x": "-2*x*k + q"}, {"q": "m/s"}),  # the number may have any unit
+        ({"x": "k*x", "y": "k*c*x + q"}, {"k": "1/s", "c": "1/s", "q": "m/s^2"}),
+        ({"y": "k*c*x", "x": "k*x"}, {"k": "1/s", "c": "1/s"}),
+        ({"x": "k*q"}, {}),
+        ({"x": "k*q", "y": "k*y"}, {"k": "1/s", "q": "m"}),
+        ({"x": "y*exp(-q/k)", "y": "c - k*y"}, {"k": "1/s", "c": "m/s^2", "q": "1/s"}),
+    ],
+)
+def test_units_of_parameters_and_unknown_parts_follow_from_all_equations(sides, expected):
+    assert units_together(**sides) == (expected, {})
+
+
+def test_an_equation_that_contradicts_an_earlier_one_is_named():
+    found, faults = units_together(x="k*x", y="k*x + q")
+    assert found["k"] == "1/s"
+    assert list(faults) == ["y"]
+    assert "instead of the unit m/s^2" in faults["y"][0]

@@ -240,10 +240,10 @@ class NewJob {
     return [h("div", { class: "wide" }, h("table", { class: "stacked" }, h("caption", { class: "unseen" }, "Columns"), h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows))),
       ...(sought.length ? [h("h3", {}, "Equations to find"), facts(sought)] : [])];
   }
-  #means({ lhs, given, unknown, mathml, variables, guesses }) {
+  #means({ lhs, given, unknown, unit, mathml, variables, guesses }) {
     const of = `of ${variables.join(", ")}${guesses.length ? `, starting from ${guesses.join("; ")}` : ""}`;
     if (!mathml) return of;
-    return h("span", {}, formula(mathml, `${lhs} = ${given}`), unknown ? `${unknown} is searched, ${of}` : "given");
+    return h("span", {}, formula(mathml, `${lhs} = ${given}`), unknown ? `${unknown}${unit ? ` [${unit}]` : ""} is searched, ${of}` : "given");
   }
   /** Gives a column a role ("": the service decides); an `option` without a role names the column. */
   #choose(column, role, option = null) {

@@ -17,7 +17,9 @@ from atoll_coordinator.data.columns.values import (
     check_relations,
     fill_values,
 )
-from atoll_coordinator.data.roles.roles import Roles, assign_roles
+from atoll_coordinator.data.prior_knowledge import resolve_equations
+from atoll_coordinator.data.roles.roles import Roles, assign_roles, assign_symbols
+from atoll_coordinator.data.template_units import units_of_template
 from atoll_coordinator.data.templates import check_names
 from atoll_coordinator.data.trajectories.measurements import Measurements, take_measurements
 from atoll_core.config import DataConfig, JobConfig
@@ -75,6 +77,18 @@ def examine(table: Table, config: JobConfig) -> Examination:
         table, options = replace(table, columns=values), options.model_copy(update={"missing": "drop"})
     if left_out or missing:
         measurements = take_measurements(table, roles, options)
+    findings = (*findings, *_check_units(table, config.model_copy(update={"data": options}), roles))
     sentences = tuple(finding.sentence for finding in findings)
     measurements = replace(measurements, warnings=(*sentences, *measurements.warnings))
     return Examination(roles, options, measurements, findings)
+
+
+def _check_units(table: Table, config: JobConfig, roles: Roles) -> Iterable[ColumnFinding]:
+    """Yield a finding for each given equation that contradicts the units of the columns."""
+    if not config.prior.equations:
+        return
+    resolved, _ = resolve_equations(config, roles, assign_symbols(roles.variables))
+    units = dict(zip(table.names, table.units, strict=True)) | config.data.units
+    for name, faults in units_of_template(resolved, roles, units).faults.items():
+        found = f"The units in the given equation of '{name}' contradict each other: {'; '.join(faults)}"
+        yield ColumnFinding(found, "correct the equation, or the units with --unit")

@@ -1,10 +1,8 @@
 """Units of the constants of an equation, derived from the units of the columns."""
 
-from atoll_coordinator.dimensions import EquationUnits, units_of
-from atoll_coordinator.units import NO_UNIT, Unit, parse_unit
+from atoll_coordinator.dimensions import EquationUnits, rate_unit, units_of, units_of_columns
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset
-from atoll_core.errors import UsageError
 from atoll_core.expression.program import Program
 
 _VELOCITY = "_dot"
@@ -19,7 +17,7 @@ def equation_units(dataset: Dataset, config: JobConfig, variable: str, program: 
         variable: the variable of the equation.
         program: the right-hand side of the equation.
     """
-    known = _units_of_columns(config)
+    known = units_of_columns(config.data.units, config.data.angles)
     if not known:
         return None
     lhs = dataset.problem(variable).target.lhs
@@ -28,24 +26,13 @@ def equation_units(dataset: Dataset, config: JobConfig, variable: str, program: 
     for column, symbol in dataset.symbols.items():
         unit = known.get(column)
         if unit is None and config.data.order == 2 and _VELOCITY in column:
-            unit = _rate(known.get(column.rpartition(_VELOCITY)[0]), known.get(time or ""), 1)
+            unit = rate_unit(known.get(column.rpartition(_VELOCITY)[0]), known.get(time or ""), 1)
         if unit is not None:
             units[symbol] = unit
     left = known.get(variable)
     if time is not None:
-        left = _rate(left, known.get(time), config.data.order)
+        left = rate_unit(left, known.get(time), config.data.order)
     return units_of(program, dataset.names, units, left)
-
-
-def _units_of_columns(config: JobConfig) -> dict[str, Unit]:
-    """Return the units of columns. If the text in a header is not a unit, the unit is unknown."""
-    units = {}
-    for column, text in config.data.units.items():
-        try:
-            units[column] = parse_unit(text)
-        except UsageError:
-            continue
-    return units | {angle.column: NO_UNIT for angle in config.data.angles if units}
 
 
 def _time_of(lhs: str, order: int) -> str | None:
@@ -54,7 +41,3 @@ def _time_of(lhs: str, order: int) -> str | None:
     if not slash:
         return None
     return time.removesuffix("2") if order == 2 else time
-
-
-def _rate(unit: Unit | None, time: Unit | None, order: int) -> Unit | None:
-    return None if unit is None or time is None else unit.times(time, -order)

@@ -91,3 +91,36 @@ def test_an_outline_for_programs_has_given_equations_as_mathml_and_nothing_new_w
     plain = outline(TABLE, JobConfig()).as_dict()
     assert "parameters" not in plain
     assert set(plain["equations"][0]) == {"lhs", "variables", "operators", "known", "guesses"}
+
+
+def with_units(**units):
+    config = GIVEN.model_copy(update={"data": DataConfig(units=units)})
+    return outline(TABLE, config)
+
+
+def test_units_of_unknown_parts_and_parameters_follow_from_the_units_of_the_columns():
+    plan = with_units(x="m", y="m", t="s")
+    assert "searched: ? [m/s] of dx/dt" in plan.as_text()
+    assert plan.as_dict()["parameters"] == [
+        "k [1/s]: 0.1 to 10, beginning at 1",
+        "c: at least 2, beginning at 2",  # c/2: the number may have a unit as well
+        "a [1/s]: beginning at 3",
+    ]
+    assert plan.as_dict()["equations"][0]["unit"] == "m/s"
+    assert plan.warnings == ()
+
+
+def test_given_terms_with_impossible_units_are_a_warning():
+    prior = PriorConfig(equations={"dx": "-k*x + exp(y)"})
+    config = JobConfig(prior=prior, data=DataConfig(units={"x": "m", "y": "m", "t": "s"}))
+    (warning,) = outline(TABLE, config).warnings
+    assert "given equation of 'x'" in warning
+    assert "argument y of a function has the unit m" in warning
+
+
+def test_units_of_second_derivatives_and_velocities():
+    prior = PriorConfig(equations={"d2x": "-k*x - c*x_dot + ?"})
+    config = JobConfig(prior=prior, data=DataConfig(order=2, states=("x",), units={"x": "m", "t": "s"}))
+    plan = outline(TABLE, config)
+    assert plan.parameters == ("k [1/s^2]: beginning at 1", "c [1/s]: beginning at 1")
+    assert "searched: ? [m/s^2] of d2x/dt2" in plan.as_text()
