@@ -21,7 +21,7 @@ from typing import Final, get_args
 import numpy as np
 
 from atoll.model.equations import differing_groups, match_constants, numbers_of
-from atoll.model.given_sides import GivenSides, Source, over_variables, program_of
+from atoll.model.given_sides import ConstantSource, GivenSides, over_variables, program_of
 from atoll_coordinator.data.recording import Method, Recording, StateSmoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.composed_system import composed_system
@@ -480,7 +480,7 @@ def _constants_of_sides(
         for place, variable in enumerate(equations.variables)
         for source, name in zip(given.sources(place), called[variable], strict=True)
     }
-    constants: dict[Source, FreeConstant] = {}
+    constants: dict[ConstantSource, FreeConstant] = {}
     for place, variable in enumerate(equations.variables):
         for source in whole.sources(place) if place not in equations.fixed else ():
             if source in constants or (source.parameter is None and source.home is None):
@@ -496,7 +496,7 @@ def _constants_of_sides(
                 of = to_infix(term, equations.names, digits=4)
                 constants[source] = FreeConstant(f"1 of {of} (d{home})", home, 1.0, False)
             else:
-                before = Source(None, source.home, constant_places(equations.programs[source.home])[origin])
+                before = ConstantSource(None, source.home, constant_places(equations.programs[source.home])[origin])
                 constants[source] = FreeConstant(written[before], home, 1.0, True)
     return tuple(constants.values())
 

@@ -16,7 +16,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from atoll.model.given_sides import GivenSides, Source, program_of
+from atoll.model.given_sides import ConstantSource, GivenSides, program_of
 from atoll_coordinator.result.base import Pair
 from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation
 from atoll_coordinator.result.findings import Group, Noise
@@ -201,12 +201,12 @@ class _Names:
 
     def __init__(self, taken: Collection[str] = ()) -> None:
         self._free = (name for name in map("c{}".format, itertools.count(1)) if name not in taken)
-        self._known: dict[Source, str] = {}
+        self._known: dict[ConstantSource, str] = {}
 
     def next(self) -> str:
         return next(self._free)
 
-    def of(self, source: Source, sides: GivenSides) -> str:
+    def of(self, source: ConstantSource, sides: GivenSides) -> str:
         if source.parameter is not None:
             return sides.template.parameters[source.parameter].name
         if source.home is None:

@@ -33,7 +33,7 @@ def program_of(equation: Equation | GroupEquation, names: Sequence[str]) -> Prog
 
 
 @dataclass(frozen=True)
-class Source:
+class ConstantSource:
     """The origin of a constant of a side: a parameter by its index, or constant `place` (a node) of the unknown part of
     the equation `home`. A number of the user's text has neither."""
 
@@ -171,17 +171,17 @@ class GivenSides:
             values=np.array([values[one.name] for one in template.parameters]),
         )
 
-    def sources(self, index: int) -> list[Source]:
+    def sources(self, index: int) -> list[ConstantSource]:
         """Return the origin of each constant of a side, in node order."""
-        known: dict[int, Source] = {}
+        known: dict[int, ConstantSource] = {}
         for parameter, places in enumerate(self.composition.parameters):
-            known |= {node: Source(parameter) for equation, node in places if equation == index}
+            known |= {node: ConstantSource(parameter) for equation, node in places if equation == index}
         for home, by_node in enumerate(self.composition.places):
             if self.template.is_given(self.template.equations[home]):
                 continue
             for slot_node, places in by_node.items():
-                known |= {node: Source(None, home, slot_node) for equation, node in places if equation == index}
-        return [known.get(node, Source()) for node in constant_places(self.programs[index])]
+                known |= {node: ConstantSource(None, home, slot_node) for equation, node in places if equation == index}
+        return [known.get(node, ConstantSource()) for node in constant_places(self.programs[index])]
 
     def explicit_sides(self, variable: str) -> Iterator[tuple[tuple[Program, IntArray], list[int | None]]]:
         """Yield ways in which the constants of a side may have been fitted: with factors of 1 in its unknown parts as
@@ -204,7 +204,7 @@ class GivenSides:
                     nodes = constant_places(explicit[source.home].program)
                     before = explicit[source.home].origins[nodes.index(source.place)]
                     written = None if before is None else constant_places(self.slots[source.home])[before]
-                    origin = None if written is None else numbers[Source(None, source.home, written)]
+                    origin = None if written is None else numbers[ConstantSource(None, source.home, written)]
                 places.append(place)
                 origins.append(origin)
             yield (sides.programs[index], np.array(places, np.int64)), origins
