@@ -184,7 +184,7 @@ class EquationTemplate:
             slots: the programs of unknown parts, by home; missing ones are 0.
             values: values (P,) of the parameters.
         """
-        draft = _Draft(self, {**{unknown.home: ZERO for unknown in self.unknowns}, **slots}, values)
+        draft = _SideDraft(self, {**{unknown.home: ZERO for unknown in self.unknowns}, **slots}, values)
         program = draft.compose(self.sides[equation])
         names = {node: self.parameters[place].name for place, node in draft.parameters.items()}
         return program, tuple(names.get(node) for node in constant_places(program))
@@ -210,7 +210,7 @@ class EquationTemplate:
                 held.append(slot)
                 places[index] = {node: ((index, node),) for node in constant_places(slot)}
                 continue
-            draft = _Draft(self, by_equation, values)
+            draft = _SideDraft(self, by_equation, values)
             program = draft.compose(side)
             programs.append(program)
             fixed.append(frozenset(draft.literals))
@@ -282,7 +282,7 @@ _UNDONE_RIGHT: Final[Mapping[int, _Undo]] = {
 }
 
 
-class _Draft:
+class _SideDraft:
     """One side while it is composed: where its literals, parameters and constants of unknowns are."""
 
     def __init__(self, template: EquationTemplate, slots: Mapping[str, Program], values: FloatArray) -> None:

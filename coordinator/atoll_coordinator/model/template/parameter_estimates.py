@@ -52,7 +52,7 @@ def estimate_parameters(dataset: Dataset, config: JobConfig, template: EquationT
     names = [target.variable for target in dataset.targets if target.variable in template.sides]
     if not template.parameters or not names:
         return ParameterEstimates(template.starts)
-    sides = _Sides.of(dataset, config, template, names)
+    sides = _FittedSides.of(dataset, config, template, names)
     points = [sides.fit(start) for start in draw_starts(template.parameters, SETTINGS.effort.kept)]
     best = min(points, key=lambda point: point.cost)
     if not math.isfinite(best.cost):
@@ -101,7 +101,7 @@ def draw_starts(parameters: Sequence[TemplateParameter], count: int) -> FloatArr
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
+class _EstimatePoint:
     """Numbers (K,) of a fit, half the weighted sum of squares, its gradient (K,) and normal matrix (K, K)."""
 
     numbers: FloatArray
@@ -111,7 +111,7 @@ class _Point:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sides:
+class _FittedSides:
     """The sides of the equations, with a polynomial in the place of each unknown part.
 
     `programs` are the sides, `nodes` their fitted constants, `columns` the number of each of these constants. `targets`
@@ -130,7 +130,9 @@ class _Sides:
     first: FloatArray
 
     @classmethod
-    def of(cls, dataset: Dataset, config: JobConfig, template: EquationTemplate, names: Sequence[str]) -> "_Sides":
+    def of(
+        cls, dataset: Dataset, config: JobConfig, template: EquationTemplate, names: Sequence[str]
+    ) -> "_FittedSides":
         polynomials = {one.home: _polynomial(dataset, config, one.home) for one in template.unknowns}
         zero = sum_of([1.0], [0.0])
         equations = tuple(dict.fromkeys([*template.sides, *polynomials]))
@@ -166,21 +168,21 @@ class _Sides:
             np.array(first),
         )  # fmt: skip
 
-    def fit(self, parameters: FloatArray) -> _Point:
+    def fit(self, parameters: FloatArray) -> _EstimatePoint:
         """Return the fit that begins with these values of the parameters."""
         start = self.point(np.concatenate([parameters, self.first]))
         if not math.isfinite(start.cost):
             return start
         return minimize(Descent(start, self._equations, self._step, lambda point: SETTLED * point.cost))
 
-    def point(self, numbers: FloatArray) -> _Point:
+    def point(self, numbers: FloatArray) -> _EstimatePoint:
         """Return the cost of these numbers with its derivatives; the cost is infinite if a side has no finite value."""
         residuals, slopes = self._linearise(numbers)
         with np.errstate(all="ignore"):
             cost = 0.5 * float(residuals @ residuals)
             gradient, normal = slopes @ residuals, slopes @ slopes.T
         is_finite = math.isfinite(cost) and np.isfinite(gradient).all() and np.isfinite(normal).all()
-        return _Point(numbers, cost if is_finite else math.inf, gradient, normal)
+        return _EstimatePoint(numbers, cost if is_finite else math.inf, gradient, normal)
 
     def _linearise(self, numbers: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weighted residuals of all equations, and their derivatives by the numbers (K, ...)."""
@@ -198,14 +200,14 @@ class _Sides:
             slopes.append(own)
         return np.concatenate(residuals), np.concatenate(slopes, axis=1)
 
-    def _equations(self, point: _Point) -> Solver[FloatArray]:
+    def _equations(self, point: _EstimatePoint) -> Solver[FloatArray]:
         return solver(point.normal, point.gradient, (self.lower - point.numbers, self.upper - point.numbers))
 
-    def _step(self, point: _Point, step: FloatArray) -> tuple[_Point, float] | None:
+    def _step(self, point: _EstimatePoint, step: FloatArray) -> tuple[_EstimatePoint, float] | None:
         there = self.point(np.clip(point.numbers + step, self.lower, self.upper))
         return (there, point.cost - there.cost) if math.isfinite(there.cost) else None
 
-    def own_shares(self, point: _Point) -> list[float | None]:
+    def own_shares(self, point: _EstimatePoint) -> list[float | None]:
         """Return, for each parameter, the share of its effect that no other number can replace; None for a parameter
         without an effect."""
         _, slopes = self._linearise(point.numbers)

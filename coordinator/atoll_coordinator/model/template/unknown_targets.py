@@ -88,7 +88,7 @@ def with_unknown_targets(preparation: Preparation, config: JobConfig) -> Prepara
 
 
 @dataclass(frozen=True, eq=False)
-class _Values:
+class _UnknownValues:
     """The values (R,) of an unknown part, their variances (R,), and the values and variances by equation."""
 
     values: FloatArray
@@ -97,7 +97,7 @@ class _Values:
     by_equation: Sequence[tuple[str, FloatArray, FloatArray]]
 
 
-def _solve(template: EquationTemplate, dataset: Dataset, parameters: FloatArray) -> dict[str, _Values]:
+def _solve(template: EquationTemplate, dataset: Dataset, parameters: FloatArray) -> dict[str, _UnknownValues]:
     """Return the values of the unknown parts, by the equation that is each one's home.
 
     An equation with several unknown parts is solved when all but one are known from other equations.
@@ -107,7 +107,7 @@ def _solve(template: EquationTemplate, dataset: Dataset, parameters: FloatArray)
     points = np.concatenate([
         dataset.inputs, np.repeat(parameters[:, None], rows, axis=1), np.zeros((len(template.unknowns), rows))
     ])  # fmt: skip
-    found: dict[int, _Values] = {}
+    found: dict[int, _UnknownValues] = {}
     while len(found) < len(template.unknowns):
         progress = False
         for index, unknown in enumerate(template.unknowns):
@@ -134,7 +134,12 @@ def _solve(template: EquationTemplate, dataset: Dataset, parameters: FloatArray)
 
 
 def _solve_one(
-    template: EquationTemplate, dataset: Dataset, points: FloatArray, name: str, unknown: int, known: dict[int, _Values]
+    template: EquationTemplate,
+    dataset: Dataset,
+    points: FloatArray,
+    name: str,
+    unknown: int,
+    known: dict[int, _UnknownValues],
 ) -> list[tuple[str, FloatArray, FloatArray, float]]:
     """Return the values of an unknown part by one equation, and their variances; nothing if the equation is not
     differentiated or cannot be solved."""
@@ -158,7 +163,7 @@ def _solve_one(
     return [(name, values, variances, target.noise / max(target.uncertainty, 1e-300))]
 
 
-def _combine(parts: Sequence[tuple[str, FloatArray, FloatArray, float]]) -> _Values:
+def _combine(parts: Sequence[tuple[str, FloatArray, FloatArray, float]]) -> _UnknownValues:
     """Return the mean of the values by several equations, weighted by inverse variances."""
     with np.errstate(all="ignore"):
         weights = np.array([
@@ -171,10 +176,10 @@ def _combine(parts: Sequence[tuple[str, FloatArray, FloatArray, float]]) -> _Val
         )
         values, variances = sums / total, 1.0 / total
     by_equation = [(name, values, variances) for name, values, variances, _ in parts]
-    return _Values(np.asarray(values), variances, max(part[3] for part in parts), by_equation)
+    return _UnknownValues(np.asarray(values), variances, max(part[3] for part in parts), by_equation)
 
 
-def _useful_rows(unknowns: Sequence[_Values]) -> IntArray:
+def _useful_rows(unknowns: Sequence[_UnknownValues]) -> IntArray:
     """Return the rows of the search, which gives all rows equal weight.
 
     Rows are sorted by the variance of their value. The mean of the first n rows has the variance sum(v)/n^2; rows
@@ -193,7 +198,7 @@ def _useful_rows(unknowns: Sequence[_Values]) -> IntArray:
     return np.flatnonzero(useful)
 
 
-def _unknown_target(target: Target, unknown: _Values, rows: IntArray, *, is_exact: bool) -> Target:
+def _unknown_target(target: Target, unknown: _UnknownValues, rows: IntArray, *, is_exact: bool) -> Target:
     """Return the target of an unknown part over these rows.
 
     If parameters beside it were estimated, it does not count as free of noise: it has their errors.
@@ -207,7 +212,7 @@ def _unknown_target(target: Target, unknown: _Values, rows: IntArray, *, is_exac
     return Target(target.variable, target.lhs, values, uncertainty, scale, noise)
 
 
-def _compare_equations(template: EquationTemplate, unknowns: dict[str, _Values]) -> list[str]:
+def _compare_equations(template: EquationTemplate, unknowns: dict[str, _UnknownValues]) -> list[str]:
     """Return a sentence for each unknown part whose equations do not agree about its values."""
     remarks = []
     for unknown in template.unknowns:
