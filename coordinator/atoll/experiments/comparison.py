@@ -237,7 +237,7 @@ def _require_columns(holder: Result, other: Result) -> None:
 def _side(result: Result, fitted: EquationSetFit) -> ComparedModel:
     measurements = fitted.measured.measurements
     observed = [measurements.variables[place] for place in measurements.observed.tolist()]
-    shares = np.sqrt(fitted.fit.squares) / measurements.scales[measurements.observed]
+    shares = np.sqrt(fitted.fit.squares) / measurements.observed_scales
     residuals = dict(zip(observed, shares.tolist(), strict=True))
     return ComparedModel(fitted.texts(result), len(fitted.values), residuals)
 

@@ -564,7 +564,7 @@ def fit_displayed(measured: FitData, result: Result) -> EquationSetFit:
     If the residuals of whole trajectories exceed the noise, the equations are fitted to shorter pieces.
     """
     equations, measurements = equations_of(result), measured.measurements
-    negligible = SETTINGS.common.negligible * measurements.scales[measurements.observed]
+    negligible = SETTINGS.common.negligible * measurements.observed_scales
     most = SETTINGS.inference.excess * np.maximum(measurements.noise, negligible)
     first = None
     for rows in (None, *reversed(SETTINGS.shooting.lengths[1:])):
@@ -597,7 +597,7 @@ def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -
     degrees_of_freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
     # the variance of a row in the fit, corrected for the number of fitted values and for correlated or unlisted rows
     widened = np.sqrt(counts.sum() / left / measured.share)
-    least = SETTINGS.smoothing.smallest_noise * measurements.scales[measurements.observed]
+    least = SETTINGS.smoothing.smallest_noise * measurements.observed_scales
     sigmas = np.maximum(np.sqrt(best.squares), least) * widened
     errors = replace(best.errors, sigmas=sigmas, is_known=True)
     held = estimator.fit(best.system, None, SETTINGS.effort.steps, best.starts, errors, is_stiff=best.is_stiff)
@@ -608,6 +608,6 @@ def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -
 
 def _misfit(measured: FitData, fit: TrajectoryFit) -> float:
     """Return n/2 ln s, summed over the measured states: n independent rows with the mean squared residual s."""
-    floor = (SETTINGS.shooting.exact * measured.measurements.scales[measured.measurements.observed]) ** 2
+    floor = (SETTINGS.shooting.exact * measured.measurements.observed_scales) ** 2
     terms = 0.5 * measured.independent * np.log(np.maximum(fit.squares, floor))
     return math.fsum(terms.tolist())

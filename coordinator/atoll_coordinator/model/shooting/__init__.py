@@ -4,6 +4,7 @@
 - `measurements`: the recording as arrays for fits: all rows one after another, and the pieces that are simulated
 - `system`: several programs as one system whose constants can be fitted; `composed_system`: the same for equations that
   were composed with a template
+- `many_starts`: fits of given forms from many starts, with growing horizons; also for hidden states
 - `integration`: states and sensitivities along segments; `kernels`: compiled parts of integration and of a fit's steps
 - `error_model`: correlated errors of neighbouring rows; `smoothing_noise`: the size of errors of measurement before a
   law is known; `residual_noise`: their size from the residuals of a law

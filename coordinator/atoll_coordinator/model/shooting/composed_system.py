@@ -67,7 +67,7 @@ def composed_system(  # noqa: PLR0913, the arguments of `system_of`, and the tem
 def _searched_parts(
     template: EquationTemplate, composition: Composition, system: OdeSystem, before: int
 ) -> SearchedParts:
-    firsts = [0, *(system.outputs + 1).tolist()][before:]
+    firsts = system.firsts[before:]
     nodes = [np.full(len(slot), -1, np.int64) for slot in composition.slots]
     for own, places in zip(nodes, composition.places, strict=True):
         for node, (first, *_) in places.items():
@@ -93,6 +93,5 @@ def _ranges(
 
 def constants_in(system: OdeSystem, before: int) -> list[Place]:
     """Return equation and node of each fitted constant; the first `before` equations are not counted."""
-    firsts = [0, *(system.outputs + 1).tolist()]
     pairs = zip(system.places.tolist(), system.owners.tolist(), strict=True)
-    return [(owner - before, node - firsts[owner]) for node, owner in pairs]
+    return [(owner - before, node - system.firsts[owner]) for node, owner in pairs]

@@ -78,8 +78,14 @@ class TrajectoryFit:
         constants; it is zero for a constant that is not on a bound."""
         return self.known_blocks or self.estimator.blocks_of(self)
 
+    @cached_property
+    def simulated_columns(self) -> FloatArray:
+        """The simulated values (O, N) of the measured columns, without offsets."""
+        return self.estimator.integrator.columns(self.system, self.simulated)
+
     def integrated_sensitivities(self) -> FloatArray:
-        """Return the sensitivities (N, D, P + D + K) to constants, initial states and offsets.
+        """Return the sensitivities (N, D + M, P + D + K) to constants, initial states and offsets. The last M rows are
+        the columns that are computed from states.
 
         They are integrated again at each call, because a stored copy would make a fit many times as large.
         """
@@ -132,7 +138,7 @@ def growth_rate(fit: TrajectoryFit) -> float:
     measurements = fit.estimator.measurements
     fitted, states = fit.system.count, len(fit.system.outputs)
     unit = measurements.scales[None, :] / measurements.scales[:, None]
-    sensitivities = fit.integrated_sensitivities()[:, :, fitted : fitted + states] * unit
+    sensitivities = fit.integrated_sensitivities()[:, :states, fitted : fitted + states] * unit
     long = [(first, end) for first, end in fit.segments.tolist() if end - first > 1]
     logarithms = duration = 0.0
     for _, group in groupby(long, key=lambda rows: int(measurements.owners_of_rows[rows[0]])):

@@ -6,8 +6,9 @@ precise table of coefficients), and an implicit method for stiff systems. A call
 explicit method has used all its allowed steps. Segments do not depend on each other, so a long integration is divided
 into groups of segments; threads of a `Spread` integrate them at the same time, and kernels release the interpreter's
 lock. Doubt: the limits on the number of steps were tuned on one machine; they can reject a correct system that is very
-stiff. Letters: D states, P fitted numbers, L numbers of one segment (D initial states, then offsets), G segments, N
-rows, O measured states.
+stiff. If measured columns are computed from states (`OdeSystem.observations`), their values and sensitivities follow
+the states as further rows. Letters: D states, M columns computed from states, P fitted numbers, L numbers of one
+segment (D initial states, then offsets), G segments, N rows, O measured columns.
 """
 
 import itertools
@@ -24,7 +25,9 @@ from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_and_gradient
 from atoll_core.expression.kernels.tape import Ints
+from atoll_core.expression.operators import VARIABLE
 
 STEPS_PER_ROW: Final = 40
 """Most integration steps for each row, on average. A system that needs more steps is stiff or blows up."""
@@ -73,8 +76,8 @@ class Method:
 
 @dataclass(frozen=True, eq=False)
 class Integration:
-    """States (D, N) along segments, and their sensitivities (N, D, P + L), which have the shape (0, D, P + L) if they
-    were not requested.
+    """States and computed columns (D + M, N) along segments, and their sensitivities (N, D + M, P + L), which have the
+    shape (0, D + M, P + L) if they were not requested.
 
     `done` is the number of finished segments; it is negative if all allowed steps were used. `steps` is the number of
     steps.
@@ -124,17 +127,58 @@ class Integrator:
         """Integrate `segments` (G, 2) from their `starts` (G, L)."""
         measurements = self.measurements
         states, fitted, local = len(system.outputs), system.count, starts.shape[1]
-        simulated = np.full((states, measurements.rows), np.nan)
-        sensitivities = np.zeros((measurements.rows if has_sensitivities else 0, states, fitted + local))
-        integrate = self._integrate if system.sharing is None else self._integrate_groups
+        lines = states + len(system.observations)
+        simulated = np.full((lines, measurements.rows), np.nan)
+        sensitivities = np.zeros((measurements.rows if has_sensitivities else 0, lines, fitted + local))
+        is_plain = system.sharing is None and system.integrated == len(system.places)
+        integrate = self._integrate if is_plain else self._integrate_groups
         done, steps = integrate(method, system, segments, starts, simulated, sensitivities)
+        if has_sensitivities:
+            self._hold_initial_states(segments, sensitivities, fitted, states)
+        if lines > states:
+            self._observe(system, simulated, sensitivities)
         if has_sensitivities:
             for place, state in enumerate(measurements.offset.tolist() if local > states else []):
                 sensitivities[:, measurements.observed[state], fitted + states + place] = 1.0
-            if measurements.resting is not None:
-                for resting, state in zip(measurements.resting, measurements.observed.tolist(), strict=True):
-                    sensitivities[resting, :, fitted + state] = 0.0
         return Integration(done, steps, simulated, sensitivities)
+
+    def _hold_initial_states(self, segments: Ints, sensitivities: FloatArray, fitted: int, states: int) -> None:
+        """Set the sensitivities to initial values that are not fitted to 0: given values, and the value 0 of resting
+        states."""
+        measurements = self.measurements
+        if measurements.resting is not None:
+            for resting, state in zip(measurements.resting, measurements.observed.tolist(), strict=True):
+                if state < states:
+                    sensitivities[resting, :, fitted + state] = 0.0
+        ranges = measurements.start_ranges(segments)
+        if ranges is not None:
+            is_given = ranges[0] == ranges[1]
+            for group in np.flatnonzero(is_given.any(axis=1)).tolist():
+                rows = slice(*segments[group].tolist())
+                sensitivities[rows, :, fitted + np.flatnonzero(is_given[group])] = 0.0
+
+    def _observe(self, system: OdeSystem, simulated: FloatArray, sensitivities: FloatArray) -> None:
+        """Write the columns that are computed from states, and their sensitivities, after the rows of the states."""
+        states, groups = len(system.outputs), self.measurements.groups
+        for group, columns in enumerate(system.columns):
+            rows = np.arange(self.measurements.rows)
+            if groups is not None and system.sharing is not None:
+                rows = np.flatnonzero(groups[self.measurements.owners_of_rows] == group)
+            own, points = system.of_group(group), np.concatenate([simulated[:states], self.measurements.inputs])
+            for line, program in enumerate(own.observation_programs, start=states):
+                first, owner = own.firsts[line], own.owners == line
+                fitted = dict(zip((own.places[owner] - first).tolist(), np.flatnonzero(owner).tolist(), strict=True))
+                is_state = (program.operators == VARIABLE) & (program.left < states)
+                leaves = [*np.flatnonzero(is_state).tolist(), *fitted]
+                simulated[line, rows], slopes = values_and_gradient(program, points[:, rows], leaves)
+                if not len(sensitivities):
+                    continue
+                for leaf, slope in zip(leaves, slopes, strict=True):
+                    if leaf in fitted:
+                        place = fitted[leaf]
+                        sensitivities[rows, line, columns[place]] += slope * system.multiples[place]
+                    else:
+                        sensitivities[rows, line] += slope[:, None] * sensitivities[rows, program.left[leaf]]
 
     def _integrate(
         self, method: Method, system: OdeSystem, segments: Ints, starts: FloatArray, simulated: FloatArray,
@@ -188,7 +232,7 @@ class Integrator:
     ) -> tuple[int, int]:  # fmt: skip
         measurements, taken = self.measurements, np.zeros(1, dtype=np.int64)
         done = integrate_segments(
-            method.table, system.tape, system.owners,
+            method.table, system.tape, system.owners[: system.integrated],
             (measurements.times, measurements.inputs, measurements.input_slopes), segments, starts,
             method.tolerance, measurements.limits, self._budget(method, segments), len(sensitivities) > 0, simulated,
             sensitivities, taken,
@@ -200,12 +244,11 @@ class Integrator:
         sensitivities: FloatArray,
     ) -> tuple[int, int]:  # fmt: skip
         """Integrate each segment with the constants of its group; see `_integrate`. The constants are multiples of
-        fitted numbers."""
-        assert system.sharing is not None
-        states, places = len(system.outputs), len(system.places)
+        fitted numbers. Without groups, there is one group."""
+        states, places = len(system.outputs), system.integrated
         own_sensitivities = np.zeros((len(sensitivities), states, places + states))
         groups, all_done, all_steps = self.measurements.groups_of(segments), 0, 0
-        for group, columns in enumerate(system.sharing.columns):
+        for group, columns in enumerate(system.columns[:, :places]):
             chosen = groups == group
             own = np.ascontiguousarray(segments[chosen])
             done, steps = self._integrate(
@@ -218,10 +261,17 @@ class Integrator:
             if not len(sensitivities) or not len(own):
                 continue
             rows = np.concatenate([np.arange(first, end) for first, end in own.tolist()])
-            for place, (column, multiple) in enumerate(zip(columns, system.sharing.multiples, strict=True)):
-                sensitivities[rows, :, column] += multiple * own_sensitivities[rows, :, place]
-        sensitivities[:, :, system.count : system.count + states] = own_sensitivities[:, :, places:]
+            for place, (column, multiple) in enumerate(zip(columns, system.multiples[:places], strict=True)):
+                sensitivities[rows, :states, column] += multiple * own_sensitivities[rows, :, place]
+        sensitivities[:, :states, system.count : system.count + states] = own_sensitivities[:, :, places:]
         return all_done, all_steps
+
+    def columns(self, system: OdeSystem, simulated: FloatArray) -> FloatArray:
+        """Return the values (O, N) of the measured columns at simulated states (D, N)."""
+        measurements, lines = self.measurements, np.full((len(system.observations), simulated.shape[1]), np.nan)
+        rows = np.concatenate([simulated, lines])
+        self._observe(system, rows, np.zeros((0, len(rows), 0)))
+        return rows[measurements.observed]
 
     def steepest(self, sensitivities: FloatArray, system: OdeSystem) -> float:
         """Return the largest absolute value of `sensitivities` (N, D, P + L), in units of the scale of the state and
@@ -231,7 +281,7 @@ class Integrator:
         units = np.concatenate([np.where(sizes > 0.0, sizes, 1.0), scales, np.ones(offsets)])
         steepest = np.empty(sensitivities.shape[1:])
         largest_sizes(sensitivities, steepest)
-        return float(np.max(steepest / scales[:, None] * units, initial=0.0))
+        return float(np.max(steepest[: len(scales)] / scales[:, None] * units, initial=0.0))
 
     def simulate(self, system: OdeSystem, segments: Ints, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
         """Return the states (D, N) of segments that all begin at `start` (D,), and the reason if the integration ended
@@ -244,6 +294,7 @@ class Integrator:
         for method in self.methods:
             course = self.integrate(method, system, segments, starts, has_sensitivities=False)
             if course.done >= 0:
-                is_whole = course.done == len(segments) and np.isfinite(course.states).all()
-                return course.states, None if is_whole else "ran away"
-        return course.states, "out of steps"
+                states = course.states[: len(start)]
+                is_whole = course.done == len(segments) and np.isfinite(states).all()
+                return states, None if is_whole else "ran away"
+        return course.states[: len(start)], "out of steps"

@@ -1,11 +1,13 @@
 """The measured trajectories as arrays for fits: all rows one after another, and the pieces that are simulated. Pure.
 
 `measurements_of` collects values, weights and inputs of a `Recording` for the states of one system; `thin`, `part`,
-`pieces` and `strided` return subsets. Doubt: states without an equation become inputs with their smoothed values. The
-errors of the smoothed values do not affect the weights.
+`pieces` and `strided` return subsets. `for_states` turns the measurements of columns into measurements for a system
+whose states are not all columns: hidden states have no measured values, and a column may be computed from several
+states. Doubts: states without an equation become inputs with their smoothed values. The errors of the smoothed values
+do not affect the weights. Before a fit, nobody knows the size of a hidden state: it is guessed from its initial value.
 
-Letters: N rows of all trajectories, S states, D states with an equation here, O measured states, K states with an
-    offset, U inputs, B pieces.
+Letters: N rows of all trajectories, S states, D states with an equation here, M columns computed from states, O
+    measured columns, K states with an offset, U inputs, B pieces, T trajectories.
 """
 
 from bisect import bisect
@@ -34,10 +36,24 @@ oscillations, growth, decays and outbreaks of 20 or 60 steps (tested), but up to
 """
 BLOW_UP_WIDTHS: Final = 3.0
 """A simulated state counts as blown up if it leaves the measured range by more than this many widths of the range."""
+_CONSTANT: Final = 1e-12
+"""A state whose range is below this share of its size is constant up to rounding errors."""
 _LARGEST_SHARE: Final = 0.1
 """Upper limit of a ratio: the variance of normal errors divided by the squared reach of robustness weights. Errors
 outside of the reach have weight 0; above this limit, they would matter. For weights that reach to six median errors,
 the ratio is 0.061."""
+
+
+@dataclass(frozen=True, eq=False)
+class InitialRanges:
+    """Bounds `lower` and `upper` (T, D) on the initial states of trajectories, at their first `times` (T,).
+
+    Equal bounds are a given initial value, which is not fitted. An infinite bound is no bound.
+    """
+
+    times: FloatArray
+    lower: FloatArray
+    upper: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +66,9 @@ class TrajectoryMeasurements:
         times: times of the rows (N,).
         measured: measured values (O, N).
         weights: weights (O, N) of the measured values; values with weight 0 are not used.
-        smoothed: smoothed states (D, N).
-        observed: indices (O,) of the measured states among the D states.
+        smoothed: smoothed states (D, N). For hidden states, an estimate.
+        observed: indices (O,) of the measured columns among the D states and then the M columns that are computed from
+            states (`OdeSystem.observations`).
         inputs: inputs (U, N).
         input_slopes: slopes (U, N) of the inputs.
         scales: standard deviations (D,) of the states.
@@ -71,6 +88,10 @@ class TrajectoryMeasurements:
             states have about the same relative error.
         rounding: standard deviations (O,) of the rounding errors of the measured values, 0 if they are not known; None:
             all are 0.
+        column_scales: standard deviations (O,) of the measured columns; None: each column is a state.
+        hidden: indices of the states without measured values whose course is not known before a fit.
+        initial: bounds on initial states; None: there are no bounds.
+        known_limits: the `limits` of the rows of which these rows are a part; None: they follow from these rows.
     """
 
     bounds: Ints
@@ -94,6 +115,10 @@ class TrajectoryMeasurements:
     groups: Ints | None = None
     input_error: float = 0.0
     rounding: FloatArray | None = None
+    column_scales: FloatArray | None = None
+    hidden: tuple[int, ...] = ()
+    initial: InitialRanges | None = None
+    known_limits: FloatArray | None = None
 
     @property
     def rows(self) -> int:
@@ -121,15 +146,23 @@ class TrajectoryMeasurements:
 
     @property
     def relative_noise(self) -> FloatArray:
-        """The noise divided by the standard deviation of each state (O,)."""
-        return np.asarray(self.noise / self.scales[self.observed])
+        """The noise divided by the standard deviation of each measured column (O,)."""
+        return np.asarray(self.noise / self.observed_scales)
+
+    @property
+    def observed_scales(self) -> FloatArray:
+        """Standard deviations (O,) of the measured columns."""
+        return self.scales[self.observed] if self.column_scales is None else self.column_scales
 
     @cached_property
     def limits(self) -> FloatArray:
-        """Range (D, 2) outside of which a simulated state has blown up."""
+        """Range (D, 2) outside of which a simulated state has blown up. It is infinite for hidden states."""
+        if self.known_limits is not None:
+            return self.known_limits
         low, high = self.smoothed.min(axis=1), self.smoothed.max(axis=1)
-        width = np.maximum(high - low, 1e-12 * np.maximum(np.abs(high), np.abs(low)))
+        width = np.maximum(high - low, _CONSTANT * np.maximum(np.abs(high), np.abs(low)))
         beyond = BLOW_UP_WIDTHS * width
+        beyond[list(self.hidden)] = np.inf
         return np.ascontiguousarray(np.stack([low - beyond, high + beyond], axis=1))
 
     @cached_property
@@ -145,6 +178,67 @@ class TrajectoryMeasurements:
             count = 1 if length is None else max(1, round((end - first) / length))
             ranges += _cut_range(first, end, count)
         return np.array(ranges, dtype=np.int64)
+
+    def start_ranges(self, segments: Ints) -> tuple[FloatArray, FloatArray] | None:
+        """Return bounds (G, D) on the initial states of these row ranges; None without bounds.
+
+        Only ranges that begin with a trajectory have bounds.
+        """
+        if self.initial is None:
+            return None
+        firsts = segments[:, 0]
+        owners = self.owners_of_rows[firsts]
+        is_first = self.times[firsts] == self.initial.times[owners]
+        lower = np.where(is_first[:, None], self.initial.lower[owners], -np.inf)
+        return lower, np.where(is_first[:, None], self.initial.upper[owners], np.inf)
+
+    def for_states(
+        self, states: Sequence[str], observed: Sequence[int], initial: InitialRanges | None = None,
+        course: FloatArray | None = None,
+    ) -> "TrajectoryMeasurements":  # fmt: skip
+        """Return these measurements of O columns for a system of D states.
+
+        States that are no column are hidden. The course of a hidden state is the middle of the bounds on its initial
+        value (the geometric mean of positive bounds); without bounds it is 0.
+
+        Args:
+            states: the names of the states (D).
+            observed: for each column, the index of the state that was measured. Indices from D on are the columns that
+                are computed from states.
+            initial: bounds on the initial states of all trajectories.
+            course: estimated states (D, N), such as a first simulation; values of measured states are not used.
+        """
+        places = np.array(observed, np.int64)
+        is_state = places < len(states)
+        columns, rows = np.flatnonzero(is_state), places[is_state]
+        hidden = tuple(index for index in range(len(states)) if index not in rows)
+        smoothed = self._guessed_course(len(states), initial) if course is None else course.copy()
+        smoothed[rows] = self.smoothed[columns]
+        scales = np.empty(len(states))
+        scales[rows] = self.scales[columns]
+        scales[list(hidden)] = _sizes_of(smoothed[list(hidden)])
+        resting = self.resting
+        if resting is not None and not is_state.all():
+            resting = resting & is_state[:, None]
+        return replace(
+            self, smoothed=smoothed, observed=places, scales=scales, resting=resting, hidden=hidden, initial=initial,
+            variables=(*states, *self.variables[len(self.smoothed) :]),
+            column_scales=None if is_state.all() else self.scales,
+        )  # fmt: skip
+
+    def _guessed_course(self, states: int, initial: InitialRanges | None) -> FloatArray:
+        """Return states (D, N) that keep the middle of the bounds on their initial values."""
+        if initial is None:
+            return np.zeros((states, self.rows))
+        return np.ascontiguousarray(middle_of(initial.lower, initial.upper)[self.owners_of_rows].T)
+
+    def with_course(self, course: FloatArray) -> "TrajectoryMeasurements":
+        """Return the measurements with the values of the hidden states in `course` (D, N), such as a simulation."""
+        hidden = list(self.hidden)
+        smoothed, scales = self.smoothed.copy(), self.scales.copy()
+        smoothed[hidden] = course[hidden]
+        scales[hidden] = _sizes_of(course[hidden])
+        return replace(self, smoothed=smoothed, scales=scales)
 
     def thin(self, most: int) -> "TrajectoryMeasurements":
         """Return pieces of the trajectories with about `most` rows in total; both early and late pieces are selected.
@@ -173,6 +267,12 @@ class TrajectoryMeasurements:
         """Return the measurements of the pieces `kept`; each piece is (first row, end, owner)."""
         return self._take_rows([np.arange(first, end) for first, end, _ in kept], [owner for *_, owner in kept])
 
+    def first_rows(self, most: int) -> "TrajectoryMeasurements":
+        """Return the first `most` rows of each piece; simulated states have the limits of all rows."""
+        bounds = zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
+        part = self.pieces([(first, min(first + most, end), owner) for (first, end), owner in bounds])
+        return replace(part, known_limits=self.limits)
+
     def strided(self, stride: int) -> "TrajectoryMeasurements":
         """Return every `stride`-th row of each piece."""
         if stride == 1:
@@ -192,6 +292,22 @@ class TrajectoryMeasurements:
             times=np.ascontiguousarray(self.times[rows]),
             **arrays,
         )
+
+
+def middle_of(lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return the middle of bounds: the geometric mean of bounds of equal sign, else the mean. An infinite bound is
+    left out; between two of them, the middle is 0."""
+    with np.errstate(all="ignore"):
+        means = np.where(lower * upper > 0.0, np.sign(lower) * np.sqrt(lower * upper), 0.5 * (lower + upper))
+    ends = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 0.0))
+    return np.asarray(np.where(np.isfinite(means), means, ends))
+
+
+def _sizes_of(values: FloatArray) -> FloatArray:
+    """Return the standard deviation of each state (D, N); the absolute value of a constant state; 1 for a state that is
+    always 0."""
+    sizes, widths = np.abs(values).max(axis=1, initial=0.0), values.std(axis=1)
+    return np.where(widths > _CONSTANT * sizes, widths, np.where(sizes > 0.0, sizes, 1.0))
 
 
 def measurements_of(

@@ -24,9 +24,10 @@ start values, and a fit of whole trajectories uses all information of the data.
    initial states of the inner segments: condensing (`_condense`). Without joining, the fit of a chaotic trajectory
    fails at the next stage: a state that is simulated from the beginning of a long segment is far from the measured
    state.
-5. *Offsets and groups.* If a state was measured with an unknown offset, each whole trajectory has one offset, which is
-   another number of the segment. If groups of trajectories have their own constants, the sensitivities have more
-   columns (`system.Sharing`).
+5. *Offsets, groups and hidden states.* If a state was measured with an unknown offset, each whole trajectory has one
+   offset, which is another number of the segment. If groups of trajectories have their own constants, the sensitivities
+   have more columns (`system.Sharing`). Initial states may have bounds, or be given (`InitialRanges`). A hidden state
+   is integrated like all others; its initial value is fitted because it changes the measured columns.
 6. *Ending early.* A caller that needs no fit above a certain misfit gives a `MisfitLimit`. The Gauss-Newton step
    predicts how far the cost can still fall. A fit ends when even twice this decrease would not reach the limit (ADR
    0106).
@@ -37,7 +38,8 @@ Doubts. A variance is estimated by its most probable value for the residuals, an
 So if a model fits a state exactly, the weight of this state follows from `SmoothingSettings.smallest_noise`. Two rules
 were measured on one machine: when a step is first integrated without sensitivities, and the work of an evaluation of
 the rates. These rules do not change a fit. They change the counted work, and so the point at which a search stops.
-Letters: D states, P fitted constants, L numbers of a segment, G segments, N rows, O measured states.
+Letters: D states, M columns computed from states, P fitted constants, L numbers of a segment, G segments, N rows, O
+measured columns.
 """
 
 import hashlib
@@ -49,6 +51,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
@@ -103,8 +106,8 @@ class MisfitLimit:
 @dataclass(frozen=True, eq=False)
 class _Point:
     """A point of the fit: the system with its constants, the initial states (G, L), the error model, the cost, the
-    simulated states and the normal equations. The last point of a fit has no normal equations, see
-    `TrajectoryFit.blocks`."""
+    simulated states and computed columns, and the normal equations. The last point of a fit has no normal equations,
+    see `TrajectoryFit.blocks`."""
 
     system: OdeSystem
     starts: FloatArray
@@ -154,9 +157,7 @@ class MultipleShooting:
         self.measured_rows: Final = measured_rows
         self.deadline: Final = deadline or Deadline()
         self.measured: Final = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
-        self._smallest = np.maximum(
-            SETTINGS.smoothing.smallest_noise * measurements.scales[measurements.observed], 1e-300
-        )
+        self._smallest = np.maximum(SETTINGS.smoothing.smallest_noise * measurements.observed_scales, 1e-300)
         totals = measurements.weights.sum(axis=1)
         self._totals: Final = np.where(totals > 0.0, totals, 1.0)
         self._row_steps: Final = relative_steps(measurements)
@@ -262,7 +263,7 @@ class MultipleShooting:
             gaps = np.zeros_like(starts)
             gaps[last] = reached[last] - starts[last + 1]
             if np.all(np.abs(gaps) <= method.tolerance):
-                return system, np.ascontiguousarray(simulated[:, first_rows].T)
+                return system, np.ascontiguousarray(simulated[:states, first_rows].T)
             residuals = self.residuals(simulated, starts, segments)
             blocks = self.blocks(segments, sensitivities, residuals, fit.errors, fitted)
             with np.errstate(all="ignore"):  # overflows if a trajectory blows up; then no step is solved
@@ -278,7 +279,8 @@ class MultipleShooting:
     def _integrate_to_next(
         self, method: Method, system: OdeSystem, segments: Ints, starts: FloatArray, last: Ints
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-        """Return states (D, N), sensitivities (N, D, P + D), and the sensitivities and states at the ends of segments.
+        """Return states (D + M, N), sensitivities (N, D + M, P + D), and the sensitivities and states at the ends of
+        segments.
 
         The segments with the numbers `last` are integrated to the first row of the next segment. None if a segment
         cannot be integrated.
@@ -297,8 +299,8 @@ class MultipleShooting:
             if course.done < len(chosen) or not steepest < STEEPEST:
                 return None
             inner = np.intersect1d(chosen, last)
-            ends[inner] = course.sensitivities[segments[inner, 1]]
-            reached[inner] = course.states[:, segments[inner, 1]].T
+            ends[inner] = course.sensitivities[segments[inner, 1], : starts.shape[1]]
+            reached[inner] = course.states[: starts.shape[1], segments[inner, 1]].T
             parts.append(course)
         even, odd = parts
         is_odd = owners % 2 == 1
@@ -325,9 +327,9 @@ class MultipleShooting:
         return known
 
     def residuals(self, simulated: FloatArray, starts: FloatArray, segments: Ints) -> FloatArray:
-        """Return residuals (O, N): measured states, minus simulated states, minus the offsets in the last columns of
-        `starts`."""
-        measurements, states = self.measurements, len(simulated)
+        """Return residuals (O, N): measured columns, minus `simulated` (D + M, N), minus the offsets in the last
+        columns of `starts`."""
+        measurements, states = self.measurements, len(self.measurements.scales)
         residuals = np.asarray(self.measured - simulated[measurements.observed])
         for place, state in enumerate(measurements.offset.tolist() if starts.shape[1] > states else []):
             residuals[state] -= np.repeat(starts[:, states + place], segments[:, 1] - segments[:, 0])
@@ -428,6 +430,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         self._layout = estimator.layout(length)
         self._segments = self._layout.segments
         self._is_whole = length is None
+        self._ranges = self._measurements.start_ranges(self._segments)
         self._system, self._starts, self._errors = system, starts, errors
         self._may_be_stiff = may_be_stiff
         self.steps_left = 0
@@ -443,11 +446,11 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         measurements = self._measurements
         system = self._system.with_values(self._system.values)  # within their bounds
         errors = self._errors or ErrorModel.independent(
-            np.maximum(measurements.noise, 1e-4 * measurements.scales[measurements.observed])
+            np.maximum(measurements.noise, 1e-4 * measurements.observed_scales)
         )
         explicit, implicit = self._estimator.integrator.methods
         for beginning in self._starting_states():
-            starts = self._zero_resting_states(self._with_offsets(beginning, len(system.outputs)))
+            starts = self._held_starts(self._with_offsets(beginning, len(system.outputs)))
             self.method = explicit
             point, is_out_of_steps = self.point(system, starts, errors)
             if is_out_of_steps and self._may_be_stiff:
@@ -469,6 +472,10 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
             normal, gradient = hold_numbers(normal, gradient, held)
             coupling = coupling.copy()
             coupling[:, held, :] = 0.0
+        if self._ranges is not None:
+            free = self._free_starts(point.starts, own_gradient)
+            own, own_gradient = own * (free[:, :, None] & free[:, None, :]), own_gradient * free
+            coupling = coupling * free[:, None, :]
 
         def solve(damping: float) -> tuple[_Step, float] | None:
             change, moves = np.empty_like(gradient), np.empty_like(own_gradient)
@@ -481,7 +488,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     def step(self, point: _Point, step: _Step) -> tuple[_Point, float] | None:
         """Return the point after a step, with variances estimated at this point, and the decrease of the cost, computed
         with the old variances."""
-        system, starts = point.system.with_values(point.system.values + step[0]), point.starts + step[1]
+        system, starts = point.system.moved(step[0]), self._within_ranges(point.starts + step[1])
         self.steps_left -= 1
         least = self.least_gain(point)
         there, _ = self.point(system, starts, point.errors, point.cost, least, is_last=not self.steps_left)
@@ -531,8 +538,9 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         if point is None:
             return None
         estimator = self._estimator
+        states = point.states[: len(point.system.outputs)]
         return TrajectoryFit(
-            point.system, self._segments, point.starts, point.states, point.residuals, point.errors,
+            point.system, self._segments, point.starts, states, point.residuals, point.errors,
             estimator.squares(point.residuals), estimator, self.method is estimator.integrator.methods[1], point.blocks,
         )  # fmt: skip
 
@@ -608,15 +616,35 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
             return np.ascontiguousarray(starts[:, : states + count])
         return np.concatenate([starts, np.zeros((len(starts), missing))], axis=1)
 
-    def _zero_resting_states(self, starts: FloatArray) -> FloatArray:
-        """Return the initial states, with 0 for each state that was 0 along the whole trajectory."""
-        measurements = self._measurements
+    def _held_starts(self, starts: FloatArray) -> FloatArray:
+        """Return the initial states within their bounds, with 0 for each state that was 0 along the whole
+        trajectory."""
+        measurements, states = self._measurements, len(self._measurements.scales)
+        starts = self._within_ranges(starts)
         if measurements.resting is None:
             return starts
         starts = starts.copy()
         for resting, state in zip(measurements.resting, measurements.observed.tolist(), strict=True):
-            starts[resting[self._segments[:, 0]], state] = 0.0
+            if state < states:
+                starts[resting[self._segments[:, 0]], state] = 0.0
         return starts
+
+    def _within_ranges(self, starts: FloatArray) -> FloatArray:
+        """Return the initial states within their bounds."""
+        if self._ranges is None:
+            return starts
+        states = len(self._measurements.scales)
+        return np.concatenate([np.clip(starts[:, :states], *self._ranges), starts[:, states:]], axis=1)
+
+    def _free_starts(self, starts: FloatArray, gradient: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return a mask (G, L). It is False for initial values that lie on a bound, and would cross this bound in a
+        step along the `gradient` (G, L)."""
+        assert self._ranges is not None
+        lower, upper = (
+            np.pad(bounds, ((0, 0), (0, starts.shape[1] - bounds.shape[1])), constant_values=end)
+            for bounds, end in zip(self._ranges, (-np.inf, np.inf), strict=True)
+        )
+        return ~(((starts <= lower) & (gradient <= 0.0)) | ((starts >= upper) & (gradient >= 0.0)))
 
 
 def _key_of_fit(  # noqa: PLR0913, as many as `MultipleShooting.fit` has
@@ -625,9 +653,7 @@ def _key_of_fit(  # noqa: PLR0913, as many as `MultipleShooting.fit` has
 ) -> bytes:  # fmt: skip
     """Return a digest of all numbers on which a fit to given measurements depends."""
     digest = hashlib.blake2b(repr((length, steps, may_be_stiff, system.count)).encode())
-    arrays = [*system.tape, system.lower, system.upper, starts]
-    if system.sharing is not None:
-        arrays += [system.sharing.constants, system.sharing.columns, system.sharing.multiples]
+    arrays = [*system.arrays, starts]
     if errors is not None:
         arrays += [errors.sigmas, errors.shares, errors.decays, np.array(errors.is_known)]
     if limit is not None:

@@ -65,7 +65,7 @@ def _draw_pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArra
     count, width = SETTINGS.effort.beam, np.maximum(np.ptp(points, axis=1), 1e-300)
     known = points.T[thinned_places(points.shape[1], MOST_POINTS)]
     outer = known[_choose_far_apart(known / width, 2 * count)]
-    first_coordinates, second_coordinates, *shares = _latin_hypercube(count, 2 + numbers).T
+    first_coordinates, second_coordinates, *shares = latin_hypercube(count, 2 + numbers).T
     first, second = (
         outer[(coordinates * len(outer)).astype(int)] for coordinates in (first_coordinates, second_coordinates)
     )
@@ -87,11 +87,11 @@ def _choose_far_apart(points: FloatArray, count: int) -> list[int]:
     return places
 
 
-def _latin_hypercube(count: int, dimensions: int) -> FloatArray:
+def latin_hypercube(count: int, dimensions: int, seed: int = 0) -> FloatArray:
     """Return points (G, K) in [0, 1): each of `count` equal parts of each dimension has one point (McKay et al. 1979).
 
     Same as scipy.stats.qmc, without its slow import.
     """
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     parts = rng.permuted(np.tile(np.arange(float(count)), (dimensions, 1)), axis=1)
     return np.asarray((parts + rng.random(parts.shape)).T / count)

@@ -1,12 +1,14 @@
 """Several equations as one system that can be integrated and fitted. Pure data.
 
 The programs are concatenated to one tape of nodes. Each fitted constant is a node of the tape. Each fitted number
-belongs to one or several constants (`Sharing`). Letters: D equations, N nodes of all equations, P fitted constants, Q
-fitted numbers, G groups of trajectories.
+belongs to one or several constants (`Sharing`). Programs that compute a measured column from the states (observations)
+follow the equations on the tape. They are not integrated, but their constants are fitted like all others. Letters: D
+equations, M observations, N nodes of all programs, P fitted constants, Q fitted numbers, G groups of trajectories.
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -82,13 +84,15 @@ class SearchedParts:
 
 @dataclass(frozen=True, eq=False)
 class OdeSystem:
-    """D equations on one tape, see `kernels.rates.Tape`; `equations` are their programs.
+    """D equations and M observations on one tape, see `kernels.rates.Tape`; `equations` are their programs (D + M).
 
     `parameters` (N,) has, for each node, the index of its fitted constant; it is -1 for nodes without one. `places`
-    (P,) are the nodes of the fitted constants, and `owners` (P,) are the indices of their equations. `lower` and
-    `upper` (Q,) are bounds on the fitted numbers; None: there are no bounds. With a `sharing`, Q may differ from P, and
-    `constants` are the means over the groups. Without a `sharing`, Q is P. `parts` are the searched programs if the
-    equations were composed with a template; None: the equations are the searched programs.
+    (P,) are the nodes of the fitted constants, and `owners` (P,) are the indices of their equations; the constants of
+    observations come last. `lower` and `upper` (Q,) are bounds on the fitted numbers; None: there are no bounds. With a
+    `sharing`, Q may differ from P, and `constants` are the means over the groups. Without a `sharing`, Q is P.
+    `outputs` (D,) and `observations` (M,) are the output nodes of the programs. The numbers `is_logarithmic` (Q,) are
+    fitted in logarithms; they are not zero. None: there are no such numbers. `parts` are the searched programs if
+    the equations were composed with a template; None: the equations are the searched programs.
     """
 
     equations: tuple[Program, ...]
@@ -104,11 +108,43 @@ class OdeSystem:
     upper: FloatArray | None = None
     sharing: Sharing | None = None
     parts: SearchedParts | None = None
+    observations: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    is_logarithmic: npt.NDArray[np.bool_] | None = None
 
     @property
     def tape(self) -> Tape:
-        """The arrays of the nodes, as arguments of kernels."""
-        return self.code, self.left, self.right, self.constants, self.outputs, self.parameters
+        """The arrays of the nodes of the equations, as arguments of kernels."""
+        code, left, right, constants, parameters = self._nodes
+        if len(self.observations):
+            code, left, right, constants, parameters = self._part(0, int(self.outputs[-1]) + 1)
+        return code, left, right, constants, self.outputs, parameters
+
+    @property
+    def _nodes(self) -> tuple[Ints, Ints, Ints, FloatArray, Ints]:
+        return self.code, self.left, self.right, self.constants, self.parameters
+
+    def _part(self, first: int, end: int) -> tuple[Ints, Ints, Ints, FloatArray, Ints]:
+        """Return the arrays of the nodes from `first` up to `end`."""
+        part = slice(first, end)
+        return self.code[part], self.left[part], self.right[part], self.constants[part], self.parameters[part]
+
+    @property
+    def arrays(self) -> list[FloatArray | Ints | npt.NDArray[np.bool_] | None]:
+        """All arrays on which a fit of the system depends."""
+        arrays = [*self._nodes, self.outputs, self.observations, self.lower, self.upper, self.is_logarithmic]
+        shared = self.sharing
+        return arrays if shared is None else [*arrays, shared.constants, shared.columns, shared.multiples]
+
+    @cached_property
+    def firsts(self) -> list[int]:
+        """The first node of each program (D + M)."""
+        ends = [*self.outputs.tolist(), *self.observations.tolist()]
+        return [0, *(end + 1 for end in ends[:-1])]
+
+    @cached_property
+    def integrated(self) -> int:
+        """Number of the P fitted constants that belong to equations; the other constants belong to observations."""
+        return int((self.owners < len(self.outputs)).sum())
 
     @property
     def count(self) -> int:
@@ -143,6 +179,19 @@ class OdeSystem:
         constants[self.places] = own[:, self.places].mean(axis=0)
         return replace(self, constants=constants, sharing=replace(self.sharing, constants=own))
 
+    def moved(self, change: FloatArray) -> "OdeSystem":
+        """Return the system after a step (Q,) of the fitted numbers, within their bounds.
+
+        In a step, a number that is fitted in logarithms grows or shrinks by a factor of e at most: beyond it, the
+        residuals are far from linear in the logarithm. Such a step has the direction of a step of the logarithms, since
+        `least_squares` scales all numbers to the same curvature.
+        """
+        values = self.values
+        if self.is_logarithmic is None:
+            return self.with_values(values + change)
+        shares = np.clip(change / np.where(self.is_logarithmic, values, 1.0), -1.0, 1.0)
+        return self.with_values(np.where(self.is_logarithmic, values * np.exp(shares), values + change))
+
     def sharing_numbers(self, constants: FloatArray, shared: Collection[SharedNumber], leading: int = 0) -> "OdeSystem":
         """Return the system with one fitted number for each group and constant, except for the `shared` numbers.
 
@@ -154,7 +203,7 @@ class OdeSystem:
             shared: the constants of each shared number, by equation and node; the first `leading` equations are not
                 counted.
         """
-        starts = [0, *(self.outputs[:-1] + 1).tolist()][leading:]
+        starts = self.firsts[leading:]
         fitted = {node: place for place, node in enumerate(self.places.tolist())}
         together: dict[int, tuple[list[int], list[float]]] = {}
         for number in shared:
@@ -202,7 +251,7 @@ class OdeSystem:
             sharing = Sharing(sharing.constants, np.zeros((sharing.groups, 0), np.int64), np.zeros(0), 0)
         return replace(
             self, parameters=np.full_like(self.parameters, -1), owners=none, places=none, lower=None, upper=None,
-            sharing=sharing,
+            sharing=sharing, is_logarithmic=None,
         )  # fmt: skip
 
     def by_place(self, numbers: FloatArray, power: int = 1) -> FloatArray:
@@ -220,13 +269,13 @@ class OdeSystem:
         is returned."""
         if self.sharing is None:
             return self
-        return replace(self, constants=self.sharing.constants[group], lower=None, upper=None, sharing=None)
+        constants = self.sharing.constants[group]
+        return replace(self, constants=constants, lower=None, upper=None, sharing=None, is_logarithmic=None)
 
     @property
     def programs(self) -> tuple[Program, ...]:
-        """The equations with the constants of the system."""
-        ends = self.outputs + 1
-        parts = np.split(self.constants, ends[:-1])
+        """The equations with the constants of the system; the observations follow."""
+        parts = np.split(self.constants, self.firsts[1:])
         return tuple(replace(equation, constants=part) for equation, part in zip(self.equations, parts, strict=True))
 
     def searched(self, leading: int) -> tuple[Program, ...]:
@@ -258,17 +307,30 @@ class OdeSystem:
         fitted = fitted[(fitted >= 0) & (self.parameters[fitted] >= 0)]
         return self.columns[0][self.parameters[fitted]], np.ones(len(fitted))
 
+    @property
+    def observation_programs(self) -> list[Program]:
+        """The observations with the constants of the system, as programs over the components of a point."""
+        ends, programs = (self.observations + 1).tolist(), []
+        for first, end in zip(self.firsts[len(self.outputs) :], ends, strict=True):
+            code, *arguments, constants, _ = self._part(first, end)
+            is_leaf = (code == VARIABLE) | (code == CONSTANT)
+            left, right = (np.where(is_leaf, of, np.maximum(of - first, 0)).astype(np.int16) for of in arguments)
+            programs.append(Program(code.astype(np.int8), left, right, constants))
+        return programs
+
 
 def system_of(
-    programs: Sequence[Program], names: Sequence[str], variables: Sequence[str], fixed: Sequence[Collection[int]] = ()
-) -> OdeSystem:
-    """Return the system of `programs`, one for each equation.
+    programs: Sequence[Program], names: Sequence[str], variables: Sequence[str], fixed: Sequence[Collection[int]] = (),
+    observations: int = 0,
+) -> OdeSystem:  # fmt: skip
+    """Return the system of `programs`, one for each equation, then one for each of the `observations`.
 
     Args:
         programs: programs over `names`, the variables of the dataset.
         names: names of a program's variables, by index.
         variables: names of the components of a point: states with an equation first, then inputs.
         fixed: for each program the nodes whose constants are not fitted.
+        observations: number of the last programs that compute a measured column and not a derivative.
     """
     index = {name: place for place, name in enumerate(variables)}
     where = np.array([index.get(name, -1) for name in names], np.int64)
@@ -289,7 +351,11 @@ def system_of(
     parameters[places] = np.arange(len(places))
     constants = np.concatenate([program.constants for program in programs])
     outputs = np.cumsum(lengths) - 1
-    return OdeSystem(tuple(programs), code, left, right, constants, outputs, parameters, equations[places], places)
+    count = len(programs) - observations
+    return OdeSystem(
+        tuple(programs), code, left, right, constants, outputs[:count], parameters, equations[places], places,
+        observations=outputs[count:],
+    )  # fmt: skip
 
 
 def variable_program(index: int) -> Program:

@@ -18,7 +18,7 @@ from atoll_coordinator.model.inference.prediction import (
     compare_predictions,
     draw_systems,
 )
-from atoll_coordinator.model.shooting.points_between import _choose_far_apart, _latin_hypercube
+from atoll_coordinator.model.shooting.points_between import _choose_far_apart, latin_hypercube
 from atoll_coordinator.model.shooting.system import system_of
 from atoll_coordinator.settings import SETTINGS
 from tests.unit.coordinator.model.shooting.made import (
@@ -247,10 +247,10 @@ def test_rows_in_step_with_a_period_are_not_one_state(rows_a_period, rows):
 
 
 def test_each_part_of_each_dimension_has_one_point():
-    points = _latin_hypercube(12, 3)
+    points = latin_hypercube(12, 3)
     assert points.shape == (12, 3)
     assert np.sort(np.floor(12.0 * points), axis=0).T.tolist() == [[*range(12)]] * 3
-    assert (_latin_hypercube(12, 3) == points).all()
+    assert (latin_hypercube(12, 3) == points).all()
 
 
 def test_with_inputs_other_initial_states_take_those_of_a_measured_trajectory():
