@@ -40,6 +40,7 @@ CONTENTS: Final = {
         "how-to/noisy-data",
         "how-to/solver-data",
         "how-to/chaos",
+        "how-to/forecasts",
         "how-to/prior-knowledge",
         "how-to/known-part",
         "troubleshooting",

@@ -75,6 +75,7 @@ NOT_RUN = {
     r"dx/dt = 0.534067": "of data that the page lacks: tests/unit/coordinator/model/inference/test_groups.py",
     r"dx/dt = x\*\(1\.5 - y\)": "of data that the page does not have: tests/unit/coordinator/test_units.py",
     r"warning: Trajectories were simulated in pieces": "a search of chaotic data: benchmarks/RESULTS.md",
+    r"1 equation would be searched:": "shown by --dry-run: tests/unit/coordinator/data/test_outline.py",
     r"site A: workers": "a drawing",
 }
 """Why a command, Python or a printed text is not tried here, by how it begins."""

@@ -68,7 +68,9 @@ if TYPE_CHECKING:
     from atoll.analysis.analysis import Analysis
     from atoll.experiments.comparison import Comparison
     from atoll.experiments.designs import Cost
+    from atoll.experiments.forecast import Forecast
     from atoll.experiments.identifiability import Identifiability, ProfiledConstant
+    from atoll.experiments.smoothing import SmoothedStates
     from atoll.experiments.suggestion import Suggestions
     from atoll.export.description import HeldInputs, Times
     from atoll_coordinator.model.batches import Spread
@@ -386,6 +388,70 @@ class Model(ModelCore):
         with python_words(), _spread_over(executor) as spread:
             return suggest(self.result, request, self._table(data), spread)
 
+    def smooth(self, data: object = None) -> "SmoothedStates":
+        """Return the states along each trajectory under the law, with standard errors and 95 % bands.
+
+        The constants are those of the model; the initial states of the trajectories are fitted. A trajectory that one
+        initial state does not describe (chaos, or a missing effect) is divided into pieces; the result has the times at
+        which they join.
+
+        Args:
+            data: trajectories to use instead of the measurements in the result, as for `identifiability`.
+
+        Raises:
+            UsageError: the model is a regression or a stochastic process, or there are no measurements.
+            DataError: the data cannot be used as they are.
+            AtollError: the law cannot be simulated along the data.
+        """
+        from atoll.experiments.smoothing import smooth
+
+        self.require_one_group()
+        with python_words():
+            return smooth(self.result, self._table(data))
+
+    def forecast(  # noqa: PLR0913, the keywords are the options of the command
+        self,
+        duration: float,
+        u: GivenInputs = None,
+        *,
+        data: object = None,
+        trajectory: str | None = None,
+        step: float | None = None,
+        draws: int = 1_000,
+        seed: int = 0,
+        has_rivals: bool = True,
+    ) -> "Forecast":
+        """Return the states after the last row of a trajectory: medians, 50 % and 95 % bands, and a horizon.
+
+        The state at the last row is fitted to the last rows under the law. The draws have constants, states at the last
+        row, and alternative systems by their odds. The `horizon` is the time until which the 95 % band is at most half
+        as wide as the range of 95 % of the measured values. For a stochastic process, paths are drawn.
+
+        Args:
+            duration: length of the forecast after the last row, in units of time.
+            u: inputs after the last row, as for `simulate`; arrays (N,) have their values at the times of the forecast,
+                of which the first is the time of the last row. A missing input keeps its last value.
+            data: trajectories to use instead of the measurements in the result, such as newer rows, as for
+                `identifiability`. They change the state at the last row, and not the constants.
+            trajectory: the name of the trajectory; None: the last one.
+            step: time step; None: 200 steps.
+            draws: number of draws.
+            seed: random seed of the draws.
+            has_rivals: whether alternative systems that fit about as well are drawn too.
+
+        Raises:
+            UsageError: an argument does not fit, the model is a regression, or there are no measurements.
+            DataError: the data cannot be used as they are.
+            AtollError: the law cannot be simulated along the last rows.
+        """
+        from atoll.experiments.forecast import ForecastRequest, forecast
+
+        request = ForecastRequest(
+            number(duration, "the duration of a forecast"), trajectory, step, draws, seed, has_rivals
+        )
+        with python_words():
+            return forecast(self.result, request, self._table(data), u)
+
     def compare(self, other: "Model", data: object = None) -> "Comparison":
         """Compare this model, A, with another model, B, such as one of its `candidates`, on the same data.
 
@@ -489,6 +555,13 @@ class Model(ModelCore):
         from atoll.display.plots import plot_fit
 
         return plot_fit(self, axes)
+
+    def plot_forecast(self, forecast: "Forecast", axes: object = None) -> "npt.NDArray[np.object_]":
+        """Plot a forecast with its bands after the measurements; see `atoll.display.plots.plot_forecast`."""
+        from atoll.display.plots import plot_forecast
+
+        measured = {forecast.time: forecast.measured_t, **forecast.measured}
+        return plot_forecast(self, forecast.columns(), measured, axes)
 
     def plot_residuals(self, axes: object = None) -> "npt.NDArray[np.object_]":
         """Plot the residuals of simulations; see `atoll.display.plots.plot_residuals`."""

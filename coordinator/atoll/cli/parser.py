@@ -217,6 +217,7 @@ _PICK: Final = _repeatable("--pick", "x=2", "use equation 2 of the front of x")
 _DATA: Final = _value(
     "--data", "DATA", "measurements to use in place of the data in the result", nargs="+"
 )  # fmt: skip
+_PICTURE: Final = _value("--picture", "FILE", "also draw the bands into this SVG file")
 _OUTPUT: Final = _output("write to this file (default: stdout)")
 
 
@@ -436,6 +437,34 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _switch("--each-path", "write every path instead of quantiles, with a column `trajectory`"),
         _OUTPUT,
         _switch("--json", "write JSON: status, message, columns"),
+    )),
+    "smooth": ("verbs.results", "estimate the states along each trajectory under the law of a result, with bands", (
+        _RESULT,
+        *_CONNECT,
+        _GROUP,
+        _DATA,
+        _PICTURE,
+        _OUTPUT,
+        _switch("--json", "write JSON"),
+    )),
+    "forecast": ("verbs.results", "forecast the states after the last row, with bands and a horizon", (
+        _RESULT,
+        *_CONNECT,
+        _value("--for", "T", "length of the forecast, in units of time", required=True, dest="duration"),
+        _GROUP,
+        _value(
+            "--data", "DATA", "measurements whose last row begins the forecast (default: the data in the result)",
+            nargs="+",
+        ),
+        _value("--trajectory", "NAME", "forecast this trajectory (default: the last one)"),
+        _value("--inputs", "FILE", "inputs after the last row (default: each input keeps its last value)"),
+        _value("--step", "DT", "time step (default: 200 steps)"),
+        _value("--draws", "N", "number of draws (default: 1000)", default="1000"),
+        _value("--seed", "S", "random seed of the draws (default: 0)", default="0"),
+        _switch("--no-rivals", "draw only the displayed equations, and no alternative systems"),
+        _PICTURE,
+        _OUTPUT,
+        _switch("--json", "write JSON"),
     )),
     "analyse": ("verbs.results", "fixed points, limit cycles, basins and bifurcations of the model of a result", (
         _RESULT,

@@ -3,7 +3,7 @@
 Each function draws into `axes` or, by default, into a new figure, and returns the axes as an array.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,6 +48,26 @@ def plot_fit(model: "ModelCore", axes: object = None) -> Axes:
                 at.plot(part.times, values_of_curve(part.measured[state]), ".", color=color, markersize=3)
     if len(parts) > 1:
         each[0].legend(loc="best")
+    return each
+
+
+def plot_forecast(
+    model: "ModelCore", columns: Mapping[str, npt.NDArray[np.float64]], measured: Mapping[str, npt.NDArray[np.float64]],
+    axes: object = None,
+) -> Axes:  # fmt: skip
+    """Plot a forecast: the measured values, the median, and the 50 % and 95 % bands of each state.
+
+    `columns` (N,) are the columns of a forecast, `measured` (R,) the measured states and their times, by name.
+    """
+    time, by_symbol = model.time, model.result.columns_by_symbol
+    each = _axes_over_time(model, [by_symbol.get(state, state) for state in model.states], axes)
+    for at, state in zip(each, model.states, strict=True):
+        for suffix in ("", "50"):
+            ends = (columns[f"{state}_{end}{suffix}"] for end in ("lower", "upper"))
+            at.fill_between(columns[time], *ends, color="C1", alpha=0.3)
+        at.plot(columns[time], columns[state], color="C1")
+        if state in measured:
+            at.plot(measured[time], measured[state], ".", color="C0", markersize=3)
     return each
 
 

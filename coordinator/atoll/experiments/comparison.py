@@ -7,7 +7,7 @@ on the rows that a result lists. Letters: N rows.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -48,6 +48,7 @@ class ComparedModel:
 class DataComparison:
     """The fits of both models to the same data; `source` names the data.
 
+    `columns` are the measured columns by which models with different states are compared; empty for equal states.
     `nats` is the logarithm of the odds for A, from the fits alone. `longer` is the description length of B minus the
     description length of A in nats. Description lengths include the lengths of the equations; they are not known for
     equations without time, and `longer` is then None.
@@ -57,6 +58,7 @@ class DataComparison:
     sides: tuple[ComparedModel, ComparedModel]
     nats: float
     longer: float | None
+    columns: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -90,7 +92,8 @@ class Comparison:
         lines = [f"{letter} = {name}: {equations_text(equations)}" for letter, name, equations in each]
         lines += [f"{side}: {text}" for side, text in self.forms.items()]
         for on in self.data:
-            lines.append(f"on {on.source}:")
+            by = f", by the measured {', '.join(on.columns)}" if on.columns else ""
+            lines.append(f"on {on.source}{by}:")
             for letter, side in zip(_NAMES, on.sides, strict=True):
                 left = ", ".join(f"{name} {100.0 * share:.2g} %" for name, share in side.residuals.items())
                 lines.append(
@@ -106,7 +109,9 @@ class Comparison:
     def as_dict(self) -> dict[str, object]:
         """Return the comparison as plain data, as ``coordinator compare --json`` prints it."""
         data = [
-            attributes(on, "source", "nats", "longer", "sentence") | dict(zip(_NAMES, on.sides, strict=True))
+            attributes(on, "source", "nats", "longer", "sentence")
+            | ({"columns": on.columns} if on.columns else {})
+            | dict(zip(_NAMES, on.sides, strict=True))
             for on in self.data
         ]
         models = {
@@ -123,7 +128,8 @@ def compare(
 
     Args:
         first: model A; both models are compared on its data.
-        second: model B; if its data are different, both models are compared on its data too.
+        second: model B; if its data are different, both models are compared on its data too. Its states may differ, if
+            the measured columns are the same, as for models of first and of second order.
         names: the names of the models.
         table: measurements that replace the measurements in the results.
 
@@ -135,26 +141,35 @@ def compare(
     for model in models:
         model.require_one_group()
     sides = [[equation.lhs for equation in model.equations] for model in models]
-    if sorted(sides[0]) != sorted(sides[1]) or models[0].is_regression != models[1].is_regression:
-        left, right = (", ".join(lhs) for lhs in sides)
-        raise UsageError(f"A has equations of {left} and B of {right}; compare models of the same quantities")
     on = _regressions if models[0].is_regression else _dynamics
+    if sorted(sides[0]) != sorted(sides[1]) or models[0].is_regression != models[1].is_regression:
+        columns = [_observed_columns(model) for model in models]
+        if not columns[0] or columns[0] != columns[1]:
+            left, right = (", ".join(lhs) for lhs in sides)
+            raise UsageError(
+                f"A has equations of {left} and B of {right}; compare models of the same quantities, or models of "
+                "trajectories with the same measured columns"
+            )
+        on = _observed
     data = [on(first, second, "A", table)]
     digests = [None if result.data is None else result.data.digest for result in (first, second)]
     if table is None and digests[0] != digests[1]:
         swapped = on(second, first, "B", table)
         swapped_length = None if swapped.longer is None else -swapped.longer
-        data.append(DataComparison(swapped.source, (swapped.sides[1], swapped.sides[0]), -swapped.nats, swapped_length))
+        turned = (swapped.sides[1], swapped.sides[0])
+        data.append(DataComparison(swapped.source, turned, -swapped.nats, swapped_length, swapped.columns))
     displayed = tuple({equation.lhs: equation.expression for equation in model.equations} for model in models)
     return Comparison(names, (displayed[0], displayed[1]), _forms(*models), tuple(data))
 
 
 def _forms(first: ModelCore, second: ModelCore) -> dict[str, str]:
-    """Return for each equation whether both models have the same form, and how much its constants differ."""
+    """Return for each equation of both models whether they have the same form, and how much its constants differ."""
     others = {equation.lhs: equation for equation in second.equations}
     forms = {}
     for equation in first.equations:
-        other = others[equation.lhs]
+        other = others.get(equation.lhs)
+        if other is None:
+            continue
         names = tuple(dict.fromkeys((*first.result.names, *second.result.names)))
         programs = [from_infix(one.exact, names) for one in (equation, other)]
         if programs[0] == programs[1]:
@@ -219,6 +234,34 @@ def _equations_on_data_of(holder: Result, other: Result) -> EquationSet:
         if program != from_infix(entry.expression or "", equations.names):
             equations = equations.with_equation(place, program)
     return equations
+
+
+def _observed_columns(model: ModelCore) -> frozenset[str]:
+    """Return the measured columns with an equation; none unless the model is a law of trajectories."""
+    if model.result.columns.kind != "dynamics":
+        return frozenset()
+    return frozenset(equation.variable for equation in model.result.equations)
+
+
+def _observed(holder: Result, other: Result, letter: str, table: Table | None) -> DataComparison:
+    """Compare two models with different states by their residuals in the same measured columns.
+
+    The other model is fitted to the same rows of the same columns, from as many initial states. All values that are
+    fitted, hidden initial states too, count in the odds.
+    """
+    displayed = fit_displayed(measured_of(holder, table), holder)
+    there = other.model_copy(update={"data": holder.data, "smoothing": holder.smoothing, "noise": holder.noise})
+    measured = measured_of(there, table).with_piece(displayed.measured.longest)
+    measured = replace(measured, rows=displayed.measured.rows, source=displayed.measured.source)
+    fitted = fit_equations(measured, equations_of(other))
+    if fitted is None:
+        raise UsageError(
+            "one model cannot be simulated along the data of the other model; compare them on different data"
+        )
+    nats, longer = weigh_pair(displayed, fitted)
+    source = displayed.measured.source.replace("the result", letter)
+    columns = tuple(equation.variable for equation in holder.equations)
+    return DataComparison(source, (_side(holder, displayed), _side(other, fitted)), nats, longer, columns)
 
 
 def _require_columns(holder: Result, other: Result) -> None:

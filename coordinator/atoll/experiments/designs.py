@@ -26,13 +26,12 @@ P constants, O measured states, n rows.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Final, Literal, get_args
 
 import numpy as np
 
 from atoll.analysis.flow import Box
-from atoll.experiments.fits import EquationSetFit, FitData
+from atoll.experiments.fits import EquationSetFit, FitData, eigenaxes
 from atoll_coordinator.model.shooting.integration import STEPS_PER_ROW
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, integrate_segments
@@ -96,15 +95,6 @@ class DesignPredictor:
     limits: FloatArray
     sigmas: FloatArray
 
-    @cached_property
-    def root(self) -> FloatArray:
-        """A square root (P, P) of the covariance of the constants, which have a prior standard error of 100 %."""
-        sizes = np.abs(self.fitted.values)
-        sizes = np.maximum(sizes, 1e-12 * max(float(sizes.max(initial=0.0)), 1e-280))
-        unit = np.nan_to_num(self.fitted.fit.reduced) * np.outer(sizes, sizes) + np.eye(len(sizes))
-        known, directions = _axes(unit, 1.0)
-        return np.asarray(sizes[:, None] * directions / np.sqrt(known))
-
     def at(self, design: Design) -> DesignPrediction:
         """Return the prediction for an experiment."""
         measurements, fit = self.fitted.measured.measurements, self.fitted.fit
@@ -119,20 +109,11 @@ class DesignPredictor:
         )  # fmt: skip
         reached = int(np.isfinite(simulated).all(axis=0).sum())
         by_all = gradients[:, measurements.observed] / self.sigmas[:, None]
-        root, sharing = self.root, fit.system.sharing
+        root, sharing = self.fitted.root, fit.system.sharing
         if sharing is not None:  # several constants are multiples of one fitted number
             root = root[sharing.columns[0]] * sharing.multiples[:, None]
         spread = np.concatenate([by_all[..., :count] @ root, by_all[..., count:] * self.widths], axis=2)
         return DesignPrediction(simulated[measurements.observed].T / self.sigmas, spread, reached)
-
-
-def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
-    """Return eigenvalues (n,), at least `least`, and eigenvectors (n, n) of a symmetric matrix (n, n).
-
-    An inverse is not accurate enough, because information about constants can span many orders of magnitude.
-    """
-    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    return np.maximum(values, least), np.asarray(vectors)
 
 
 def discrepancy(first: DesignPrediction, second: DesignPrediction) -> float:
@@ -142,7 +123,7 @@ def discrepancy(first: DesignPrediction, second: DesignPrediction) -> float:
     spread = np.concatenate([first.spread[:rows], second.spread[:rows]], axis=2).reshape(len(difference), -1)
     if not rows or not np.isfinite(spread).all():
         return 0.0
-    known, directions = _axes(spread.T @ spread, 0.0)
+    known, directions = eigenaxes(spread.T @ spread, 0.0)
     along = directions.T @ (spread.T @ difference)
     explained = float((along**2 / (2.0 + known)).sum())
     return max(0.5 * (float(difference @ difference) - explained), 0.0)
@@ -288,10 +269,10 @@ def precision(prediction: DesignPrediction, constants: int) -> tuple[Gain, Float
         return NONE, np.eye(constants)
     by_all = prediction.spread.reshape(-1, prediction.spread.shape[2])
     of, free = by_all[:, :constants], by_all[:, constants:]
-    known, directions = _axes(free.T @ free, 0.0)
+    known, directions = eigenaxes(free.T @ free, 0.0)
     along = directions.T @ (free.T @ of)
     information = of.T @ of - along.T @ (along / (1.0 + known)[:, None])
-    factors, directions = _axes(np.eye(constants) + information, 1.0)
+    factors, directions = eigenaxes(np.eye(constants) + information, 1.0)
     gain = 0.5 * float(np.log(factors).sum())
     return Gain(gain, 0.0, gain), directions / factors @ directions.T
 

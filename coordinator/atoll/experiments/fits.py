@@ -536,9 +536,22 @@ class EquationSetFit:
         """The covariance (P, P) of the constants; constants that the data do not determine have large variances."""
         return bounded_covariance(self.fit)
 
+    @cached_property
+    def root(self) -> FloatArray:
+        """A square root (P, P) of the covariance of the constants, which have a prior standard error of 100 %."""
+        sizes = np.abs(self.values)
+        sizes = np.maximum(sizes, 1e-12 * max(float(sizes.max(initial=0.0)), 1e-280))
+        unit = np.nan_to_num(self.fit.reduced) * np.outer(sizes, sizes) + np.eye(len(sizes))
+        known, directions = eigenaxes(unit, 1.0)
+        return np.asarray(sizes[:, None] * directions / np.sqrt(known))
+
     def deviance(self, fit: TrajectoryFit) -> float:
         """Return the sum of squared residuals over the variances of `errors`, minus the same sum of this fit."""
         return self.fit.estimator.cost(fit) - self.fit.estimator.cost(self.fit)
+
+    def deviance_of(self, residuals: FloatArray) -> float:
+        """Return `deviance` of residuals (O, N)."""
+        return self.deviance(replace(self.fit, residuals=residuals))
 
     def refit(self, system: OdeSystem, starts: FloatArray) -> TrajectoryFit | None:
         """Fit a system to the same trajectories with the same errors; None if it cannot be simulated.
@@ -547,6 +560,15 @@ class EquationSetFit:
         """
         steps, is_stiff = SETTINGS.effort.steps, self.fit.is_stiff
         return self.fit.estimator.fit(system, None, steps, starts, self.errors, is_stiff=is_stiff)
+
+
+def eigenaxes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues (n,), at least `least`, and eigenvectors (n, n) of a symmetric matrix (n, n).
+
+    An inverse is not accurate enough, because information about constants can span many orders of magnitude.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.maximum(values, least), np.asarray(vectors)
 
 
 def fit_equations(measured: FitData, equations: EquationSet, starts: FloatArray | None = None) -> EquationSetFit | None:
@@ -563,9 +585,7 @@ def fit_displayed(measured: FitData, result: Result) -> EquationSetFit:
 
     If the residuals of whole trajectories exceed the noise, the equations are fitted to shorter pieces.
     """
-    equations, measurements = equations_of(result), measured.measurements
-    negligible = SETTINGS.common.negligible * measurements.observed_scales
-    most = SETTINGS.inference.excess * np.maximum(measurements.noise, negligible)
+    equations, most = equations_of(result), most_residuals(measured.measurements)
     first = None
     for rows in (None, *reversed(SETTINGS.shooting.lengths[1:])):
         if rows is not None and 2 * rows > measured.longest:
@@ -578,6 +598,12 @@ def fit_displayed(measured: FitData, result: Result) -> EquationSetFit:
     if first is None:
         raise AtollError("the equations cannot be simulated along the measured trajectories, so they cannot be fitted")
     return first
+
+
+def most_residuals(measurements: TrajectoryMeasurements) -> FloatArray:
+    """Return the largest root mean squared residuals (O,) that count as noise."""
+    negligible = SETTINGS.common.negligible * measurements.observed_scales
+    return np.asarray(SETTINGS.inference.excess * np.maximum(measurements.noise, negligible))
 
 
 def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -> EquationSetFit | None:

@@ -627,7 +627,7 @@ class _Suggester:
 
     def _worst(self, design: Design) -> tuple[str, float, float]:
         """Return the constant with the largest relative error, and this error before and after an experiment."""
-        root = self._displayed_predictor.root
+        root = self._displayed.root
         before, after = root @ root.T, root @ precision(self._displayed_predictor.at(design), len(root))[1] @ root.T
         sizes = np.maximum(np.abs(self._displayed.values), 1e-300)
         errors = [np.sqrt(np.maximum(np.diag(covariance), 0.0)) / sizes for covariance in (before, after)]

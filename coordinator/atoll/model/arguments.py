@@ -440,26 +440,8 @@ def start_of_file(model: "ModelCore", path: Path) -> FileStart:
         DataError: the file cannot be read.
         UsageError: the file has no column for a state.
     """
-    from atoll_coordinator.data.reading.files import read_table
-
-    config, symbols = model.result.data_settings, model.result.symbols
-    # dates are converted to the time unit of the model
-    table = read_table([path], DataConfig.model_validate({"time": config.get("time")}), model.result.units)
-    rows, trajectory = (*table.starts, table.rows)[1], str(config.get("trajectory") or TRAJECTORY_NAME)
-    if trajectory in table.names:
-        names = table.column(trajectory)[:rows]
-        rows = int(np.append(np.flatnonzero(names != names[0]), rows)[0])
-    given = {name: table.column(name)[:rows] for name in table.names}
-    columns = {name: np.asarray(values) for name, values in read_columns(model, given).items()}
-    times = columns.get(model.time)
-    inputs = {}
-    for name in columns if times is not None else ():
-        if symbols.get(name) in model.inputs and name != model.time:
-            known = np.isfinite(columns[name])
-            if not known.any():
-                raise UsageError(f"the input {name!r} has no value in {path}; give at least one number")
-            assert times is not None
-            inputs[symbols[name]] = InputCurve.through(times[known], columns[name][known], model.input_kind(name))
+    symbols, columns = model.result.symbols, _columns_of_file(model, path)
+    times, inputs = columns.get(model.time), _curves_of_file(model, columns, path)
     state = {symbols.get(name, name): float(values[0]) for name, values in columns.items() if len(values)}
     lacking = [name for name in model.states if name not in state]
     if lacking and model.time in columns:  # velocities are estimated
@@ -469,6 +451,50 @@ def start_of_file(model: "ModelCore", path: Path) -> FileStart:
     if lacking:
         raise UsageError(f"{path} has no column for {', '.join(lacking)}; an initial state needs every state")
     return FileStart({name: state[name] for name in model.states}, times, inputs)
+
+
+def inputs_of_file(model: "ModelCore", path: Path) -> dict[str, InputCurve]:
+    """Return the inputs of the first trajectory of a data file, by symbol.
+
+    Raises:
+        DataError: the file cannot be read.
+        UsageError: the file has no times or no input of the model.
+    """
+    columns = _columns_of_file(model, path)
+    inputs = _curves_of_file(model, columns, path)
+    if not inputs:
+        needed = f"a time column {model.time!r} and a column of an input ({', '.join(model.inputs) or 'none'})"
+        raise UsageError(f"{path} has {', '.join(columns)}, but {needed} are needed")
+    return inputs
+
+
+def _columns_of_file(model: "ModelCore", path: Path) -> dict[str, FloatArray]:
+    """Return the columns (N,) of the first trajectory of a file, as the fit of the model reads them."""
+    from atoll_coordinator.data.reading.files import read_table
+
+    config = model.result.data_settings
+    # dates are converted to the time unit of the model
+    table = read_table([path], DataConfig.model_validate({"time": config.get("time")}), model.result.units)
+    rows, trajectory = (*table.starts, table.rows)[1], str(config.get("trajectory") or TRAJECTORY_NAME)
+    if trajectory in table.names:
+        names = table.column(trajectory)[:rows]
+        rows = int(np.append(np.flatnonzero(names != names[0]), rows)[0])
+    given = {name: table.column(name)[:rows] for name in table.names}
+    return {name: np.asarray(values) for name, values in read_columns(model, given).items()}
+
+
+def _curves_of_file(model: "ModelCore", columns: Mapping[str, FloatArray], path: Path) -> dict[str, InputCurve]:
+    """Return the inputs among the columns (N,) of a file, by symbol; none without times."""
+    times, symbols = columns.get(model.time), model.result.symbols
+    inputs = {}
+    for name in columns if times is not None else ():
+        if symbols.get(name) in model.inputs and name != model.time:
+            known = np.isfinite(columns[name])
+            if not known.any():
+                raise UsageError(f"the input {name!r} has no value in {path}; give at least one number")
+            assert times is not None
+            inputs[symbols[name]] = InputCurve.through(times[known], columns[name][known], model.input_kind(name))
+    return inputs
 
 
 def times_until(model: "ModelCore", start: FileStart, end: float | None, step: float | None) -> FloatArray:

@@ -2,5 +2,6 @@
 
 ``page`` joins the sections. ``equations`` has the sections about equations, constants, candidates and searches;
 ``trajectories`` has the sections about measurements, simulations, processes and dynamics. ``findings`` computes the
-content of a page. ``markup`` builds elements, which escape every text, and draws charts as SVG.
+content of a page. ``bands`` draws smoothed states and forecasts as SVG files. ``markup`` builds elements, which escape
+every text, and draws charts as SVG.
 """

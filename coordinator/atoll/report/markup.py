@@ -177,6 +177,11 @@ class Chart:
         places = (tuple(_position(axis, value) for value in values) for axis, values in ((self.x, x), (self.y, y)))
         self._layers.append(_Layer(kind, style, *places))
 
+    @property
+    def range_of_values(self) -> tuple[float, float]:
+        """The range of the vertical axis, for a line across the picture."""
+        return self._bounds(self.y, [layer.y for layer in self._layers])
+
     def svg(self) -> Element:
         """Return the picture."""
         scales = (

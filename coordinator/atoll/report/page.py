@@ -1,12 +1,13 @@
 """The page: a head, a list of its sections, and the sections."""
 
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Final
 
 from atoll.report.equations import choice, constants, origin, overview, search
 from atoll.report.findings import Findings
-from atoll.report.markup import Element, element, paragraph, to_text
+from atoll.report.markup import HEIGHT, WIDTH, Chart, Element, element, paragraph, to_text
 from atoll.report.trajectories import dynamics, fitted_values, process, trajectories
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.result.result import Result
@@ -55,11 +56,25 @@ def pictures(page: Element) -> dict[str, str]:
     for part in page.iter("section"):
         name, drawn = part.get("id"), [picture for picture in part.iter("svg") if picture.get("role") == "img"]
         for number, picture in enumerate(drawn, start=1):
-            style = element("style", _style("pictures"))
-            ground = element("rect", width="100%", height="100%", fill="#ffffff")
-            alone = element("svg", style, ground, *picture, **picture.attrib, xmlns="http://www.w3.org/2000/svg")
-            pictures_by_name[f"{name}-{number}.svg"] = to_text(alone) + "\n"
+            pictures_by_name[f"{name}-{number}.svg"] = _alone([*picture], picture.attrib)
     return pictures_by_name
+
+
+def stacked_picture(charts: Sequence[Chart]) -> str:
+    """Return charts, one below another, as one SVG file."""
+    drawn = [chart.svg() for chart in charts]
+    parts = [
+        element("svg", *part, x=0, y=place * HEIGHT, width=WIDTH, height=HEIGHT) for place, part in enumerate(drawn)
+    ]
+    title = "; ".join(chart.title for chart in charts)
+    return _alone(parts, {"role": "img", "aria-label": title, "viewBox": f"0 0 {WIDTH} {HEIGHT * len(parts)}"})
+
+
+def _alone(parts: Sequence[Element], attributes: Mapping[str, str]) -> str:
+    """Return the parts of a picture as an SVG file with its style."""
+    ground = element("rect", width="100%", height="100%", fill="#ffffff")
+    style = element("style", _style("pictures"))
+    return to_text(element("svg", style, ground, *parts, **attributes, xmlns="http://www.w3.org/2000/svg")) + "\n"
 
 
 def _head(title: str) -> Element:

@@ -1,5 +1,5 @@
-"""The verbs about a saved result or the result of a job: ``result``, ``report``, ``compare``, ``simulate``,
-``analyse``, ``suggest`` and ``export``.
+"""The verbs about a saved result or the result of a job: ``result``, ``report``, ``compare``, ``simulate``, ``smooth``,
+``forecast``, ``analyse``, ``suggest`` and ``export``.
 
 Analyses of a saved result run in this process; analyses of a coordinator's job run on a worker. `ask` handles both
 cases. Modules that only some verbs need are imported in their functions, because ``coordinator result`` should print at
@@ -22,7 +22,7 @@ from atoll.cli.parser import finite_number, if_given, interval, intervals, natur
 from atoll.cli.request import CONNECT_LIMIT_S, address_of, is_saved, load_result, result_of
 from atoll.cli.result_files import REPORT, write_page
 from atoll.client.client import connected
-from atoll.model.arguments import FileStart, ReadColumns, start_of_file, times_until
+from atoll.model.arguments import FileStart, ReadColumns, inputs_of_file, start_of_file, times_until
 from atoll.model.simulation import SimulationWarning
 from atoll.terminal.output import as_json, note, say
 from atoll_coordinator.data.differentiation.inputs import InputCurve
@@ -123,6 +123,60 @@ def _held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
     if unknown is not None:
         raise UsageError(f"--hold names {unknown!r}; the inputs are {', '.join(model.inputs) or 'none'}")
     return {symbols.get(name, name): value for name, value in held.items()}
+
+
+# ----------------------------------------------------------------------------------- smooth, forecast
+
+
+def smooth(options: argparse.Namespace) -> int:
+    """Write the states along each trajectory under the law of ``options.result``."""
+    from atoll.experiments.smoothing import smooth as smooth_states
+
+    model = _load(options)
+    model.require_one_group()
+    smoothed = smooth_states(model.result, _table(model, options.data))
+    deliver(as_json(smoothed.as_dict()) if options.json else smoothed.to_csv(), options.output)
+    for sentence in smoothed.sentences:
+        note(f"coordinator: {sentence}")
+    if options.picture is not None:
+        from atoll.report.bands import picture_of_states
+
+        write_text(options.picture, picture_of_states(smoothed, model.result))
+    return DONE
+
+
+def forecast(options: argparse.Namespace) -> int:
+    """Write a forecast from the last row of ``options.result`` or of ``options.data``; print its horizon on stderr."""
+    from atoll.experiments.forecast import ForecastRequest
+    from atoll.experiments.forecast import forecast as forecast_states
+
+    model = _load(options)
+    request = ForecastRequest(
+        duration=finite_number(options.duration, "--for"),
+        trajectory=options.trajectory,
+        step=if_given(finite_number, options.step, "--step"),
+        draws=natural_number(options.draws, "--draws"),
+        seed=natural_number(options.seed, "--seed"),
+        has_rivals=not options.no_rivals,
+    )
+    inputs = None if options.inputs is None else inputs_of_file(model, Path(options.inputs))
+    found = forecast_states(model.result, request, _table(model, options.data), inputs)
+    deliver(as_json(found.as_dict()) if options.json else found.to_csv(), options.output)
+    for sentence in found.sentences:
+        note(f"coordinator: {sentence}")
+    if options.picture is not None:
+        from atoll.report.bands import picture_of_forecast
+
+        write_text(options.picture, picture_of_forecast(found, model.result))
+    return DONE
+
+
+def _table(model: Model, files: list[str] | None) -> Table | None:
+    """Return the measurements in `files`, read with the settings of the job; None for None."""
+    from atoll.api.tables import table_of
+    from atoll.experiments.fits import config_of
+
+    return None if files is None else table_of(files, config_of(model.result).data)
 
 
 # -------------------------------------------------------------------------- analyse, suggest, report
@@ -278,9 +332,7 @@ def _write_report(path: Path, options: argparse.Namespace) -> None:
 
 def compare(options: argparse.Namespace) -> int:
     """Compare the models ``options.first`` and ``options.second``."""
-    from atoll.api.tables import table_of
     from atoll.experiments.comparison import compare as compare_results
-    from atoll.experiments.fits import config_of
 
     first, number = _name_and_candidate(options.first)
     second, other = _name_and_candidate(options.second)
@@ -289,8 +341,7 @@ def compare(options: argparse.Namespace) -> int:
             f"A is {options.first!r}, but the name of a result was expected, such as runs/JOB{options.first}"
         )
     models = [_candidate(name, place, options) for name, place in ((first, number), (second or first, other))]
-    files: list[str] | None = options.data
-    table = None if files is None else table_of(files, config_of(models[0].result).data)
+    table = _table(models[0], options.data)
     names = (options.first, options.second if second else f"{first}{options.second}")
     comparison = compare_results(models[0].result, models[1].result, names, table)
     deliver(as_json(comparison.as_dict()) if options.json else str(comparison), options.output)

@@ -10,6 +10,7 @@ from atoll.experiments.comparison import compare, most_errors
 from atoll.experiments.suggestion import certainty_text_of, which_of_two
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
+from atoll_core.expression.text.parsing import from_infix
 from tests.unit.library.experiments.made import measured
 from tests.unit.library.model.results import constant, process_result, result
 
@@ -110,6 +111,32 @@ def test_regressions_are_compared_on_the_rows_that_they_list() -> None:
     assert compared.data[0].nats > 10.0
     assert "decide for A" in compared.data[0].sentence
     assert "residuals y 1.2 % of the standard deviation" in str(compared)
+
+
+def swinging(order: int) -> Result:
+    """Return a law of x of first or second order; the data swing, as only the second order can."""
+    x = np.cos(3.0 * TIMES) + 0.01 * np.random.default_rng(4).standard_normal(40)
+    contents = measured({"x": "-0.5*x"}, [(TIMES, {"x": x})], 0.01)
+    if order == 2:
+        names = ["x", "x_dot"]
+        program = from_infix("-9.0*x", names).to_bytes().hex()
+        contents["equations"][0] |= {"lhs": "d2x/dt2", "expression": "-9.0*x", "program": program}
+        contents["symbols"] = {name: name for name in names}
+        contents["system"] |= {"order": 2, "velocities": ["x_dot"]}
+    return Result.of(contents)
+
+
+def test_models_with_other_states_are_compared_by_the_same_measured_columns() -> None:
+    compared = compare(swinging(2), swinging(1))
+    (on,) = compared.data
+    assert on.columns == ("x",)
+    assert on.nats > 10.0
+    assert on.sides[0].residuals["x"] < 0.05 < on.sides[1].residuals["x"]
+    assert ", by the measured x:" in str(compared)
+    assert "decide for A" in on.sentence
+    assert compared.forms == {}
+    turned = compare(swinging(1), swinging(2))
+    assert turned.data[0].nats < -10.0
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,8 @@ def given_system(
     """Return the system of `sides`, first of the states, then of columns; and the name of each fitted number."""
     names = (*states, *inputs)
     template = read_template(sides, {name: TemplateParameter(name, *parameters[name]) for name in parameters}, names)
-    made = template.compose(list(sides), [template.sides[name] for name in sides], template.starts)
+    template = replace(template, equations=tuple(sides))
+    made = template.compose([template.sides[name] for name in sides], template.starts)
     system = system_of(made.programs, names, names, made.fixed, observations=len(sides) - len(states))
     shared = [tuple((place, 1.0) for place in places) for places in made.parameters]
     system = system.sharing_numbers(system.constants[None], shared)

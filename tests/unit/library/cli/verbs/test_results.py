@@ -330,6 +330,49 @@ def test_what_is_no_result_is_a_sentence(
     assert sentence in capsys.readouterr().err
 
 
+def test_states_and_forecasts_are_tables_with_sentences_and_pictures(
+    decaying: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for verb, words in (("smooth", []), ("forecast", ["--for", "2", "--step", "1", "--seed", "3"])):
+        picture = decaying / f"{verb}.svg"
+        assert main([verb, str(decaying), *words, "--picture", str(picture)]) == 0
+        printed = capsys.readouterr()
+        assert printed.out.startswith("trajectory,t,piece,x" if verb == "smooth" else "t,x,x_lower,x_upper")
+        assert printed.err.startswith("coordinator: ")
+        assert ElementTree.parse(picture).getroot().tag == "{http://www.w3.org/2000/svg}svg"
+        assert main([verb, str(decaying), *words, "--json", "-o", str(decaying / "out.json")]) == 0
+        assert json.loads((decaying / "out.json").read_text())["schema"] == 1
+        assert capsys.readouterr().out == ""
+
+
+def test_a_forecast_begins_at_the_last_row_of_the_given_data(
+    decaying: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [f"{t:.6g},{2.0 * np.exp(-0.5 * t):.6g}" for t in np.linspace(0.0, 6.0, 25)]
+    (decaying / "new.csv").write_text("\n".join(["t,x", *rows]))
+    words = ["--for", "2", "--step", "2", "--data", str(decaying / "new.csv"), "--json"]
+    assert main(["forecast", str(decaying), *words]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["columns"]["t"] == [6.0, 8.0]
+    assert found["columns"]["x"] == pytest.approx([2.0 * np.exp(-3.0), 2.0 * np.exp(-4.0)], abs=0.01)
+
+
+def test_inputs_after_the_last_row_come_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    t = np.linspace(0.0, 4.0, 40)
+    columns = {"x": 1.0 + 0.01 * np.sin(37.0 * t), "u": np.ones(40)}
+    contents = measured({"x": "1.0*u-1.0*x"}, [(t, columns)], 0.01, ("u",))
+    (tmp_path / "result.json").write_text(json.dumps(contents))
+    (tmp_path / "inputs.csv").write_text("t,u\n4.001,3\n9,3\n")
+    words = ["--for", "10", "--json", "--inputs", str(tmp_path / "inputs.csv")]
+    assert main(["forecast", str(tmp_path), *words]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["columns"]["x"][-1] == pytest.approx(3.0, abs=0.1)
+    assert "the values of the input u end at t = 9; it keeps the last one" in printed.err
+    (tmp_path / "other.csv").write_text("t,v\n5,3\n9,3\n")
+    assert main(["forecast", str(tmp_path), "--for", "10", "--inputs", str(tmp_path / "other.csv")]) == 2
+    assert "a column of an input (u) are needed" in capsys.readouterr().err
+
+
 @pytest.fixture
 def exportable(tmp_path: Path) -> Path:
     contents = result({"x": "u*x"}, ("u",))
@@ -450,6 +493,15 @@ def noisy(tmp_path: Path) -> Path:
         ("exportable", "export", "--format c --hold v=1", "--hold names 'v'; the inputs are u"),
         ("exportable", "export", "--format c --data a.csv", "--data was given without --format petab"),
         ("exportable", "export", "--format fortran", "but 'fortran' was given"),
+        ("decaying", "forecast", "--for x", "--for must be a finite number"),
+        ("decaying", "forecast", "--for -1", "the duration of a forecast must be above 0"),
+        ("decaying", "forecast", "--for 1 --draws x", "--draws must be a whole number"),
+        ("decaying", "forecast", "--for 1 --trajectory 7", "there is no trajectory '7'"),
+        ("decaying", "forecast", "--for 1 --group a", "the model has no groups"),
+        ("driven", "forecast", "--for 1", "the result has no measurements; give the data file with --data"),
+        ("driven", "smooth", "", "the result has no measurements; give the data file with --data"),
+        ("noisy", "smooth", "", "only models of measured trajectories can be fitted again"),
+        ("regressed", "forecast", "--for 1", "a regression"),
         ("noisy", "simulate", "--seed 1", "--seed needs --paths"),
         ("noisy", "simulate", "--each-path", "--each-path needs --paths"),
         ("noisy", "simulate", "--paths x", "--paths must be a whole number, but 'x' was given"),
