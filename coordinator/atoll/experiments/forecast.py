@@ -34,7 +34,7 @@ import numpy as np
 from atoll.experiments.alternatives import WeightedSystem, alternatives_of
 from atoll.experiments.draws import draw_constants
 from atoll.experiments.fits import config_of, eigenaxes
-from atoll.experiments.states import KnownLaw, StateFit, cut
+from atoll.experiments.states import KnownLaw, StateFit, cut, rounded_times
 from atoll.model.arguments import GivenInputs, InputFunctions, inputs_along, values_of_curve
 from atoll.model.core import ModelCore
 from atoll.model.simulation import MOST_NUMBERS, Inputs, ensemble_of
@@ -91,9 +91,9 @@ class ForecastRequest:
 
     def times(self, last: float) -> FloatArray:
         """Return the times (N,), the first of which is the time of the last row."""
-        if self.step is None:
-            return last + np.linspace(0.0, self.duration, ROWS)
-        return np.asarray(last + self.step * np.arange(math.floor(self.duration / self.step + 1e-9) + 1))
+        step = self.duration / (ROWS - 1) if self.step is None else self.step
+        count = math.floor(self.duration / step + 1e-9) + 1
+        return rounded_times(np.array([last + step * number for number in range(count)]))
 
     def check(self, states: int) -> None:
         """Raise UsageError if a number is out of range."""

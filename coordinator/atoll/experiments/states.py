@@ -79,8 +79,8 @@ class KnownLaw:
         return self.measurements.variables[: len(self.measurements.scales)]
 
     def times_of(self, measurements: TrajectoryMeasurements) -> FloatArray:
-        """Return the times (N,) of rows, as in the data: fits use centred times, whose sums have rounding errors."""
-        return np.array([float(f"{time:.12g}") for time in (measurements.times + self.offset).tolist()])
+        """Return the times (N,) of rows, as in the data: fits use centred times."""
+        return rounded_times(measurements.times + self.offset)
 
     def trajectories(self) -> Iterator[tuple[str, TrajectoryMeasurements]]:
         """Yield each trajectory with its name."""
@@ -191,6 +191,11 @@ class StateFit:
             at_end[:, :fitted] - at_end[:, fitted:] @ own @ fit.blocks.coupling[0].T,
             at_end[:, fitted:] @ own @ at_end[:, fitted:].T,
         )
+
+
+def rounded_times(times: FloatArray) -> FloatArray:
+    """Return times (N,) without the rounding errors of sums."""
+    return np.array([float(f"{time:.12g}") for time in times.tolist()])
 
 
 def cut(trajectory: TrajectoryMeasurements, ranges: Sequence[Sequence[int]]) -> TrajectoryMeasurements:

@@ -74,8 +74,8 @@ class TrajectoryFit:
 
     @cached_property
     def blocks(self) -> NormalBlocks:
-        """The normal equations at the end of the fit. The `gradient` is the derivative of the log-likelihood by the
-        constants; it is zero for a constant that is not on a bound."""
+        """The normal equations at the end of the fit, without a prior. The `gradient` is the derivative of the
+        log-likelihood by the constants; without a prior, it is zero for a constant that is not on a bound."""
         return self.known_blocks or self.estimator.blocks_of(self)
 
     @cached_property

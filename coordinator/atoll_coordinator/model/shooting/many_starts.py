@@ -5,15 +5,13 @@ A misfit of whole trajectories has many minima: an oscillation that is fitted wi
 How it works. Start values of the fitted numbers, and initial values of hidden states, are drawn within their bounds.
 Positive bounds are drawn from, and steps are made, in logarithms (`OdeSystem.moved`). Each start is fitted to growing
 horizons: to the first rows of each trajectory, then to half as many rows more, up to all rows. So a fit follows the
-phase of an oscillation. Segments in the middle of a trajectory, as in `fit_in_stages`, need initial values of all
-states; for hidden states these would be as many unknown numbers as there are segments. Starts come in batches of equal
-size. The best fits of a batch are continued until they converge. The search ends when the best minimum was reached
-several times, or when the work is spent. All choices depend on misfits in a fixed order, so the result is equal bit by
-bit on any number of threads and workers.
-
-Measured with an oscillating glycolysis of seven states, of which two are measured, and 13 numbers with bounds over two
-decades and more (60 rows, noise 5 %): a fit of whole trajectories reaches the best minimum from 0 % of the starts with
-linear steps and from 19 % with logarithmic steps (in 40 and 100 steps); with growing horizons from 60 %.
+phase of an oscillation. These fits use the bounds as a prior distribution (`OdeSystem.penalty`): a few rows do not
+determine all numbers, and numbers that are not determined stay near the middle of their bounds. Segments in the middle
+of a trajectory, as in `fit_in_stages`, need initial values of all states; for hidden states these would be as many
+unknown numbers as there are segments. Starts come in batches of equal size. The best fits of a batch are continued
+without the prior until they converge. The search ends when the best minimum was reached several times, or when the work
+is spent. All choices depend on misfits in a fixed order, so the result is equal bit by bit on any number of threads and
+workers.
 
 Doubts. There is no guarantee that the best minimum was met. A minimum that as many starts lead to as to the best one is
 missed with a probability of 2^-5. Start values of a number without finite bounds do not vary. Letters: Q fitted
@@ -22,7 +20,7 @@ numbers, D states, G trajectories, O measured columns.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -39,8 +37,8 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _GROWTH: Final = 1.5
-"""Ratio of the rows of successive horizons. Measured with glycolysis without noise: 28 of 64 starts reach the best
-minimum with this ratio, 18 with 2, in the same time."""
+"""Ratio of the rows of successive horizons. Measured with glycolysis without noise and without prior: 28 of 64 starts
+reach the best minimum with this ratio, 18 with 2, in the same time."""
 _REACHED: Final = 5
 """Number of starts that reach the best minimum before the search ends. A better minimum that as many starts lead to is
 then missed with a probability of 2^-5, 3 %."""
@@ -62,7 +60,7 @@ def _last_steps() -> int:
 @dataclass(frozen=True, eq=False)
 class StartPoint:
     """Where a fit starts: fitted numbers `values` (Q,) and initial states `starts` (G, D). `is_last` fits are made to
-    all rows until they converge; other fits are made to growing horizons."""
+    all rows until they converge; other fits are made to growing horizons, with the prior of the bounds."""
 
     values: FloatArray
     starts: FloatArray
@@ -107,7 +105,8 @@ class StartsProblem:
 
     def fit(self, start: StartPoint) -> ReachedPoint | None:
         """Return where the fit from one start ends; None if the system cannot be integrated there."""
-        system, starts = self.system.with_values(start.values), start.starts
+        has_prior = self.system.has_prior or not start.is_last
+        system, starts = replace(self.system.with_values(start.values), has_prior=has_prior), start.starts
         estimators, steps = self.estimators, _horizon_steps()
         if start.is_last:
             estimators, steps = estimators[-1:], _last_steps()
@@ -129,8 +128,8 @@ _FITS: Final[BatchFunction[StartsProblem, StartPoint, ReachedPoint | None]] = Ba
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """A local minimum: the point of its best fit, the misfit in nats, and the number of continued fits that ended
-    there."""
+    """A local minimum: the point of its best fit, the misfit in nats (with a prior: and half the penalty), and the
+    number of continued fits that ended there."""
 
     point: ReachedPoint
     misfit: float
@@ -160,14 +159,20 @@ def fit_from_many_starts(
     Args:
         estimator: has the measurements, whose `initial` bounds limit the initial values of hidden states. Its work
             grows by the work of the fits. After its deadline no batch of starts is fitted.
-        system: the system. Its bounds limit the start values; numbers without finite bounds keep their values.
+        system: the system. Its bounds limit the start values; numbers without finite bounds keep their values. With
+            `has_prior`, the best fit has the prior, too.
         seed: seed of the start values.
         errors: the error model of all fits; None: variances are fitted.
         misfit: nats of mean squares of residuals (O,); None: minus the logarithm of the likelihood with fitted
             variances.
     """
     problem = StartsProblem(estimator.measurements, estimator.tolerance, estimator.measured_rows, system, errors)
-    spread, misfit = estimator.integrator.spread, misfit or _misfit_of(estimator.measurements)
+    spread = estimator.integrator.spread
+    misfit = misfit or _misfit_of(estimator.measurements)
+
+    def total(point: ReachedPoint) -> float:
+        return misfit(point.squares) + 0.5 * system.with_values(point.values).penalty()[0]
+
     minima: list[Minimum] = []
     count, least = 0, SETTINGS.selection.least_gain
     limit = estimator.work + SETTINGS.effort.beam * SETTINGS.effort.work
@@ -176,12 +181,12 @@ def fit_from_many_starts(
             break
         count += len(batch)
         points = _fit_all(problem, estimator, spread, batch)
-        points.sort(key=lambda point: misfit(point.squares))
+        points.sort(key=total)
         best = points[: SETTINGS.effort.beam // 3]
         states = len(estimator.measurements.scales)
         continued = [StartPoint(point.values, point.starts[:, :states], is_last=True) for point in best]
         for point in _fit_all(problem, estimator, spread, continued):
-            minima = _with_point(minima, point, misfit(point.squares), least)
+            minima = _with_point(minima, point, total(point), least)
         if minima and minima[0].reached >= _REACHED:
             break
     return StartsFit(_complete(estimator, system, minima[0].point), tuple(minima), count) if minima else None

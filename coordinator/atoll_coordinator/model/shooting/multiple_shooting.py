@@ -467,6 +467,9 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         """
         assert point.blocks is not None, "only the last point has no normal equations"
         normal, coupling, own, gradient, own_gradient = point.blocks
+        if point.system.has_prior:
+            _, pull, curvature = point.system.penalty()
+            normal, gradient = normal + np.diag(curvature), gradient + pull
         held = point.system.blocked_by_bounds(gradient)
         if held is not None and held.any():
             normal, gradient = hold_numbers(normal, gradient, held)
@@ -492,7 +495,12 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         self.steps_left -= 1
         least = self.least_gain(point)
         there, _ = self.point(system, starts, point.errors, point.cost, least, is_last=not self.steps_left)
-        return None if there is None else (there, point.cost - _cost(self._layout, there.residuals, point.errors))
+        return None if there is None else (there, point.cost - self._cost(there.system, there.residuals, point.errors))
+
+    def _cost(self, system: OdeSystem, residuals: FloatArray, errors: ErrorModel) -> float:
+        """Return the cost of residuals, and the penalty of the fitted numbers if they have a prior distribution."""
+        cost = _cost(self._layout, residuals, errors)
+        return cost + system.penalty()[0] if system.has_prior else cost
 
     def least_gain(self, point: _Point) -> float:
         """Return the least decrease that counts: a share of the cost, or the cost of rounding errors if this cost is
@@ -572,7 +580,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
             if course.done < len(self._segments) or is_steep:
                 break
             residuals = estimator.residuals(course.states, starts, self._segments)
-            cost = _cost(self._layout, residuals, errors)
+            cost = self._cost(system, residuals, errors)
             if not cost < below:
                 break
             is_last = is_last or below - cost <= least
@@ -580,7 +588,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
                 weighed = estimator.update_variances(residuals, self._layout, errors) if is_step else errors
                 if has_sensitivities:
                     blocks = estimator.blocks(self._segments, course.sensitivities, residuals, weighed, fitted)
-                cost = _cost(self._layout, residuals, weighed)
+                cost = self._cost(system, residuals, weighed)
                 point = _Point(system, starts, weighed, cost, course.states, residuals, blocks)
                 break
         return point, course.done < 0

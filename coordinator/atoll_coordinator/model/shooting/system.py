@@ -91,8 +91,9 @@ class OdeSystem:
     observations come last. `lower` and `upper` (Q,) are bounds on the fitted numbers; None: there are no bounds. With a
     `sharing`, Q may differ from P, and `constants` are the means over the groups. Without a `sharing`, Q is P.
     `outputs` (D,) and `observations` (M,) are the output nodes of the programs. The numbers `is_logarithmic` (Q,) are
-    fitted in logarithms; they are not zero. None: there are no such numbers. `parts` are the searched programs if
-    the equations were composed with a template; None: the equations are the searched programs.
+    fitted in logarithms; they are not zero. None: there are no such numbers. With `has_prior`, they have the prior
+    distribution that their bounds express, see `penalty`. `parts` are the searched programs if the
+    equations were composed with a template; None: the equations are the searched programs.
     """
 
     equations: tuple[Program, ...]
@@ -110,6 +111,7 @@ class OdeSystem:
     parts: SearchedParts | None = None
     observations: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     is_logarithmic: npt.NDArray[np.bool_] | None = None
+    has_prior: bool = False
 
     @property
     def tape(self) -> Tape:
@@ -132,6 +134,7 @@ class OdeSystem:
     def arrays(self) -> list[FloatArray | Ints | npt.NDArray[np.bool_] | None]:
         """All arrays on which a fit of the system depends."""
         arrays = [*self._nodes, self.outputs, self.observations, self.lower, self.upper, self.is_logarithmic]
+        arrays.append(np.array([self.has_prior]))
         shared = self.sharing
         return arrays if shared is None else [*arrays, shared.constants, shared.columns, shared.multiples]
 
@@ -192,6 +195,31 @@ class OdeSystem:
         shares = np.clip(change / np.where(self.is_logarithmic, values, 1.0), -1.0, 1.0)
         return self.with_values(np.where(self.is_logarithmic, values * np.exp(shares), values + change))
 
+    def in_logarithms(self) -> "OdeSystem":
+        """Return the system with all numbers fitted in logarithms whose two bounds have the same sign."""
+        if self.lower is None or self.upper is None:
+            return self
+        return replace(self, is_logarithmic=self.lower * self.upper > 0.0)
+
+    def penalty(self) -> tuple[float, FloatArray, FloatArray]:
+        """Return the penalty of the values by their prior, minus half its gradient (Q,), and half the diagonal of its
+        second derivatives (Q,), by Gauss and Newton.
+
+        Bounds of one sign that are finite express a uniform distribution of the logarithm. The prior is the normal
+        distribution with the same mean and variance; the penalty is the sum of squared distances from the mean, in
+        standard deviations. Without a prior, all are 0.
+        """
+        values, nothing = self.values, np.zeros(self.count)
+        if not self.has_prior or self.is_logarithmic is None or self.lower is None or self.upper is None:
+            return 0.0, nothing, nothing
+        with np.errstate(all="ignore"):
+            low, high = np.log(np.abs(self.lower)), np.log(np.abs(self.upper))
+            sizes = np.abs(high - low) / np.sqrt(12.0)
+            residuals = (np.log(np.abs(values)) - 0.5 * (low + high)) / sizes
+        has_prior = self.is_logarithmic & np.isfinite(residuals)
+        residuals, slopes = np.where(has_prior, residuals, 0.0), np.where(has_prior, 1.0 / (sizes * values), 0.0)
+        return float((residuals**2).sum()), -residuals * slopes, slopes**2
+
     def sharing_numbers(self, constants: FloatArray, shared: Collection[SharedNumber], leading: int = 0) -> "OdeSystem":
         """Return the system with one fitted number for each group and constant, except for the `shared` numbers.
 
@@ -251,7 +279,7 @@ class OdeSystem:
             sharing = Sharing(sharing.constants, np.zeros((sharing.groups, 0), np.int64), np.zeros(0), 0)
         return replace(
             self, parameters=np.full_like(self.parameters, -1), owners=none, places=none, lower=None, upper=None,
-            sharing=sharing, is_logarithmic=None,
+            sharing=sharing, is_logarithmic=None, has_prior=False,
         )  # fmt: skip
 
     def by_place(self, numbers: FloatArray, power: int = 1) -> FloatArray:
@@ -269,8 +297,10 @@ class OdeSystem:
         is returned."""
         if self.sharing is None:
             return self
-        constants = self.sharing.constants[group]
-        return replace(self, constants=constants, lower=None, upper=None, sharing=None, is_logarithmic=None)
+        return replace(
+            self, constants=self.sharing.constants[group], lower=None, upper=None, sharing=None, is_logarithmic=None,
+            has_prior=False,
+        )  # fmt: skip
 
     @property
     def programs(self) -> tuple[Program, ...]:

@@ -6,6 +6,7 @@ import pytest
 
 from atoll.api.model import Model
 from atoll_core.errors import UsageError
+from tests.unit.library.experiments.made import measured
 from tests.unit.library.model.results import result
 
 
@@ -32,6 +33,18 @@ def test_states_are_drawn_below_each_other_with_their_measurements(model: Model)
     above, below = model.plot_fit()
     assert [len(above.lines), len(below.lines)] == [2, 2]
     assert (above.get_ylabel(), below.get_xlabel()) == ("x", "t")
+
+
+def test_a_forecast_is_drawn_with_two_bands_after_its_measurements() -> None:
+    matplotlib.use("agg")
+    t = np.linspace(0.0, 4.0, 20)
+    model = Model(measured({"x": "0.5"}, [(t, {"x": 0.5 * t + 0.01 * np.sin(9.0 * t)})], 0.01))
+    forecast = model.forecast(2.0, draws=20)
+    (axes,) = model.plot_forecast(forecast)
+    median, rows = axes.lines
+    assert median.get_ydata() == pytest.approx(forecast["x"])
+    assert rows.get_xdata() == pytest.approx(t)
+    assert len(axes.collections) == 2
 
 
 def test_a_phase_plane_and_a_front_are_drawn_into_given_axes(model: Model) -> None:

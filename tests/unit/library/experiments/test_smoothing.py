@@ -12,6 +12,7 @@ from atoll.experiments.smoothing import smooth
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from tests.unit.library.experiments.made import measured
+from tests.unit.library.experiments.test_comparison import swinging
 from tests.unit.library.model.results import process_result, result
 
 TIMES = np.linspace(0.0, 4.0, 40)
@@ -77,6 +78,16 @@ def test_a_state_with_an_offset_includes_it() -> None:
     contents = measured({"x": "-1.0*x"}, [(TIMES, {"x": x + 0.1 * NOISE})], 0.01, config={"data": {"offsets": ["x"]}})
     (part,) = smooth(Result.of(contents)).trajectories
     assert part.x[:, 0] == pytest.approx(x, abs=0.02)
+
+
+def test_velocities_of_laws_of_second_order_are_states_without_measured_values() -> None:
+    smoothed = smooth(swinging(2))
+    assert smoothed.states == ("x", "x_dot")
+    (part,) = smoothed.trajectories
+    assert part.x[:, 1] == pytest.approx(-3.0 * np.sin(3.0 * TIMES), abs=0.05)
+    assert (part.stderr > 0.0).all()
+    assert "x_dot_lower" in smoothed.columns()
+    assert "x_dot_measured" not in smoothed.columns()
 
 
 def test_tables_have_one_row_for_each_measured_row() -> None:

@@ -1,6 +1,5 @@
 """States that no column measures, columns that are computed from states, and fits of such systems from many starts."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.shooting.fit_result import covariance
 from atoll_coordinator.model.shooting.many_starts import StartPoint, StartsProblem, fit_from_many_starts
 from atoll_coordinator.model.shooting.measurements import (
-    InitialRanges,
     TrajectoryMeasurements,
     measurements_of,
     middle_of,
@@ -20,51 +18,9 @@ from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.points_between import latin_hypercube
 from atoll_coordinator.model.shooting.system import OdeSystem, system_of
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.template import TemplateParameter, read_template
 from tests.batches import ScatteredBatches
+from tests.unit.coordinator.model.shooting.given import FREE, Bounds, given_system, measured_columns, ranges
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, Known, recording
-
-Bounds = tuple[float, float]
-FREE = (-np.inf, np.inf)
-
-
-def given_system(
-    sides: Mapping[str, str], states: Sequence[str], parameters: Mapping[str, Bounds], inputs: Sequence[str] = ()
-) -> tuple[OdeSystem, list[str]]:
-    """Return the system of `sides`, first of the states, then of columns; and the name of each fitted number."""
-    names = (*states, *inputs)
-    template = read_template(sides, {name: TemplateParameter(name, *parameters[name]) for name in parameters}, names)
-    template = replace(template, equations=tuple(sides))
-    made = template.compose([template.sides[name] for name in sides], template.starts)
-    system = system_of(made.programs, names, names, made.fixed, observations=len(sides) - len(states))
-    shared = [tuple((place, 1.0) for place in places) for places in made.parameters]
-    system = system.sharing_numbers(system.constants[None], shared)
-    order: dict[int, TemplateParameter] = {}
-    for parameter, places in zip(template.parameters, made.parameters, strict=True):
-        node = system.firsts[places[0][0]] + places[0][1]
-        order[int(system.columns[0, system.places.tolist().index(node)])] = parameter
-    numbers = [order[column] for column in range(system.count)]
-    lower, upper = (np.array([getattr(number, end) for number in numbers]) for end in ("lower", "upper"))
-    system = replace(system, lower=lower, upper=upper, is_logarithmic=lower > 0.0)
-    return system.with_values(np.array([number.first_value for number in numbers])), [one.name for one in numbers]
-
-
-def measured_columns(
-    values: FloatArray, times: FloatArray, names: Sequence[str], noise: FloatArray | float
-) -> TrajectoryMeasurements:
-    """Return the measurements of one trajectory of columns (O, N)."""
-    return TrajectoryMeasurements(
-        bounds=np.array([[0, len(times)]]), owners=np.zeros(1, np.int64), times=times, measured=values,
-        weights=np.ones_like(values), smoothed=values, observed=np.arange(len(values)),
-        inputs=np.zeros((0, len(times))), input_slopes=np.zeros((0, len(times))), scales=values.std(axis=1),
-        noise=np.broadcast_to(noise, len(values)), offset=np.zeros(0, np.int64), variables=tuple(names), names=("1",),
-    )  # fmt: skip
-
-
-def ranges(times: FloatArray, *bounds: Bounds) -> InitialRanges:
-    lower, upper = np.array(bounds).T
-    return InitialRanges(times[:1], lower[None], upper[None])
-
 
 # A drug in two compartments; only the first one is measured.
 
@@ -215,6 +171,37 @@ def test_steps_in_logarithms_keep_signs_and_are_short():
     assert moved["m"] == pytest.approx(-49.0)
     small = dict(zip(names, system.moved(np.full(4, 1e-6)).values - system.values, strict=True))
     assert [small[name] for name in "kabm"] == pytest.approx([1e-6] * 4, rel=1e-4)
+
+
+def test_the_slopes_of_the_penalty_are_derivatives():
+    system, names = given_system(DRUG | {"y": "m*p"}, ("c", "p"), dict.fromkeys("kab", (0.01, 10.0)) | {"m": FREE})
+    system = replace(system, has_prior=True)
+    values = system.values * np.array([3.0, 0.2, 1.0, 5.0])
+    _, pull, curvature = system.with_values(values).penalty()
+    for number, value in enumerate(values.tolist()):
+        step = 1e-6 * value * np.eye(4)[number]
+        ahead, behind = (system.with_values(values + sign * step).penalty()[0] for sign in (1.0, -1.0))
+        assert pull[number] == pytest.approx(-0.5 * (ahead - behind) / (2e-6 * value), abs=1e-6)
+    assert curvature[names.index("m")] == 0.0
+    assert system.penalty()[0] == pytest.approx(0.0)  # in the middle of the bounds
+    edge = system.with_values(np.array([10.0 if name != "m" else 1.0 for name in names]))
+    assert edge.penalty()[0] == pytest.approx(3 * 3.0)  # half a width is the square root of 3 standard deviations
+
+
+def test_a_prior_keeps_what_the_data_do_not_determine_and_moves_little_else():
+    """The sum of two rates is determined, their ratio is not."""
+    system, names = given_system({"x": "-(a + b)*x"}, ("x",), {"a": (0.1, 10.0), "b": (0.01, 1.0)})
+    values = np.exp(-2.0 * HOURS)[None] + 0.05 * np.random.default_rng(0).standard_normal((1, len(HOURS)))
+    estimator = MultipleShooting(measured_columns(values, HOURS, ["x"], 0.05), 1e-8)
+    starts = system.with_values(np.array([1.05, 0.95] if names == ["a", "b"] else [0.95, 1.05]))
+    ends = {}
+    for has_prior in (False, True):
+        fit = estimator.fit(replace(starts, has_prior=has_prior), None, 60)
+        assert fit is not None
+        ends[has_prior] = dict(zip(names, fit.system.values.tolist(), strict=True))
+    assert sum(ends[True].values()) == pytest.approx(sum(ends[False].values()), rel=0.01)
+    assert ends[False]["b"] > 0.8
+    assert 0.05 < ends[True]["b"] < 0.3
 
 
 def test_parts_of_hidden_measurements_keep_the_initial_ranges_of_their_first_rows():
