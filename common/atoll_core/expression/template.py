@@ -16,7 +16,7 @@ Letters: V variables, P parameters, U unknowns, D equations.
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -118,6 +118,7 @@ class EquationTemplate:
         unknowns: the unknowns (U).
         sides: by equation, programs over variables, then parameters, then unknowns.
         texts: the sides as the user wrote them, by equation.
+        observed: the columns, among the keys of `sides`, whose sides are measured values and no derivatives.
         equations: names of the equations (D) of the system that is composed, see `for_equations`.
     """
 
@@ -126,6 +127,7 @@ class EquationTemplate:
     unknowns: tuple[Unknown, ...]
     sides: Mapping[str, Program]
     texts: Mapping[str, str] = field(default_factory=dict)
+    observed: tuple[str, ...] = ()
     equations: tuple[str, ...] = ()
 
     @property
@@ -194,10 +196,11 @@ class EquationTemplate:
 
         Args:
             slots: for each equation, the program of its unknown or, without a side, of the whole right-hand side.
-                Programs of sides without an unknown of their own are ignored.
+                Programs of sides without an unknown of their own are ignored, and may be missing at the end.
             values: values (P,) of the parameters.
         """
         equations = self.equations
+        slots = [*slots, *[ZERO] * (len(equations) - len(slots))]
         by_equation = dict(zip(equations, slots, strict=True))
         places: list[dict[int, tuple[Place, ...]]] = [{} for _ in equations]
         parameters: list[tuple[Place, ...]] = [() for _ in self.parameters]
@@ -324,11 +327,9 @@ class _SideDraft:
 
 
 def read_template(
-    sides: Mapping[str, str],
-    parameters: Mapping[str, TemplateParameter],
-    names: Sequence[str],
-    option: str = "--equation",
-) -> EquationTemplate:
+    sides: Mapping[str, str], parameters: Mapping[str, TemplateParameter], names: Sequence[str],
+    observed: Collection[str] = (),
+) -> EquationTemplate:  # fmt: skip
     """Return the template of these sides.
 
     Args:
@@ -336,33 +337,29 @@ def read_template(
         parameters: parameters with bounds or start values, by name. Other names that occur in the sides are parameters
             without bounds.
         names: the symbols of the variables.
-        option: how the user's option is called in messages.
+        observed: the keys of `sides` that are measured columns, and not equations. Their sides have no unknowns.
 
     Raises:
         UsageError: a side cannot be read, a parameter is not used or has the name of a variable, an unknown occurs
             twice in a side, a side has several unknowns of its own, or an unknown has the same number but other
             variables. The message is a sentence for the user.
     """
+    option = "--equation"
     found: dict[str, TemplateParameter] = {}
     labels: dict[str, _Occurrences] = {}
     for equation, text in sides.items():
-        for name in _names_in(_without_unknowns(text, f"{option} for '{equation}'")):
+        what = f"--observe for '{equation}'" if equation in observed else f"{option} for '{equation}'"
+        if equation in observed and "?" in text:
+            raise UsageError(f"{what} has an unknown part, which is possible in equations only; write a parameter")
+        for name in _names_in(_without_unknowns(text, what)):
             if name not in names and name not in _RESERVED:
-                _check_parameter_name(name, names, parameters, f"{option} for '{equation}'")
+                _check_parameter_name(name, names, parameters, what)
                 found.setdefault(name, parameters.get(name, TemplateParameter(name)))
         for match in _UNKNOWN.finditer(text):
             label = f"?{match['number']}" if match["number"] else f"? of {equation}"
             occurrences = labels.setdefault(label, _Occurrences())
             occurrences.add(equation, _arguments(match, names, f"{option} for '{equation}'"), f"{option}: {label}")
-    unused = next((name for name in parameters if name not in found), None)
-    if unused is not None:
-        if unused in names:
-            raise UsageError(f"--parameter {unused} has the name of a column; choose another name")
-        known = ", ".join(found) or "none"
-        raise UsageError(
-            f"--parameter {unused} occurs in no {option}; the parameters there are: {known}"
-            f"{did_you_mean(unused, list(found))}"
-        )
+    _check_used(parameters, found, names, option)
     unknowns = _place_unknowns(labels, option)
     letters = [_LETTER + unknown.label[1:].split(" ")[0] for unknown in unknowns]
     programs = {}
@@ -375,13 +372,28 @@ def read_template(
             programs[equation] = from_infix(_with_letters(text), [*names, *found, *own])
         except UsageError as error:
             sentence = re.sub(f", {_LETTER}{_LETTER}\\d+", "", str(error)).replace(_LETTER, "?")
+            option = "--observe" if equation in observed else option
             raise UsageError(f"{option} for '{equation}': {sentence}") from error
         if len(programs[equation]) > MAX_NODES // 2:
             most = MAX_NODES // 2
             raise UsageError(
                 f"{option} for '{equation}' has {len(programs[equation])} parts; at most {most} are possible"
             )
-    return EquationTemplate(tuple(names), tuple(found.values()), unknowns, programs, dict(sides))
+    return EquationTemplate(tuple(names), tuple(found.values()), unknowns, programs, dict(sides), tuple(observed))
+
+
+def _check_used(parameters: Collection[str], found: Collection[str], names: Sequence[str], option: str) -> None:
+    """Refuse a parameter that occurs in no side."""
+    unused = next((name for name in parameters if name not in found), None)
+    if unused is None:
+        return
+    if unused in names:
+        raise UsageError(f"--parameter {unused} has the name of a column; choose another name")
+    known = ", ".join(found) or "none"
+    raise UsageError(
+        f"--parameter {unused} occurs in no {option}; the parameters there are: {known}"
+        f"{did_you_mean(unused, list(found))}"
+    )
 
 
 @dataclass

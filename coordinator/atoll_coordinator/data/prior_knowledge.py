@@ -15,7 +15,7 @@ from typing import Final, TypeVar
 from atoll_coordinator.data.recording import component_name
 from atoll_coordinator.data.roles.names_and_options import check_given_equations, split_unit
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.templates import check_template, template_of
+from atoll_coordinator.data.templates import check_hidden_states, check_template, template_of
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.errors import UsageError
@@ -127,7 +127,9 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
     sides, only = _sides(config, names, symbols), config.data.only
     given = sides.single("--known", config.prior.known) | sides.single("--equation", config.prior.equations)
     equations = tuple(name for name in names if not only or name in only or name in given)
-    return resolve_prior(config, equations, symbols), equations
+    resolved = resolve_prior(config, equations, symbols)
+    check_hidden_states(template_of(resolved, tuple(symbols.values())), roles, symbols)
+    return resolved, equations
 
 
 def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, str]) -> JobConfig:
@@ -184,7 +186,12 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
                 f"{', '.join(usable)} only; change one of the two"
             )
     prior = PriorConfig(
-        guesses=guesses, known=known, bounds=bounds, equations=equations, parameters=config.prior.parameters
+        guesses=guesses,
+        known=known,
+        bounds=bounds,
+        equations=equations,
+        parameters=config.prior.parameters,
+        initial=config.prior.initial,
     )
     resolved = config.model_copy(update={"prior": prior, "space": space})
     for name, texts in guesses.items():

@@ -8,7 +8,7 @@ from atoll_coordinator.data.roles.names_and_options import check_given_equations
 from atoll_coordinator.data.roles.roles import RESERVED, Roles, assign_symbols
 from atoll_core.config import JobConfig, ParameterConfig
 from atoll_core.errors import UsageError
-from atoll_core.expression.program import tree_size
+from atoll_core.expression.program import tree_size, variables_of
 from atoll_core.expression.template import EquationTemplate, TemplateParameter, read_template
 from atoll_core.expression.text.infix import PRINTABLE_SIZE
 
@@ -22,9 +22,10 @@ def template_of(config: JobConfig, names: Sequence[str]) -> EquationTemplate | N
         UsageError: see `read_template`.
     """
     prior = config.prior
-    if not prior.equations and not prior.parameters:
+    if not prior.equations and not prior.parameters and not config.data.observe:
         return None
-    return read_template(prior.equations, parameters_of(prior.parameters), names)
+    parameters = parameters_of(prior.parameters)
+    return read_template({**prior.equations, **config.data.observe}, parameters, names, config.data.observe)
 
 
 def parameters_of(given: Mapping[str, ParameterConfig]) -> dict[str, TemplateParameter]:
@@ -74,3 +75,44 @@ def check_template(template: EquationTemplate) -> None:
                     f"--equation for '{equation}' has {label} in more than one place, or inside sin, cos, abs or an "
                     f"even power, whose value does not determine {label}; write {label} once, for the whole of it"
                 )
+
+
+def check_hidden_states(template: EquationTemplate | None, roles: Roles, symbols: Mapping[str, str]) -> None:
+    """Raise UsageError if a hidden state has no given equation, or if nothing that is measured depends on it."""
+    for name in roles.hidden:
+        if template is None or name not in template.sides:
+            raise UsageError(
+                f"--hidden names '{name}', which has no equation; give one with --equation \"d{name}/dt=…\", or leave "
+                "--hidden out"
+            )
+    if template is None or not roles.hidden:
+        return
+    for name in roles.states:
+        if name not in roles.observed and name not in template.sides:
+            raise UsageError(
+                f"with --hidden every state needs a given equation, but '{name}' has none; give one with --equation "
+                f'"d{name}/dt=…" (? alone is an unknown one), or make it an input with --inputs {name}'
+            )
+    unreached = next((name for name in roles.hidden if name not in _states_that_matter(template, roles, symbols)), None)
+    if unreached is not None:
+        raise UsageError(
+            f"nothing that is measured depends on the hidden state '{unreached}', so that the data cannot determine "
+            "it; leave its equation out"
+        )
+
+
+def _states_that_matter(template: EquationTemplate, roles: Roles, symbols: Mapping[str, str]) -> set[str]:
+    """Return the hidden states on which a measured column depends, directly or through other states.
+
+    An unknown part may depend on every state.
+    """
+    index = {name: template.names.index(symbols[name]) for name in roles.hidden}
+    reached, waiting = set[str](), list(roles.states)
+    while waiting:
+        used = variables_of(template.sides[waiting.pop()])
+        if any(one >= len(template.names) + len(template.parameters) for one in used):
+            return set(roles.hidden)
+        new = {name for name, place in index.items() if place in used} - reached
+        reached |= new
+        waiting += new
+    return reached

@@ -131,6 +131,7 @@ def _refine(
         task = add_laws(ModellingTask(
             preparation.dataset, preparation.recording, config, candidates, settled, spread, deadline=deadline,
             among_many=laws, parameters=np.array(preparation.parameters) if preparation.parameters else None,
+            minima=preparation.minima,
         ))  # fmt: skip
         selected = select_model(task)
         deadline.begin_last_stage()

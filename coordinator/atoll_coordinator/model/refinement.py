@@ -92,6 +92,16 @@ class Refined:
 
 
 @dataclass(frozen=True, eq=False)
+class ObservedColumn:
+    """A measured column that is computed from states: its program, the constants with errors, and the name of each
+    constant that is a parameter."""
+
+    program: Program
+    constants: tuple[Constant, ...]
+    parameters: tuple[str | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Refinement:
     """The result of refining a job. `equations` has no entry for a variable if no equation is better than the shown
     member of its front.
@@ -100,7 +110,7 @@ class Refinement:
     enters another. Each flux has the shape of the term (without numbers) and, by variable, the multiple of the term in
     each equation. The multiple is None if the factor of the term was fitted separately in this equation. `covariance`
     is the covariance of all constants, `by_group` the covariance of each group of trajectories if groups have their own
-    constants.
+    constants. `observations` are the measured columns that are computed from states.
     """
 
     equations: Mapping[str, Refined] = field(default_factory=dict)
@@ -113,4 +123,5 @@ class Refinement:
     fluxes: tuple[tuple[Shape, Mapping[str, float | None]], ...] = ()
     covariance: Covariance | None = None
     by_group: Mapping[str, Covariance | None] = field(default_factory=dict)
+    observations: Mapping[str, ObservedColumn] = field(default_factory=dict)
     end: RefiningEnd = "finished"

@@ -207,6 +207,16 @@ class GivenSide(Part):
     unknowns: tuple[UnknownPart, ...] = Field(default=(), description="the unknown parts")
 
 
+class Observation(Part):
+    """A measured column that is computed from states, from `--observe`."""
+
+    column: Text = Field(description="name of the column")
+    expression: Text = Field(description="the expression with its fitted constants")
+    program: Text | None = Field(default=None, description="its operation list, hexadecimal")
+    constants: tuple[Constant, ...] = Field(default=(), description="constants in the order of `program`")
+    given: GivenSide | None = Field(default=None, description="the expression as the user wrote it")
+
+
 class Equation(Part):
     """One displayed equation, and how it was found; `expression` is null if no equation was found."""
 

@@ -10,7 +10,7 @@ from typing import Final, Literal
 from pydantic import Field, JsonValue, TypeAdapter
 
 from atoll_coordinator.result.base import Count, Number, Part, Text
-from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.equations import Equation, Observation
 from atoll_coordinator.result.findings import (
     Chaos,
     Correlation,
@@ -29,7 +29,7 @@ from atoll_coordinator.result.reading import SCHEMA, as_parts, json_of, read_fil
 from atoll_core.errors import UsageError
 
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
-_RARE: Final = ("group", "command")
+_RARE: Final = ("group", "command", "observations", "hidden")
 """Keys that only some results have: models of one group, and results written by a command."""
 _RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups", "given")
 _RARE_OF_CANDIDATES: Final = ("unknown", "parameters")
@@ -50,6 +50,10 @@ class Result(Part):
     reason: Text | None = Field(default=None, description="why the job failed")
     equations: tuple[Equation, ...] = Field(description="one for each variable")
     shared_terms: tuple[SharedTerm, ...] = Field(default=(), description="terms that occur in several equations")
+    observations: tuple[Observation, ...] = Field(
+        default=(), description="measured columns from `--observe`, missing without one"
+    )
+    hidden: tuple[Text, ...] = Field(default=(), description="states from `--hidden`, missing without one")
     noise: dict[Text, Noise] = Field(default_factory=dict, description="by state")
     smoothing: Smoothing | None = Field(default=None, description="smoothed states")
     correlations: tuple[Correlation, ...] = Field(default=(), description="constants that the data hardly distinguish")

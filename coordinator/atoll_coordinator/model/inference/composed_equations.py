@@ -19,7 +19,7 @@ SimpleNumbers = Sequence[SimpleNumber | None]
 
 @dataclass(frozen=True, eq=False)
 class ComposedEquations:
-    """Whole right-hand sides (D).
+    """Whole right-hand sides (D), then the measured columns that are computed from states (M).
 
     `explicit` are the sides with written factors of one, whose `origins` only count fitted constants. `simple` has the
     simple number near each constant of the sides. `names` has the name of each constant that is a parameter.
@@ -47,7 +47,7 @@ def compose_equations(
         template, explicit, shown, simple,
         template.compose([one.program for one in explicit], none), template.compose(shown, none),
     )  # fmt: skip
-    sides = [composer.side(index) for index in range(len(shown))]
+    sides = [composer.side(index) for index in range(len(template.equations))]
     return ComposedEquations(*(tuple(parts) for parts in zip(*sides, strict=True)))
 
 

@@ -43,7 +43,7 @@ from atoll_coordinator.model.inference.trajectory_simulation import (
     simulated_states,
 )
 from atoll_coordinator.model.inference.verdict import judge
-from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
+from atoll_coordinator.model.refinement import Alternative, ObservedColumn, Refined, Refinement
 from atoll_coordinator.model.regression.errors import measure_grouped_errors
 from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.selection.comparison import ModelComparison
@@ -78,36 +78,36 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     long_run = assess_long_run(final)
     chaos = long_run.chaos
     predictions = _predict_states(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
-    held_out_r2: Sequence[float | None] = final.ranking.validated or (None,) * len(task.variables)
-    if held_out_simulation is not None and final.held_out_comparison is not None:
-        held_out_rows, held_out_fit = final.held_out_comparison.estimator.measurements, held_out_simulation[0]
-        failed = [-math.inf for _ in held_out_r2]
-        held_out_r2 = failed if held_out_fit is None else compute_r2(held_out_rows, held_out_fit, slice(None))
-    compared: list[TrajectoryChecks] = []
-    checks_of = TrajectoryChecks if final.comparison.template is None else TemplateChecks
-    for index, prediction in enumerate(predictions):
-        equation = _describe_equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
-        compared.append(checks_of(final, long_run, index, equation, held_out_r2[index], compared))
-    equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
+    held_out_r2 = _held_out_r2(final, None if held_out_simulation is None else held_out_simulation[0])
     measurements = final.shown_comparison.estimator.measurements
     if measurements.rows > final.comparison.estimator.measurements.rows:
         spread = _errors_along_trajectories(final, final.shown_comparison, final.shown_fit, errors)
     else:
         spread = simulated_standard_errors(measurements, final.free.fit, errors.finite_covariance, errors.scale)
+    compared: list[TrajectoryChecks] = []
+    for index, prediction in enumerate(predictions):
+        r2 = held_out_r2[final.columns[index]]
+        equation = _describe_equation(final, index, constants[index], by_group[index], r2, prediction)
+        given = final, long_run, index, equation, r2, compared
+        is_plain = final.comparison.template is None
+        compared.append(TrajectoryChecks(*given) if is_plain else TemplateChecks(*given, spread))
+    equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
     recording, quantile = preparation.recording, student_quantile_95(errors.degrees_of_freedom)
     assert recording is not None
-    trajectories = list_trajectories(measurements, final.shown_fit, spread, task.variables, preparation, quantile)
+    trajectories = list_trajectories(measurements, final.shown_fit, spread, task.shown_names, preparation, quantile)
     if held_out_simulation is not None and final.held_out_comparison is not None:
         trajectories += list_trajectories(
             final.held_out_comparison.estimator.measurements,
             *held_out_simulation,
-            task.variables,
+            task.shown_names,
             preparation,
             quantile,
         )
-    values, _ = simulated_states(measurements, final.shown_fit, task.variables)
-    simulated = [values[:, rows] for _, rows in rows_by_trajectory(measurements)]
-    places = list_fitted_places(final.comparison.held, task.variables, final.explicit)
+    values, _ = simulated_states(measurements, final.shown_fit, task.shown_names)
+    simulated = [values[: len(measurements.observed), rows] for _, rows in rows_by_trajectory(measurements)]
+    observed = task.recording.observed
+    explicit = (*final.explicit, *final.explicit_observations)
+    places = list_fitted_places(final.comparison.held, (*task.variables, *observed), explicit)
     covariances = [joint_covariance(places, one.covariance, one.degrees_of_freedom) for one in of_groups]
     return Refinement(
         equations,
@@ -117,13 +117,25 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         (
             *piece_remarks(task, is_tested_in_whole=long_run.fits is True),
             *_warn_of_poles(final),
-            *warn_of_random_walk(recording, task.variables, simulated),
+            *warn_of_random_walk(recording, task.shown_names[: len(measurements.observed)], simulated),
         ),
         chaos,
         fluxes=final.fluxes,
+        observations=_describe_observations(final, of_groups[0]),
         covariance=covariances[0] if (system.columns == system.columns[0]).all() else None,
         by_group=dict(zip(task.recording.groups, covariances, strict=False)),
     )
+
+
+def _held_out_r2(final: FinalModel, held_out_fit: TrajectoryFit | None) -> Sequence[float | None]:
+    """Return the R2 (O,) of held-out trajectories, or of trajectories left out one at a time; None: there are none."""
+    comparison = final.held_out_comparison
+    columns = len(final.comparison.estimator.measurements.observed)
+    if comparison is None:
+        return final.ranking.validated or (None,) * columns
+    if held_out_fit is None:
+        return (-math.inf,) * columns
+    return compute_r2(comparison.estimator.measurements, held_out_fit, slice(None))
 
 
 def _describe_constants(
@@ -135,7 +147,7 @@ def _describe_constants(
     groups and have no standard errors.
     """
     fixed, columns = final.comparison.held, final.free.fit.system.columns
-    described = [
+    described = [  # constants of observations are last
         describe_constants(fixed, final.explicit, programs, errors)
         for programs, errors in zip(final.by_group or [final.programs], of_groups, strict=True)
     ]
@@ -157,6 +169,21 @@ def _describe_constants(
         together.append(EquationConstants(tuple(written)))
         by_group.append(groups)
     return together, by_group
+
+
+def _describe_observations(final: FinalModel, errors: ConstantErrors) -> dict[str, ObservedColumn]:
+    """Return the measured columns that are computed from states, with their constants."""
+    observed, count = final.task.recording.observed, len(final.programs)
+    described = describe_constants(
+        final.comparison.held, (*final.explicit, *final.explicit_observations), (*final.programs, *final.observations),
+        errors,
+    )  # fmt: skip
+    return {
+        name: ObservedColumn(program, known.written, tuple(names))
+        for name, program, known, names in zip(
+            observed, final.observations, described[count:], final.names[count:], strict=True
+        )
+    }
 
 
 def _unknown_parts(final: FinalModel, index: int) -> dict[str, Program]:
@@ -213,7 +240,8 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
     """Return the equation that is shown and its closest alternatives; all other equations stay the same."""
     ranking = final.ranking
     comparison, best = ranking.selection.comparison, ranking.selection.model
-    r2 = compute_r2(final.shown_comparison.estimator.measurements, final.shown_fit, slice(None))[index]
+    column = final.columns[index]
+    r2 = compute_r2(final.shown_comparison.estimator.measurements, final.shown_fit, slice(None))[column]
     origin = final.find_origin(index, best.programs[index])
     is_crossed = final.held_out_comparison is None and ranking.validated is not None
 
@@ -230,13 +258,13 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
     for alternative in ranking.alternatives[index]:
         model, nats = alternative.model, alternative.model.nats - best.nats
         programs = model.programs
-        r2 = compute_r2(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
-        held_out_r2 = None if alternative.validated is None else alternative.validated[index]
+        r2 = compute_r2(comparison.estimator.measurements, alternative.model.fit, slice(None))[column]
+        held_out_r2 = None if alternative.validated is None else alternative.validated[column]
         if nats <= SETTINGS.inference.distinct_nats and final.held_out_comparison is not None and not final.by_group:
             parameters = None if comparison.template is None else model.fit.system.parameter_values
             fit = fit_initial_states(final.held_out_comparison, programs, parameters=parameters)
             measurements = final.held_out_comparison.estimator.measurements
-            held_out_r2 = -math.inf if fit is None else compute_r2(measurements, fit, slice(None))[index]
+            held_out_r2 = -math.inf if fit is None else compute_r2(measurements, fit, slice(None))[column]
         is_crossed = alternative.validated is not None
         origin = final.find_origin(index, programs[index])
         equation = comparison.equations_of(model)[index]
@@ -298,7 +326,12 @@ def _predict_states(final: FinalModel, errors: ConstantErrors, *, is_near: bool)
     drawn = draw_systems(final.free.fit.system, errors.finite_covariance)
     simulator = final.shown_comparison.estimator
     return compare_predictions(
-        simulator.measurements, final.shown_fit.system, others, simulator.tolerance, drawn, is_near=is_near
+        simulator.measurements.with_all_states(),
+        final.shown_fit.system,
+        others,
+        simulator.tolerance,
+        drawn,
+        is_near=is_near,
     )
 
 
@@ -336,7 +369,7 @@ def _estimate_state_errors(final: FinalModel) -> dict[str, Errors]:
         comparison.score.counts / fit.errors.lengths,
     )
     errors_by_state, variances = {}, estimate_variances(final.task.recording)
-    for index, name in enumerate(final.task.variables):
+    for index, name in enumerate(final.task.shown_names[: len(comparison.estimator.measurements.observed)]):
         share, decay = float(fit.errors.shares[index]), float(fit.errors.decays[index])
         errors_by_state[name] = Errors(
             sd=float(np.sqrt(fit.squares[index])),

@@ -65,7 +65,9 @@ class ShownEquations:
 
     `fluxes` are terms that were fitted together, see `Refinement`. If groups of trajectories have their own constants,
     `by_group` has the equations of each group; each fitted number of `free` belongs to one group or to all groups.
-    `names` has the name of each constant of each equation that is a parameter of a template.
+    `names` has the name of each constant of each equation that is a parameter of a template. `observations` are the
+    programs of measured columns that are computed from states, as they are shown, and `explicit_observations` the
+    programs whose constants were fitted; `names` of their constants follow.
     """
 
     rounded: RoundedEquations
@@ -75,6 +77,8 @@ class ShownEquations:
     fluxes: tuple[tuple[Shape, Mapping[str, float | None]], ...] = ()
     by_group: Sequence[Sequence[Program]] = ()
     names: Sequence[Sequence[str | None]] = ()
+    observations: tuple[Program, ...] = ()
+    explicit_observations: tuple[ExplicitCoefficients, ...] = ()
 
     @property
     def programs(self) -> tuple[Program, ...]:
@@ -128,6 +132,16 @@ class FinalModel(ShownEquations):
             for group, programs in enumerate(self.by_group)
             if np.any(groups == group)
         ]
+
+    @cached_property
+    def columns(self) -> list[int]:
+        """For each equation, the measured column (index) by which it is judged: the column of its state. For a hidden
+        state, this is the column whose residuals are largest, compared with its noise."""
+        measurements = self.shown_comparison.estimator.measurements
+        noise = np.maximum(measurements.noise, SETTINGS.common.negligible * measurements.observed_scales)
+        worst = int(np.argmax(self.shown_fit.squares / noise**2))
+        found = [measurements.column_of(state) for state in range(len(self.task.variables))]
+        return [worst if column is None else column for column in found]
 
     @cached_property
     def residual_covariances(self) -> list[FloatArray] | None:
@@ -337,11 +351,14 @@ def _compose_shown(comparison: ModelComparison, shown: ShownEquations) -> ShownE
         return shown
     composed = compose_equations(template, shown.explicit, shown.programs, shown.rounded.simple)
     programs = comparison.equations_of(shown.fit)
+    count = len(programs)
     return replace(
         shown,
-        rounded=RoundedEquations(programs, composed.simple, (), shown.rounded.parameters),
+        observations=shown.fit.fit.system.programs[len(comparison.leading) + count :],
+        explicit_observations=composed.explicit[count:],
+        rounded=RoundedEquations(programs, composed.simple[:count], (), shown.rounded.parameters),
         fit=replace(shown.fit, programs=programs),
-        explicit=composed.explicit,
+        explicit=composed.explicit[:count],
         free=replace(shown.free, programs=comparison.equations_of(shown.free)),
         names=composed.names,
     )

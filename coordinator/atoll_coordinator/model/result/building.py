@@ -24,7 +24,7 @@ import numpy as np
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.pools import Origin
-from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
+from atoll_coordinator.model.refinement import Alternative, ObservedColumn, Refined, Refinement
 from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_coordinator.model.result.shared_terms import find_shared_terms
 from atoll_coordinator.model.result.tables import (
@@ -49,6 +49,7 @@ from atoll_coordinator.result.equations import (
     ImpliedConstant,
     ImpliedUnit,
     Member,
+    Observation,
     Units,
     UnknownPart,
 )
@@ -175,6 +176,11 @@ def build_result(
             for outcome in outcomes
         ),
         shared_terms=shared,
+        observations=tuple(
+            _describe_observation(name, config.data.observe[name], one, dataset.names)
+            for name, one in model.observations.items()
+        ),
+        hidden=() if recording is None else recording.hidden,
         noise=describe_noise(recording, model.errors),
         smoothing=describe_smoothing(recording),
         correlations=model.correlations,
@@ -414,6 +420,18 @@ def _describe_given(text: str | None, shown: Refined, names: Sequence[str]) -> G
             UnknownPart(label=label, expression=to_infix(program, names), program=program.to_bytes().hex())
             for label, program in shown.unknowns.items()
         ),
+    )
+
+
+def _describe_observation(name: str, text: str, observed: ObservedColumn, names: Sequence[str]) -> Observation:
+    """Return a measured column that is computed from states."""
+    parameters = {called: place for place, called in enumerate(observed.parameters) if called is not None}
+    return Observation(
+        column=name,
+        expression=to_infix(observed.program, names),
+        program=observed.program.to_bytes().hex(),
+        constants=_describe_constants(observed.program, observed.constants),
+        given=GivenSide(text=text, parameters=parameters),
     )
 
 

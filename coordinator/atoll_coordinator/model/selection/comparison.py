@@ -311,7 +311,8 @@ class ModelComparison:
     def summarize(self, plan: FitPlan, model: FittedModel) -> FitSummary:
         """Return the summary of a model, as a worker sends it."""
         fit, sharing = model.fit, model.fit.system.sharing
-        in_whole = plan.near is not None or self.score.errors is not None
+        is_hidden = bool(self.estimator.measurements.hidden)
+        in_whole = plan.near is not None or self.score.errors is not None or is_hidden
         return FitSummary(
             fit.system.constants, None if sharing is None else sharing.constants, fit.starts, fit.errors, fit.squares,
             None if in_whole else plan.lengths[-1], fit.is_stiff, model.misfit, model.nats,
@@ -376,7 +377,8 @@ class ModelComparison:
         ]
         if self.template is not None:
             values = self.constraints.parameters if parameters is None else parameters
-            return self._composed_system(self.template.compose(programs, values), fixed, is_fixed=bool(fixed_nodes))
+            composition = self.template.compose(programs, values)
+            return self._composed_system(composition, fixed, is_fixed=bool(fixed_nodes))
         none: list[set[int]] = [set() for _ in self.leading]
         variables = self.estimator.measurements.variables
         system = system_of([*self.leading, *programs], self.names, variables, [*none, *fixed])
@@ -401,7 +403,7 @@ class ModelComparison:
         template = self.template
         assert template is not None
         bounds: dict[Place, tuple[float, float]] = {}
-        for index, (slot, held) in enumerate(zip(composition.slots, fixed, strict=True)):
+        for index, (slot, held) in enumerate(zip(composition.slots, fixed, strict=False)):
             restrictions = self.restrictions(index)
             if restrictions.bounds is None or template.is_given(template.equations[index]):
                 continue
@@ -415,7 +417,9 @@ class ModelComparison:
 
     def equations_of(self, model: FittedModel) -> tuple[Program, ...]:
         """Return the whole right-hand sides of a model; without a template, these are its programs."""
-        return model.programs if self.template is None else model.fit.system.programs[len(self.leading) :]
+        if self.template is None:
+            return model.programs
+        return model.fit.system.programs[len(self.leading) :][: len(model.programs)]
 
     def places(self, system: OdeSystem) -> list[Place]:
         """Return equation and node of each fitted constant of a system of this comparison."""
@@ -443,6 +447,8 @@ class ModelComparison:
         admitted = self.admissible_programs(programs)
         if admitted is None:
             return None
+        if self.estimator.measurements.hidden:  # short segments would need unknown initial values
+            lengths = (None,)
         fit = fit_in_stages(self.estimator, self.system(admitted), lengths, steps)
         if fit is not None and self.score.errors is not None:
             fit = self.score.refit_with_errors(fit, self.score.errors)

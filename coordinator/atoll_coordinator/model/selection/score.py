@@ -110,8 +110,7 @@ class Score:
 
     @property
     def _scales(self) -> FloatArray:
-        measurements = self.estimator.measurements
-        return measurements.scales[measurements.observed]
+        return self.estimator.measurements.observed_scales
 
     @cached_property
     def least_errors(self) -> FloatArray:
@@ -171,7 +170,9 @@ class Score:
     @cached_property
     def _initial_values(self) -> int:
         measurements = self.estimator.measurements
-        return len(measurements.bounds) * (len(measurements.scales) + len(measurements.offset))
+        whole = len(measurements.bounds) * (len(measurements.scales) + len(measurements.offset))
+        ranges = measurements.start_ranges(measurements.bounds)
+        return whole - (0 if ranges is None else int(np.count_nonzero(ranges[0] == ranges[1])))  # given values
 
     def score_fit(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model of a fit, with its misfit and length in nats."""

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.data.recording import FoundMinima, Recording
 from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
@@ -42,7 +42,8 @@ class ModellingTask:
     workers. `piece` is the largest number of rows that are simulated without a break. After the `deadline` nothing new
     is tried. `solver` names the solver whose errors were subtracted from the recording. `among_many` are laws that were
     found during preparation (None: not searched). With the values `parameters` of the parameters of a template, fits
-    start (None: with the template's start values).
+    start (None: with the template's start values). `minima` tells what fits from many starts found, None: there were
+    none.
     """
 
     dataset: Dataset
@@ -57,6 +58,7 @@ class ModellingTask:
     solver: str | None = None
     among_many: LawsByGroup | None = None
     parameters: FloatArray | None = None
+    minima: FoundMinima | None = None
     _restrictions: dict[str, Restrictions] = field(default_factory=dict, repr=False)
 
     @property
@@ -142,7 +144,19 @@ class ModellingTask:
     def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> TrajectoryMeasurements:
         """Return the measurements of a system for these variables."""
         states = [self.recording.states.index(name) for name in variables]
-        return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
+        columns = [self.recording.states.index(name) for name in self.columns_observed_with(variables)]
+        return measurements_of(self.recording, states, held_out=held_out, piece=self.piece, observed=columns)
+
+    def columns_observed_with(self, variables: Sequence[str]) -> tuple[str, ...]:
+        """Return the measured columns that are computed from the states of a system for these variables: all such
+        columns if the system is whole, else none."""
+        return self.recording.observed if len(variables) == len(self.variables) else ()
+
+    @property
+    def shown_names(self) -> tuple[str, ...]:
+        """Names of the measured columns of the whole system, and then of its hidden states."""
+        hidden = self.recording.hidden
+        return (*(name for name in self.variables if name not in hidden), *self.recording.observed, *hidden)
 
     @property
     def longest(self) -> int:
@@ -155,7 +169,10 @@ class ModellingTask:
         compared."""
         settings = SETTINGS.selection
         rows = min(settings.compared_rows, settings.compared_numbers // max(len(self.variables), 1))
-        return self.measurements(self.variables).thin(rows)
+        whole = self.measurements(self.variables)
+        if whole.hidden:  # pieces in the middle of a trajectory would need unknown initial values
+            return whole.strided(-(-whole.rows // rows))
+        return whole.thin(rows)
 
     @cached_property
     def sizes(self) -> list[float]:
@@ -204,7 +221,8 @@ class ModellingTask:
             error /= longest * max(1.0, measured_rows / measurements.rows) * math.sqrt(measurements.rows)
         tolerance = max(error, _TOLERATED_NOISE * SETTINGS.shooting.exact)
         fixed = [index for index, name in enumerate(variables) if name in self.known]
-        template = None if self.template is None else self.template.for_equations(variables)
+        sides = (*variables, *self.columns_observed_with(variables))
+        template = None if self.template is None else self.template.for_equations(sides)
         restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
         restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
         return ModelComparison(

@@ -24,7 +24,8 @@ def composed_system(  # noqa: PLR0913, the arguments of `system_of`, and the tem
 ) -> OdeSystem:  # fmt: skip
     """Return the system of composed equations, with their constants fitted within `bounds`.
 
-    A parameter, or a constant of an unknown part, that occurs at several places is one fitted number.
+    A parameter, or a constant of an unknown part, that occurs at several places is one fitted number. Programs of the
+    composition that follow the equations are columns that are computed from states.
 
     Args:
         template: the template of the equations.
@@ -39,16 +40,17 @@ def composed_system(  # noqa: PLR0913, the arguments of `system_of`, and the tem
     held: list[set[int]] = [set(nodes) for nodes in composition.fixed]
     not_fitted = [
         place
-        for nodes, places in zip(fixed, composition.places, strict=True)
+        for nodes, places in zip(fixed, composition.places, strict=False)
         for node in nodes
         for place in places.get(node, ())
     ]
     not_fitted += [place for places in composition.parameters for place in places] if are_parameters_fixed else []
     for equation, node in not_fitted:
         held[equation].add(node)
-    before = len(leading)
-    system = system_of([*leading, *composition.programs], names, variables, [*[set()] * before, *held])
-    system = replace(system, parts=_searched_parts(template, composition, system, before))
+    before, equations = len(leading), len(fixed)
+    programs, columns = [*leading, *composition.programs], len(composition.programs) - equations
+    system = system_of(programs, names, variables, [*[set[int]()] * before, *held], columns)
+    system = replace(system, parts=_searched_parts(template, composition, system, before, equations))
     several = [places for by_node in composition.places for places in by_node.values()] + [*composition.parameters]
     shared = {
         places: tuple((place, 1.0) for place in places)
@@ -60,23 +62,24 @@ def composed_system(  # noqa: PLR0913, the arguments of `system_of`, and the tem
         system = system.sharing_numbers(system.constants[None], shared.values(), before)
         if system.sharing is not None and lower is not None and upper is not None:
             lower, upper = system.sharing.ranges(lower, upper)
-    system = replace(system, lower=lower, upper=upper)
+    system = replace(system, lower=lower, upper=upper).in_logarithms()
     return system.with_values(system.values)
 
 
 def _searched_parts(
-    template: EquationTemplate, composition: Composition, system: OdeSystem, before: int
+    template: EquationTemplate, composition: Composition, system: OdeSystem, before: int, equations: int
 ) -> SearchedParts:
     firsts = system.firsts[before:]
-    nodes = [np.full(len(slot), -1, np.int64) for slot in composition.slots]
-    for own, places in zip(nodes, composition.places, strict=True):
+    slots = composition.slots[:equations]
+    nodes = [np.full(len(slot), -1, np.int64) for slot in slots]
+    for own, places in zip(nodes, composition.places, strict=False):
         for node, (first, *_) in places.items():
             own[node] = firsts[first[0]] + first[1]
     parameters = np.array(
         [firsts[places[0][0]] + places[0][1] if places else -1 for places in composition.parameters], np.int64
     )
     given = frozenset(index for index, name in enumerate(template.equations) if template.is_given(name))
-    return SearchedParts(composition.slots, tuple(nodes), parameters, given)
+    return SearchedParts(slots, tuple(nodes), parameters, given)
 
 
 def _ranges(

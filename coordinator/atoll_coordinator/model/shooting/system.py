@@ -92,8 +92,8 @@ class OdeSystem:
     `sharing`, Q may differ from P, and `constants` are the means over the groups. Without a `sharing`, Q is P.
     `outputs` (D,) and `observations` (M,) are the output nodes of the programs. The numbers `is_logarithmic` (Q,) are
     fitted in logarithms; they are not zero. None: there are no such numbers. With `has_prior`, they have the prior
-    distribution that their bounds express, see `penalty`. `parts` are the searched programs if the
-    equations were composed with a template; None: the equations are the searched programs.
+    distribution that their bounds express, see `penalty`. `parts` are the searched programs if the equations were
+    composed with a template; None: the equations are the searched programs.
     """
 
     equations: tuple[Program, ...]

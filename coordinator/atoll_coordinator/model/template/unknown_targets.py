@@ -22,7 +22,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.data.templates import template_of
-from atoll_coordinator.model.template.parameter_estimates import estimate_parameters
+from atoll_coordinator.model.template.parameter_estimates import ParameterEstimates, estimate_parameters
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, IntArray, Target
@@ -50,8 +50,10 @@ def with_unknown_targets(preparation: Preparation, config: JobConfig) -> Prepara
     if template is None or preparation.recording is None:
         return preparation
     dataset = preparation.dataset
-    estimates = estimate_parameters(dataset, config, template)
-    preparation = replace(preparation, parameters=tuple(estimates.values.tolist()))
+    estimates = ParameterEstimates(np.array(preparation.parameters))  # by hidden states, if there are any
+    if not preparation.recording.hidden:
+        estimates = estimate_parameters(dataset, config, template)
+        preparation = replace(preparation, parameters=tuple(estimates.values.tolist()))
     if not template.unknowns:
         return preparation
     unknowns = _solve(template, dataset, estimates.values)
