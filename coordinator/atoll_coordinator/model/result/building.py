@@ -404,7 +404,13 @@ def _complete_sides(
             template.unknowns[place].label: slots[template.unknowns[place].home] for place in template.unknowns_in(name)
         }
         completed[name] = replace(
-            equation, program=program, constants=(), parameters=parameters, unknowns=unknowns, unit_coefficients=()
+            equation,
+            program=program,
+            constants=(),
+            parameters=parameters,
+            unknowns=unknowns,
+            unit_coefficients=(),
+            units=None,  # the units found are those of the unknown part
         )
     return completed
 
