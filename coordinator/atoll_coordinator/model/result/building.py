@@ -463,6 +463,8 @@ def _list_candidates(alternatives: Sequence[Alternative], names: Sequence[str]) 
             cross_validated=alternative.is_cross_validated,
             origin=alternative.origin,
             selected=alternative.is_shown,
+            unknown=None if alternative.unknown is None else to_infix(alternative.unknown, names),
+            parameters=dict(alternative.parameters),
         )
         for place, alternative in enumerate(ordered)
         if place < MOST_CANDIDATES or alternative.origin == "guess"
