@@ -90,6 +90,9 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
     if kind != "dynamics":
         name = _OTHER_KINDS.get(str(kind), "a model of an unknown kind")
         raise UsageError(f"the result is {name}; only models of measured trajectories can be fitted again")
+    hidden = config_of(result).data.hidden
+    if hidden:
+        raise UsageError(f"the model has the hidden states {', '.join(hidden)}; such models are not fitted again yet")
     recording = _listed_recording(result) if table is None else _prepare_recording(result, table)
     rows = kept = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
     source = "the given data"
