@@ -37,8 +37,8 @@ class CandidateSet:
     """The candidate programs for one variable's equation, by origin.
 
     `front` and `runners_up` are the programs that the search has passed to refining. `guesses` are the user's programs,
-    with which the search begins. `known` is an equation that the user has fixed. `simulated` is a program with which the
-    whole system was simulated before, since hidden states need a course: refining begins with it.
+    with which the search begins. `known` is an equation that the user has fixed. `simulated` is a program with which
+    the whole system was simulated before, since hidden states need a course: refining begins with it.
     """
 
     front: tuple[FrontMember, ...] = ()
