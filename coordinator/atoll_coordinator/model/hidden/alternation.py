@@ -56,7 +56,7 @@ _ROWS_OF_AN_ERROR: Final = 16.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class CourseProblem:
     """What all starts share: the preparation before any course is recorded, and the resolved configuration."""
 
     preparation: Preparation
@@ -64,7 +64,7 @@ class _Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class _Outcome:
+class CourseOutcome:
     """The best system of one start: its equations, its course along all trajectories, its nats, and whether the
     residuals are like noise."""
 
@@ -85,7 +85,7 @@ def with_proposed_states(
     recording = preparation.recording
     assert recording is not None
     courses = propose_courses(recording, len(recording.hidden))
-    problem = _Problem(preparation, config)
+    problem = CourseProblem(preparation, config)
     found = spread.map(_STARTS, lambda: problem, courses, 1, lambda: problem)
     outcomes = [outcome for several in found for outcome in several or ()]
     best = min(outcomes, key=lambda outcome: outcome.nats, default=None)
@@ -114,9 +114,9 @@ def _record(preparation: Preparation, course: Course) -> Preparation:
 # ---------------------------------------------------------------------------------------------------------- one start
 
 
-def _improve(problem: _Problem, course: Course) -> tuple[_Outcome, ...]:
+def _improve(problem: CourseProblem, course: Course) -> tuple[CourseOutcome, ...]:
     """Return the best system that begins with a course; nothing if none can be simulated."""
-    best: _Outcome | None = None
+    best: CourseOutcome | None = None
     for _ in range(_ROUNDS):
         prepared = _record(problem.preparation, course)
         task = _task_of(prepared, problem.config)
@@ -132,7 +132,7 @@ def _improve(problem: _Problem, course: Course) -> tuple[_Outcome, ...]:
         nothing = np.zeros_like(fits[False].simulated)
         own = _course_of(task, fits, fits[False].simulated, nothing, course.coordinates)
         is_like_noise = comparison.score.excess(fitted) <= SETTINGS.inference.excess
-        best = _Outcome(fitted.programs, own, fitted.nats, is_like_noise)
+        best = CourseOutcome(fitted.programs, own, fitted.nats, is_like_noise)
         corrected = None if is_like_noise else _corrected_course(task, fitted, fits, course.coordinates)
         if corrected is None:
             break
@@ -140,8 +140,8 @@ def _improve(problem: _Problem, course: Course) -> tuple[_Outcome, ...]:
     return () if best is None else (best,)
 
 
-_STARTS: Final[BatchFunction[_Problem, Course, tuple[_Outcome, ...]]] = BatchFunction(
-    "hidden courses", _Problem, Course, tuple[_Outcome, ...], _improve
+_STARTS: Final[BatchFunction[CourseProblem, Course, tuple[CourseOutcome, ...]]] = BatchFunction(
+    "hidden courses", CourseProblem, Course, tuple[CourseOutcome, ...], _improve
 )
 
 
