@@ -102,7 +102,8 @@ def request_of(key: GlycolysisKey) -> tuple[Table, JobConfig]:
     hidden = tuple(name for name in STATES if name not in ("N2", "A3"))
     config = configured(key.seed)
     data = DataConfig(hidden=hidden)
-    return table, config.model_copy(update={"prior": prior, "data": data})
+    space = config.space.model_copy(update={"required_of": {"A3": ("A3",)}})  # what is degraded is A3
+    return table, config.model_copy(update={"prior": prior, "data": data, "space": space})
 
 
 @dataclass(frozen=True)

@@ -305,6 +305,8 @@ class _SideDraft:
                 new.append(self._leaf(left))
             else:
                 new += self._builder.copy([(code, left, right, value)], new)[len(new) :]
+        if new[-1] != len(self._builder.nodes) - 1:  # the output is a node that was there before
+            self._builder.append(*self._builder.nodes[new[-1]])
         return Program.of(self._builder.nodes)
 
     def _leaf(self, index: int) -> int:

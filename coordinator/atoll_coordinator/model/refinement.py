@@ -43,7 +43,8 @@ class Alternative:
     equation, and negative if the alternative is shorter but predicts worse. Below about 3 nats the data hardly decide
     between the two. `r2` is the R2 of the simulated state. `held_out_r2` is the R2 on trajectories to which the
     alternative was not fitted: held-out trajectories or, if `is_cross_validated`, trajectories left out one at a time.
-    It is None if there are no such trajectories.
+    It is None if there are no such trajectories. `unknown` is the searched unknown part of an equation with a template,
+    and `parameters` are the values of the template's parameters.
     """
 
     program: Program
@@ -53,6 +54,8 @@ class Alternative:
     is_shown: bool = False
     is_cross_validated: bool = False
     origin: Origin | None = None
+    unknown: Program | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -168,6 +168,12 @@ class Candidate(Part):
     )
     origin: Text | None = Field(default=None, description="source of the candidate, as for the equation")
     selected: Flag = Field(default=False, description="whether it is the displayed equation")
+    unknown: Text | None = Field(
+        default=None, description="its unknown part, missing without a side from `--equation` that has one"
+    )
+    parameters: Numbers = Field(
+        default_factory=dict, description="values of parameters that were fitted with it, missing if there are none"
+    )
 
 
 class Member(Part):
@@ -270,7 +276,10 @@ class Equation(Part):
     prediction: Prediction | None = Field(default=None, description="predictions from other initial states")
     convergence: tuple[Convergence, ...] = Field(default=(), description="decrease of the error of each island")
     candidates: tuple[Candidate, ...] = Field(default=(), description="equations that were compared with this one")
-    front: tuple[Member, ...] = Field(default=(), description="the best expression of each complexity")
+    front: tuple[Member, ...] = Field(
+        default=(),
+        description="the best expression of each complexity; for a side from `--equation`, of its unknown part",
+    )
     nats: Number = Field(default=None, description="Δ description length, if the equation was chosen by hand")
     is_of_all_groups: Flag = Field(
         default=False, description="whether it was chosen by hand; its constants are then the same in all groups"

@@ -32,6 +32,7 @@ _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 _RARE: Final = ("group", "command", "observations", "hidden")
 """Keys that only some results have: models of one group, and results written by a command."""
 _RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups", "given", "shapes")
+_RARE_OF_CANDIDATES: Final = ("unknown", "parameters")
 
 
 UNTIMED: Final = -1.0
@@ -109,6 +110,11 @@ class Result(Part):
         for equation in equations:
             assert isinstance(equation, dict)
             _drop_empty(equation, _RARE_OF_EQUATIONS)
+            candidates = equation["candidates"]
+            assert isinstance(candidates, list)
+            for candidate in candidates:
+                assert isinstance(candidate, dict)
+                _drop_empty(candidate, _RARE_OF_CANDIDATES)
         return content
 
     def to_json(self) -> str:

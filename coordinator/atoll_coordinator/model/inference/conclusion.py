@@ -13,6 +13,7 @@ same data adds uncertainty, which appears only in the comparison with the altern
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -243,7 +244,17 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
     r2 = compute_r2(final.shown_comparison.estimator.measurements, final.shown_fit, slice(None))[column]
     origin = final.find_origin(index, best.programs[index])
     is_crossed = final.held_out_comparison is None and ranking.validated is not None
-    alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
+
+    def parts(searched: Sequence[Program], values: FloatArray) -> dict[str, Any]:
+        """Return the unknown part of the equation, and the values of the template's parameters."""
+        template = comparison.template
+        if template is None or template.unknown_of(template.equations[index]) is None:
+            return {}
+        named = zip(template.parameters, values.tolist(), strict=True)
+        return {"unknown": searched[index], "parameters": {one.name: value for one, value in named}}
+
+    shown = parts(final.searched, final.shown_fit.system.parameter_values)
+    alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin, **shown)]
     for alternative in ranking.alternatives[index]:
         model, nats = alternative.model, alternative.model.nats - best.nats
         programs = model.programs
@@ -257,7 +268,8 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
         is_crossed = alternative.validated is not None
         origin = final.find_origin(index, programs[index])
         equation = comparison.equations_of(model)[index]
-        alternatives.append(Alternative(equation, nats, r2, held_out_r2, False, is_crossed, origin))
+        other = parts(programs, model.fit.system.parameter_values)
+        alternatives.append(Alternative(equation, nats, r2, held_out_r2, False, is_crossed, origin, **other))
     return tuple(alternatives)
 
 

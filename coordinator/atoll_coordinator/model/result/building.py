@@ -410,7 +410,13 @@ def _complete_sides(
             template.unknowns[place].label: slots[template.unknowns[place].home] for place in template.unknowns_in(name)
         }
         completed[name] = replace(
-            equation, program=program, constants=(), parameters=parameters, unknowns=unknowns, unit_coefficients=()
+            equation,
+            program=program,
+            constants=(),
+            parameters=parameters,
+            unknowns=unknowns,
+            unit_coefficients=(),
+            units=None,  # the units found are those of the unknown part
         )
     return completed
 
@@ -484,6 +490,8 @@ def _list_candidates(alternatives: Sequence[Alternative], names: Sequence[str]) 
             cross_validated=alternative.is_cross_validated,
             origin=alternative.origin,
             selected=alternative.is_shown,
+            unknown=None if alternative.unknown is None else to_infix(alternative.unknown, names),
+            parameters=dict(alternative.parameters),
         )
         for place, alternative in enumerate(ordered)
         if place < MOST_CANDIDATES or alternative.origin == "guess"

@@ -29,12 +29,13 @@ from atoll_coordinator.model.description_length import least_term_length
 from atoll_coordinator.model.least_squares import SETTLED
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.score import FittedModel, Score, SummarizedFit
+from atoll_coordinator.model.shooting.composed_system import composed_system, constants_in
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.points_between import points_in_boxes
-from atoll_coordinator.model.shooting.system import OdeSystem, Place, SearchedParts, SharedNumber, system_of
+from atoll_coordinator.model.shooting.system import OdeSystem, Place, SharedNumber, system_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
@@ -396,55 +397,9 @@ class ModelComparison:
     ) -> OdeSystem:
         """Return the system of equations that were composed with the template.
 
-        A parameter, or a constant of an unknown part, that occurs at several places is one fitted number. `fixed` are
-        the nodes of the searched programs whose constants are not fitted; `is_fixed`: no parameter is fitted.
+        `fixed` are the nodes of the searched programs whose constants are not fitted; `is_fixed`: no parameter is
+        fitted.
         """
-        template = self.template
-        assert template is not None
-        held: list[set[int]] = [set(nodes) for nodes in composition.fixed]
-        not_fitted = [
-            place
-            for nodes, places in zip(fixed, composition.places, strict=False)
-            for node in nodes
-            for place in places.get(node, ())
-        ]
-        not_fitted += [place for places in composition.parameters for place in places] if is_fixed else []
-        for equation, node in not_fitted:
-            held[equation].add(node)
-        before, equations = len(self.leading), len(fixed)
-        programs, variables = [*self.leading, *composition.programs], self.estimator.measurements.variables
-        columns = len(composition.programs) - equations
-        system = system_of(programs, self.names, variables, [*[set[int]()] * before, *held], columns)
-        firsts, slots = system.firsts[before:], composition.slots[:equations]
-        nodes = [np.full(len(slot), -1, np.int64) for slot in slots]
-        for own, places in zip(nodes, composition.places, strict=False):
-            for node, (first, *_) in places.items():
-                own[node] = firsts[first[0]] + first[1]
-        parameters = np.array(
-            [firsts[places[0][0]] + places[0][1] if places else -1 for places in composition.parameters], np.int64
-        )
-        given = frozenset(index for index, name in enumerate(template.equations) if template.is_given(name))
-        system = replace(system, parts=SearchedParts(slots, tuple(nodes), parameters, given))
-        lower, upper = self._composed_ranges(composition, system, fixed)
-        several = [places for by_node in composition.places for places in by_node.values()] + [*composition.parameters]
-        shared = {
-            places: tuple((place, 1.0) for place in places)
-            for places in several
-            if len(places) > 1 and places[0][1] not in held[places[0][0]]
-        }
-        if shared:
-            system = system.sharing_numbers(system.constants[None], shared.values(), before)
-            if system.sharing is not None and lower is not None and upper is not None:
-                lower, upper = system.sharing.ranges(lower, upper)
-        system = replace(system, lower=lower, upper=upper)
-        if lower is not None and (lower > 0.0).any():  # positive numbers with bounds may vary over decades
-            system = replace(system, is_logarithmic=lower > 0.0)
-        return system.with_values(system.values)
-
-    def _composed_ranges(
-        self, composition: Composition, system: OdeSystem, fixed: Sequence[Collection[int]]
-    ) -> tuple[FloatArray | None, FloatArray | None]:
-        """Return bounds (P,) on the fitted constants of composed equations; None without bounds."""
         template = self.template
         assert template is not None
         bounds: dict[Place, tuple[float, float]] = {}
@@ -455,10 +410,10 @@ class ModelComparison:
             nodes = [node for node in constant_places(slot) if node not in held]
             for node, *ends in zip(nodes, *restrictions.ranges(slot, held).tolist(), strict=True):
                 bounds |= dict.fromkeys(composition.places[index].get(node, ()), (ends[0], ends[1]))
-        for parameter, places in zip(template.parameters, composition.parameters, strict=True):
-            bounds |= dict.fromkeys(places, (parameter.lower, parameter.upper))
-        pairs = np.array([bounds.get(place, (-math.inf, math.inf)) for place in self.places(system)]).reshape(-1, 2)
-        return (None, None) if np.isinf(pairs).all() else (pairs[:, 0].copy(), pairs[:, 1].copy())
+        variables = self.estimator.measurements.variables
+        return composed_system(
+            template, composition, self.names, variables, self.leading, fixed, bounds, are_parameters_fixed=is_fixed
+        )
 
     def equations_of(self, model: FittedModel) -> tuple[Program, ...]:
         """Return the whole right-hand sides of a model; without a template, these are its programs."""
@@ -468,9 +423,7 @@ class ModelComparison:
 
     def places(self, system: OdeSystem) -> list[Place]:
         """Return equation and node of each fitted constant of a system of this comparison."""
-        firsts = system.firsts
-        pairs = zip(system.places.tolist(), system.owners.tolist(), strict=True)
-        return [(owner - len(self.leading), node - firsts[owner]) for node, owner in pairs]
+        return constants_in(system, len(self.leading))
 
     def _ranges(
         self, programs: Sequence[Program], fixed: Sequence[Collection[int]]

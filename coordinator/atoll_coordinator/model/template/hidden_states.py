@@ -207,10 +207,11 @@ def _along_trajectories(
 
 def linear_part(template: EquationTemplate, config: JobConfig, equation: str) -> Program:
     """Return a linear function that stands for the unknown part of an equation: of the variables that the user named
-    for it, else of the equation's own state."""
+    for it, else of the equation's own state. It has no constant term: with few rows, each further number makes the
+    minimum flatter."""
     named = config.space.variables_of.get(equation)
     symbols = named if named is not None else (_own_symbol(template, equation),)
-    terms: list[Expression] = [1.0, *((VARIABLE, template.names.index(symbol)) for symbol in symbols)]
+    terms: list[Expression] = [(VARIABLE, template.names.index(symbol)) for symbol in symbols]
     return sum_of(terms, [_FIRST * (place + 1) for place, _ in enumerate(terms)])
 
 

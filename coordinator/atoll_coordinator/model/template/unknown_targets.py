@@ -60,9 +60,10 @@ def with_unknown_targets(preparation: Preparation, config: JobConfig) -> Prepara
     rows = _useful_rows(list(unknowns.values()))
     if len(rows) < SETTINGS.common.fewest_rows:
         labels = ", ".join(unknown.label for unknown in template.unknowns)
+        told = "1 row tells" if len(rows) == 1 else f"{len(rows)} rows tell"
         raise DataError(
-            f"only {len(rows)} rows tell anything about the unknown part {labels}; sample more of them, or write the "
-            "unknown part where its factor is not near 0"
+            f"only {told} anything about the unknown part {labels}; sample more of them, or write the unknown part "
+            "where its factor is not near 0"
         )
     warnings = (*dataset.warnings, *estimates.warnings, *_compare_equations(template, unknowns))
     targets = tuple(
