@@ -40,6 +40,7 @@ _COMMON: Final = (
             option(
                 "--problems", choices=[*llm_sr.PROBLEMS], nargs="+", default=[*llm_sr.PROBLEMS], help="default: all"
             ),
+            option("--config", metavar="job.toml", help="settings of the jobs; default: none"),
             option("--max-time", type=positive, metavar="SECONDS", help="end of a job; default: none"),
         ),
     ),

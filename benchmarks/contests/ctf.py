@@ -5,11 +5,6 @@ that was found. A forecast is a simulation of the law from the state at the last
 For the pairs with a scaled parameter, the law of the first set is a guess for the search of the 100 rows of the last
 set, whose value of the parameter is in no other set.
 
-Long forecasts are scored by histograms of 500 rows, beyond the time at which the last digit of the state is lost. One
-simulation is a random sample there. The forecast is the most typical one of many simulations whose states at the last
-row differ in the sixth digit: the one whose histograms are closest to the histograms of all. The scores of the single
-simulation are reported, too.
-
 The test sets of the contest are not public. So the contest is repeated with rows that are held out of the train sets
 (`held_out`), with independent errors of the same size where the contest has noise.
 """
@@ -29,7 +24,7 @@ from atoll.model.simulation import SimulationWarning
 from atoll.terminal.output import note, say
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import AtollError
-from benchmarks.contests.protocol import BINS, FORECAST, LONG, PAIRS, SCORES, STATES, STEP, Pair, noise_of
+from benchmarks.contests.protocol import FORECAST, PAIRS, SCORES, STATES, STEP, Pair, noise_of
 from benchmarks.contests.smoothing import WINDOW, states_along
 from benchmarks.harness.record import Record
 from benchmarks.harness.tables import markdown
@@ -40,10 +35,6 @@ PUBLISHED: Final[Mapping[str, float]] = {"LSTM": 64.5, "DeepONet": 57.8, "reserv
 
 _FEW: Final = 100
 """Rows of the short sets."""
-
-_DRAWS: Final = 24
-_DIFFERENCE: Final = 1e-6
-"""Number of simulations of a forecast, and the relative differences of their first states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,44 +134,18 @@ def _columns(rows: FloatArray) -> dict[str, FloatArray]:
     return {"t": STEP * np.arange(len(rows)), **dict(zip(STATES, rows.T, strict=True))}
 
 
-def predict(model: atoll.Model, task: Task) -> tuple[FloatArray, FloatArray]:
-    """Return the prediction (N, 3) of a task under a law, and the prediction by a single simulation.
-
-    For a reconstruction, both are the states along the rows.
-    """
+def predict(model: atoll.Model, task: Task) -> FloatArray:
+    """Return the prediction (N, 3) of a task under a law; if a simulation ends early, its last state is repeated."""
     rows = task.train[-1]
     if not task.pair.is_forecast:
-        states = states_along(model, rows)
-        return states, states
+        return states_along(model, rows)
     start = states_along(model, rows[-WINDOW:])[-1]
-    random = np.random.default_rng(0)
-    first = _simulated(model, start)
-    others = [_simulated(model, start * (1.0 + _DIFFERENCE * random.normal(size=3))) for _ in range(_DRAWS - 1)]
-    return most_typical(np.stack([first, *others])), first
-
-
-def _simulated(model: atoll.Model, start: FloatArray) -> FloatArray:
-    """Return the rows (N, 3) of a forecast; if the simulation ends early, its last state is repeated."""
     times = STEP * np.arange(FORECAST + 1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
         simulation = model.simulate(dict(zip(STATES, start.tolist(), strict=True)), times, has_bands=False)
     states = np.stack([start, *np.stack([simulation[name] for name in STATES], axis=1)[1:]])
     return np.concatenate([states[1:], np.repeat(states[-1:], FORECAST + 1 - len(states), axis=0)])
-
-
-def most_typical(forecasts: FloatArray) -> FloatArray:
-    """Return the forecast (N, 3), of several (draws, N, 3), whose histograms are closest to the histograms of all."""
-    together = forecasts[:, -LONG:].reshape(-1, len(STATES))
-    edges = [np.histogram_bin_edges(values, BINS) for values in together.T]
-
-    def shares(rows: FloatArray) -> FloatArray:
-        parts = zip(rows.T, edges, strict=True)
-        return np.stack([np.histogram(values, own)[0] / len(values) for values, own in parts])
-
-    wanted = shares(together)
-    distances = [float(np.abs(shares(rows[-LONG:]) - wanted).sum()) for rows in forecasts]
-    return np.asarray(forecasts[int(np.argmin(distances))])
 
 
 def run(options: Namespace) -> None:
@@ -193,10 +158,11 @@ def run(options: Namespace) -> None:
             scored += _scored(task, draw, laws)
             record.write(scores=scored)
     say(_table(scored, options.draws))
+    say("published means: " + ", ".join(f"{name} {mean}" for name, mean in PUBLISHED.items()))
     predictions, laws_found = dict[str, FloatArray](), dict[str, Found]()
     for task in [] if options.only_held_out else contest(sets):
         model, found = laws.of(task.train)
-        predictions[f"pair{task.pair.number}"], _ = predict(model, task)
+        predictions[f"pair{task.pair.number}"] = predict(model, task)
         laws_found[f"pair{task.pair.number}"] = found
     if options.out is not None and predictions:
         path = options.out.with_suffix(".npz")
@@ -228,14 +194,13 @@ def _scored(task: Task, draw: int, laws: Laws) -> list[dict[str, Any]]:
 
 
 def _table(scored: Sequence[Mapping[str, Any]], draws: Sequence[int]) -> str:
-    """Return the scores by pair and draw, with the means over all scores; last those of single simulations."""
+    """Return the scores by pair and draw, with the means over all scores."""
     rows = []
     for pair in PAIRS:
         for name in pair.scores:
-            own = [entry for entry in scored if (entry["pair"], entry["score"]) == (pair.number, name)]
-            values = [entry["value"] for entry in own]
-            rows.append([*values, np.mean(values), np.mean([entry["single"] for entry in own])])
-    heads = ("pair", "score", *(f"draw {draw}" for draw in draws), "mean", "single simulation")
+            values = [entry["value"] for entry in scored if (entry["pair"], entry["score"]) == (pair.number, name)]
+            rows.append([*values, np.mean(values)])
+    heads = ("pair", "score", *(f"draw {draw}" for draw in draws), "mean")
     titles = [(str(pair.number), name) for pair in PAIRS for name in pair.scores]
     lines = [*zip(titles, rows, strict=True), (("all", "mean"), np.mean(rows, axis=0))]
     return markdown(heads, [(*title, *(f"{value:.1f}" for value in values)) for title, values in lines])

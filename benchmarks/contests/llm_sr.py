@@ -133,7 +133,8 @@ def search(name: str, split: str, options: Namespace) -> Outcome:
     is_held_out = problem.splits[split](columns)
     own, other = ({key: values[rows] for key, values in columns.items()} for rows in (~is_held_out, is_held_out))
     variables = [key for key in columns if key != problem.target]
-    limit = {} if options.max_time is None else {"max_time": options.max_time}
+    given = {"max_time": options.max_time, "config": options.config}
+    limit = {name: value for name, value in given.items() if value is not None}
     began = time.monotonic()
     try:
         model = atoll.discover(

@@ -15,9 +15,7 @@ from atoll_core.data.dataset import FloatArray
 STEP: Final = 0.05
 STATES: Final = ("x", "y", "z")
 FORECAST: Final = 1_000
-LONG: Final = 500
-BINS: Final = 41
-_SHORT, _WORST = 20, -100.0
+_SHORT, _LONG, _BINS, _WORST = 20, 500, 41, -100.0
 
 
 @dataclass(frozen=True)
@@ -63,12 +61,12 @@ def reconstruction_score(truth: FloatArray, predicted: FloatArray) -> float:
 
 def long_score(truth: FloatArray, predicted: FloatArray) -> float:
     """Return the score of the histograms of the last 500 rows: the mean of the states, at least -100."""
-    if not np.isfinite(predicted[-LONG:]).all():
+    if not np.isfinite(predicted[-_LONG:]).all():
         return _WORST
     errors = []
-    for true, own in zip(truth[-LONG:].T, predicted[-LONG:].T, strict=True):
+    for true, own in zip(truth[-_LONG:].T, predicted[-_LONG:].T, strict=True):
         ends = float(min(true.min(), own.min())), float(max(true.max(), own.max()))
-        counts = [np.histogram(values, BINS, ends)[0] for values in (true, own)]
+        counts = [np.histogram(values, _BINS, ends)[0] for values in (true, own)]
         errors.append(float(np.abs(counts[0] - counts[1]).sum() / counts[0].sum()))
     return _clipped(float(np.mean(errors)))
 
