@@ -13,6 +13,7 @@ from typing import Final
 from benchmarks.contests import ctf, llm_sr
 from benchmarks.harness.command_line import OUT, option, positive, program, seeds, verb, verbs, workers
 
+_PAIRS: Final = tuple(range(1, 10))
 _PROBLEMS: Final = (*llm_sr.PROBLEMS,)
 _COMMON: Final = (
     option("--data", type=Path, metavar="DIR", required=True, help="folder of the train sets"),
@@ -31,6 +32,7 @@ _COMMON: Final = (
             "the Lorenz contest of the Common Task Framework",
             *_COMMON,
             option("--draws", type=seeds, default=seeds("0-2"), help="draws of held-out rows (0-2)"),
+            option("--pairs", type=int, choices=_PAIRS, nargs="+", default=_PAIRS, help="default: all nine"),
             option("--only-held-out", action="store_true", help="no predictions for the contest itself"),
         ),
         verb(
