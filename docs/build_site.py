@@ -43,6 +43,8 @@ CONTENTS: Final = {
         "how-to/forecasts",
         "how-to/prior-knowledge",
         "how-to/known-part",
+        "how-to/known-part-examples",
+        "hidden-states",
         "troubleshooting",
     ),
     "Reference": (

@@ -19,11 +19,11 @@ from typing import Any, Final
 from atoll.terminal.output import say
 from atoll_core.errors import UsageError
 from benchmarks.corpus.campaign import judge_again, refine_all_pools, request_of, run_jobs
-from benchmarks.corpus.cases import OURS, SAMPLINGS, UNTOLD, Key, make_case
+from benchmarks.corpus.cases import KNOWN_PART, OURS, SAMPLINGS, UNTOLD, Key, make_case
 from benchmarks.corpus.families import FAMILIES, NAMED, WITH_FUNCTIONS
 from benchmarks.corpus.outcomes import Outcome
 from benchmarks.corpus.qualities import NAMED_QUALITIES, QUALITIES, quality
-from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
+from benchmarks.corpus.tables import by_grade, by_quality, by_unknown_summand, equation_rows
 from benchmarks.harness.campaign import journal_of
 from benchmarks.harness.command_line import option, positive, program, seeds_of, whole, workers
 from benchmarks.peers import operon, pysindy_models
@@ -35,7 +35,7 @@ CHAOTIC: Final = ("lorenz",)
 BY_FAMILY: Final = {
     name: len(family.equations) for name, family in (FAMILIES | WITH_FUNCTIONS).items() if name not in NAMED
 }
-METHODS: Final = (OURS, UNTOLD, *pysindy_models.METHODS, OPERON)
+METHODS: Final = (OURS, UNTOLD, KNOWN_PART, *pysindy_models.METHODS, OPERON)
 
 
 def keys(options: Namespace) -> list[Key]:
@@ -81,6 +81,7 @@ def _require(methods: Sequence[str]) -> None:
 def _tables(outcomes: Sequence[Outcome], *, all_equations: bool) -> None:
     say(by_quality(outcomes))
     say("\n" + by_grade(outcomes))
+    say("\n" + by_unknown_summand(outcomes))
     say("\n" + equation_rows(outcomes, only_wrong=not all_equations))
 
 

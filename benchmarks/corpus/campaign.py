@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from atoll.terminal.output import note
-from atoll_core.config import BASE_OPERATORS, JobConfig
+from atoll_core.config import BASE_OPERATORS, JobConfig, PriorConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError
-from benchmarks.corpus.cases import OURS, UNTOLD, Case, Key, make_case
+from benchmarks.corpus.cases import KNOWN_PART, OURS, UNTOLD, Case, Key, make_case, with_unknown_summand
 from benchmarks.corpus.outcomes import Outcome, judge_job
 from benchmarks.harness import campaign
 from benchmarks.harness.campaign import Answer, Service, attempt, work_off
@@ -30,7 +30,7 @@ def run_jobs(
     """Do the jobs that the journal does not have; return the outcomes of all. `changes` are of the configuration."""
 
     def do(service: Service, key: Key) -> tuple[Outcome, Answer]:
-        is_ours = key.method in (OURS, UNTOLD)
+        is_ours = key.method in (OURS, UNTOLD, KNOWN_PART)
         case, stopwatch, begun = make_case(key), Stopwatch(counts=is_ours), time.process_time()
         if is_ours:
             config = configuration(key, case, max_time, changes)
@@ -87,7 +87,11 @@ def judge_again(keys: Sequence[Key], journal: Journal[Outcome]) -> None:
 def configuration(key: Key, case: Case, max_time: float | None, changes: Mapping[str, Any]) -> JobConfig:
     """Return the default configuration with the functions that the truth needs, unless it is not to be told."""
     operators = None if key.method == UNTOLD else (*BASE_OPERATORS, *case.system.operators)
-    return configured(key.seed, case.data, {"max_time": max_time, **changes}, operators)
+    config = configured(key.seed, case.data, {"max_time": max_time, **changes}, operators)
+    if key.method != KNOWN_PART:
+        return config
+    _, equations = with_unknown_summand(case.system, key.seed)
+    return config.model_copy(update={"prior": PriorConfig(equations=equations)})
 
 
 def _answer_otherwise(key: Key, case: Case) -> dict[str, Any]:

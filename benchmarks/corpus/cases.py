@@ -22,6 +22,8 @@ from benchmarks.noise.data import Path
 OURS: Final = "atoll"
 UNTOLD: Final = "atoll-untold"
 """Ours, not told which functions the law has."""
+KNOWN_PART: Final = "atoll-known-part"
+"""Ours, given all of the system but one summand of one equation."""
 SAMPLINGS: Final = ("even", "uneven", "sparse", "short", "long")
 """Manners of sampling: a grid, random instants, a quarter of the rows, a quarter and four times the duration."""
 
@@ -83,7 +85,7 @@ class Case:
 
 def make_case(key: Key, *, has_fresh: bool = True) -> Case:
     """Return the data of one job; equal keys give equal data. `has_fresh`: whether fresh trajectories are made."""
-    system = _system(key)
+    system = system_of(key)
     rng = np.random.default_rng([key.seed, key.states, key.trajectories, SAMPLINGS.index(key.sampling), 2])
     starts, times, clean, measured = _measured(key, system, rng)
     table = table_of(Sampled(system.states, tuple(times), tuple(measured)))
@@ -94,7 +96,31 @@ def make_case(key: Key, *, has_fresh: bool = True) -> Case:
     return Case(system, table, columns, fresh, smallest_t(system, starts, times, clean, measured), data)
 
 
-def _system(key: Key) -> CorpusSystem:
+def with_unknown_summand(system: CorpusSystem, seed: int) -> tuple[str, dict[str, str]]:
+    """Return an equation drawn from those with two or more summands, and all equations; in this equation, a question
+    mark replaces a summand that is drawn, too."""
+    rng = np.random.default_rng([seed, 7])
+    truths = {state: _summands(text) for state, text in system.truths.items()}
+    state = str(rng.choice([state for state, summands in truths.items() if len(summands) > 1] or list(truths)))
+    place = int(rng.integers(len(truths[state])))
+    given = dict(system.truths)
+    given[state] = " ".join("+ ?" if index == place else summand for index, summand in enumerate(truths[state]))
+    return state, given
+
+
+def _summands(text: str) -> list[str]:
+    """Return the summands of a sum, each with its sign in front."""
+    level, starts = 0, [0]
+    for place, letter in enumerate(text):
+        level += (letter == "(") - (letter == ")")
+        if level == 0 and place and text[place - 1 : place + 2] in (" + ", " - "):
+            starts.append(place)
+    parts = [text[first:end].strip() for first, end in zip(starts, [*starts[1:], len(text)], strict=True)]
+    return [part if part[0] in "+-" else f"+ {part}" for part in parts]
+
+
+def system_of(key: Key) -> CorpusSystem:
+    """Return the system of a job."""
     if key.system == "random":
         return draw_system(key.seed, key.states)
     return named_system(key.system) if key.system in NAMED else draw_family(key.system, key.seed)

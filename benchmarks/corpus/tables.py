@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.corpus.cases import KNOWN_PART, system_of, with_unknown_summand
 from benchmarks.corpus.outcomes import EquationOutcome, Outcome
 from benchmarks.harness import tables
 from benchmarks.harness.tables import Columns, grouped, markdown, share
@@ -77,6 +78,39 @@ def by_grade(outcomes: Sequence[Outcome]) -> str:
     rows = [(grade, *_reliability(graded[grade]), *_reliability(graded_single.get(grade, ()))) for grade in graded]
     heads = ("equations", "right in form", "R2 > 0.9 from fresh states")
     return markdown(("verdict", *heads, "of single trajectories", *heads[1:]), rows)
+
+
+def by_unknown_summand(outcomes: Sequence[Outcome]) -> str:
+    """Return, by method, how the equation came out of which `KNOWN_PART` leaves one summand out; "" without it."""
+    if not any(outcome.key.method == KNOWN_PART for outcome in outcomes):
+        return ""
+    rows = []
+    for method, chosen in grouped(outcomes, lambda outcome: outcome.key.method).items():
+        equations = [
+            equation for outcome in chosen for equation in outcome.equations if _has_unknown(outcome, equation)
+        ]
+        able = [equation for equation in equations if equation.is_identifiable]
+        good = [equation for equation in equations if equation.grade in ("exact", "good")]
+        rows.append((
+            method, str(len(equations)), share(sum(equation.is_right for equation in able), len(able)),
+            share(sum(equation.is_right for equation in good), len(good)),
+            share(sum(equation.covered for equation in equations), sum(equation.intervals for equation in equations)),
+            _quantiles([outcome.seconds for outcome in chosen]),
+        ))  # fmt: skip
+    heads = (
+        "method",
+        "equations",
+        "right, of identifiable",
+        "good and right",
+        "intervals hold",
+        "wall s median / 95 %",
+    )
+    return markdown(heads, rows)
+
+
+def _has_unknown(outcome: Outcome, equation: EquationOutcome) -> bool:
+    key = outcome.key
+    return with_unknown_summand(system_of(key), key.seed)[0] == equation.variable
 
 
 def _reliability(equations: Sequence[EquationOutcome]) -> tuple[str, str, str]:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.tasks.preparing import Prepared
-from atoll_core.config import PRESETS, Angle, DataConfig, JobConfig
+from atoll_core.config import PRESETS, Angle, DataConfig, JobConfig, ParameterConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.expression.text.parsing import from_infix
@@ -29,6 +29,14 @@ LEAST_STEPS: Final = 102
 """That a process takes, and those that are lost where trajectories begin."""
 NO_PROCESS: Final = frozenset(("robust", "weights", "offsets", "group", "per_trajectory"))
 """Options that mean nothing where noise is part of the law."""
+GIVEN: Final = 0.25
+"""Share of the cases with given equations, of those whose other options admit them."""
+NO_TEMPLATE: Final = frozenset(("target", "derivatives", "stochastic", "group", "per_trajectory"))
+"""Options that exclude given equations."""
+SIDES: Final = (
+    "-k*{x} + ?", "?*{x}", "{x}/(k + ?)", "?1 - {y}", "c*{x} - ?1", "exp(-?) - k", "k - c*{x}", "k*{y} + ?({x})",
+    "?1*{x}", "k*sin(c*{x}) + 2*?({y})",
+)  # fmt: skip
 
 FRONTS: Final = ("{x}", "{x} + 1", "0.5", "{x}*{y}", "1/{x}", "sin({x})", "{x}*{x} - {y}", "{x}/({y} - {y})")
 
@@ -162,13 +170,32 @@ def config_of(draw: np.random.Generator, table: Table) -> JobConfig:
     preset = PRESETS["paper" if draw.uniform() < 0.1 else "default"]
     operators = (("+", "-", "*", "/", "sin", "cos"), ("+", "*"), ("+", "-", "*", "/", "exp", "log", "sqrt", "pow"))
     space = preset.space.model_copy(update={"operators": operators[int(draw.choice([0, 0, 1, 2]))]})
-    prior = {}
-    if draw.uniform() < 0.1 and "target" not in fields:
-        prior["guesses"] = {some[0]: (f"{some[0]}*0.3",)}
-    if draw.uniform() < 0.1:
-        prior["bounds"] = {"*": ("c > 0",)}
+    prior = _prior_of(draw, some, fields, is_unfit)
     update = {"seed": 1, "data": DataConfig(**fields), "space": space, "prior": preset.prior.model_copy(update=prior)}
     return preset.model_copy(update=update)
+
+
+def _prior_of(
+    draw: np.random.Generator, states: Sequence[str], fields: Mapping[str, Any], is_unfit: bool
+) -> dict[str, Any]:
+    """Return guesses, bounds and given equations."""
+    prior: dict[str, Any] = {}
+    if draw.uniform() < 0.1 and "target" not in fields:
+        prior["guesses"] = {states[0]: (f"{states[0]}*0.3",)}
+    if draw.uniform() < 0.1:
+        prior["bounds"] = {"*": ("c > 0",)}
+    return prior | _given_equations(draw.spawn(1)[0], states, is_unfit or not NO_TEMPLATE.intersection(fields))
+
+
+def _given_equations(draw: np.random.Generator, states: Sequence[str], may_be_given: bool) -> dict[str, Any]:
+    """Return given equations of some states, in a share of the cases whose other options admit them."""
+    if not may_be_given or draw.uniform() >= GIVEN:
+        return {}
+    chosen = [name for name in states if draw.uniform() < 0.7] or list(states[:1])
+    sides = {name: str(draw.choice(SIDES)).format(x=name, y=states[-1]) for name in chosen}
+    bounds = {"k": ParameterConfig(lower=0.1, upper=10.0), "c": ParameterConfig(start=2.0)}
+    declared = {name: one for name, one in bounds.items() if any(name in side for side in sides.values())}
+    return {"equations": sides, "parameters": declared if draw.uniform() < 0.5 else {}}
 
 
 def _parts_of(draw: np.random.Generator, is_cut: bool, may_differ: bool, is_unfit: bool) -> dict[str, Any]:
@@ -202,8 +229,8 @@ def _changes(values: FloatArray) -> bool:
 def pools_of(draw: np.random.Generator, prepared: Prepared) -> dict[str, Pool]:
     """Return what a search might hand on: nothing, lines, products, poles."""
     dataset = prepared.preparation.dataset
-    pools = {}
-    for problem in map(dataset.problem, dataset.variables):
+    pools = {name: Pool((entry,), ()) for name, entry in prepared.known.items()}
+    for problem in map(dataset.problem, [target.variable for target in prepared.sought]):
         chosen = draw.choice(len(FRONTS), int(draw.integers(0, 4)), replace=False)
         names = dict(zip("xy", draw.choice(dataset.names, 2), strict=True))
         programs = [from_infix(FRONTS[place].format(**names), dataset.names) for place in chosen]

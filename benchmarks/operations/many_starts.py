@@ -126,9 +126,9 @@ def misfits(problem: StartsProblem, starts: list[StartPoint], *, horizons: bool)
     """Return n/2 ln s of the fits of all starts; infinity for fits that fail."""
     counts, found = problem.measurements.rows, []
     for start in starts:
-        reached = problem.fit(replace(start, is_last=not horizons))
+        reached, _ = problem.fit(replace(start, is_last=not horizons))
         if reached is not None and horizons:
-            reached = problem.fit(StartPoint(reached.values, reached.starts, is_last=True))
+            reached, _ = problem.fit(StartPoint(reached.values, reached.starts, is_last=True))
         found.append(math.inf if reached is None else 0.5 * counts * float(np.log(reached.squares + 1e-18).sum()))
     return found
 

@@ -29,7 +29,7 @@ from atoll.terminal.output import note, say
 from atoll.text.render import render_text
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.result.building import Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_core.errors import DataError, RemoteProtocolError, UsageError
@@ -83,8 +83,11 @@ def played(seed: int) -> tuple[End, str]:
     pools = pools_of(draw, prepared)
     deadline = Deadline(float(draw.choice(SECONDS)), time.process_time)
     refinement = refine_all(prepared.preparation, prepared.config, pools, deadline, prepared.laws)
-    outcomes = [VariableOutcome(name, pool.front, 1) for name, pool in pools.items()]
     preparation = prepared.preparation
+    outcomes = [
+        VariableOutcome(name, pools[name].front, 1, why=KNOWN if name in prepared.known else None)
+        for name in preparation.dataset.variables
+    ]
     result = build_result("drawn", prepared.config, preparation, outcomes, Account("done", 1.0, 1.0), refinement)
     render_text(Result.load(json.loads(json.dumps(result.as_dict(), allow_nan=False))))
     broken = [warning for warning in result.warnings if "failed (" in warning]

@@ -115,6 +115,10 @@ class DataConfig(Frozen):
     sheet: str | None = Field(
         default=None, description="sheet of an Excel workbook (default: the first sheet with a table)"
     )
+    hidden: tuple[str, ...] = Field(default=(), description="states of the given equations that no column measures")
+    observe: dict[str, str] = Field(
+        default_factory=dict, description="columns that are no states, each as an expression of states and parameters"
+    )
     missing_values: tuple[float, ...] = Field(
         default=(), description="numbers that stand for missing values, which are dropped, such as -9999"
     )
@@ -188,6 +192,9 @@ class PriorConfig(Frozen):
     )
     parameters: dict[str, ParameterConfig] = Field(
         default_factory=dict, description="bounds and start values of parameters of given equations, by name"
+    )
+    initial: dict[str, ParameterConfig] = Field(
+        default_factory=dict, description="initial values of states: given (`start` without bounds), or their bounds"
     )
 
 

@@ -74,6 +74,7 @@ NOT_RUN = {
     r"dhare/dyear: ": "of the run that examples/quotes.py makes: tests/integration/test_quotes.py",
     r"dx/dt = 0.534067": "of data that the page lacks: tests/unit/coordinator/model/inference/test_groups.py",
     r"dx/dt = x\*\(1\.5 - y\)": "of data that the page does not have: tests/unit/coordinator/test_units.py",
+    r"dv/dt = -9\.81/1\.29957": "of data that the page does not have: tests/integration/test_given_equations.py",
     r"warning: Trajectories were simulated in pieces": "a search of chaotic data: benchmarks/RESULTS.md",
     r"1 equation would be searched:": "shown by --dry-run: tests/unit/coordinator/data/test_outline.py",
     r"site A: workers": "a drawing",

@@ -145,6 +145,26 @@ def test_given_equations_are_typeset_as_one_types(stage: Stage) -> None:
         expected(stage, 422)
 
 
+def test_given_equations_of_a_job_are_given_again(stage: Stage) -> None:
+    with web(stage.place, stage.address, stage.port), started(stage.place, "island_worker", "--connect", stage.address):
+        until(stage.page.is_up)
+        tab = stage.open("#/new")
+        rows = course(lambda _, z: (z[1], -2.0 * z[0] - 0.2 * z[1]), (1.0, 0.0), 100, 0.1)
+        put(stage, tab, "p.csv", "t,q,v\n" + "".join(f"{t!r},{x!r},{v!r}\n" for t, (x, v) in rows))
+        tab.get_by_text("search", exact=False).filter(has_text="options").first.click()
+        tab.get_by_label("Given equations, with parameters").fill("dv/dt = -k*q + ?(v)\ndq/dt = v")
+        tab.get_by_label("Parameters of given equations").fill("k=1 in 0.5..9")
+        tab.get_by_text("k: 0.5 to 9, beginning at 1").wait_for()
+        tab.get_by_role("button", name="Submit the job").click()
+        tab.get_by_role("button", name="Open the report").wait_for()
+        tab.get_by_role("link", name="Submit again with changes").click()
+        tab.get_by_text("k: 0.5 to 9, beginning at 1").wait_for()
+        tab.get_by_text("search", exact=False).filter(has_text="options").first.click()
+        assert tab.get_by_label("Given equations, with parameters").input_value() == "q=v\nv=-k*q + ?(v)"
+        assert tab.get_by_label("Parameters of given equations").input_value() == "k=1 in 0.5..9"
+        assert tab.get_by_label("Initial guesses of equations").input_value() == ""
+
+
 def test_warnings_have_buttons_that_do_what_they_advise(stage: Stage) -> None:
     """A voltage that is switched is made an input that is held, by two buttons; units can be given on a telephone."""
     lines = ["t [ms],voltage [V],current,sample no."]

@@ -26,6 +26,7 @@ def test_most_cases_reach_their_end_and_equal_seeds_are_equal_cases() -> None:
     configs = [config_of(draw, table_of(draw)) for draw in draws]
     used = {name for config in configs for name in config.data.model_fields_set}
     assert {"order", "robust", "weights", "holdout", "group", "stochastic", "derivatives", "target"} <= used
+    assert any(config.prior.equations for config in configs)
 
 
 def never_ends() -> None:

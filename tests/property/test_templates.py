@@ -1,13 +1,21 @@
 """What must hold of every template: any text is read or refused with a sentence, and homes of unknown parts differ."""
 
+import math
+import struct
+
+import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from atoll_coordinator.data.prior_knowledge import resolve_prior
 from atoll_core.config import JobConfig, ParameterConfig, PriorConfig
 from atoll_core.errors import UsageError
+from atoll_core.expression.program import tree_size
 from atoll_core.expression.template import TemplateParameter, read_template
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix
+from tests.oracles.evaluate import evaluate
+from tests.property.programs import ROWS, programs
 
 QUICK = settings(max_examples=400, deadline=None, derandomize=True, database=None)
 NAMES = ("x", "y", "theta")
@@ -59,3 +67,28 @@ def any_assignment(where, taken):
     if not where:
         return True
     return any(any_assignment(where[1:], taken | {name}) for name in where[0] - taken)
+
+
+@QUICK
+@given(programs(), programs(largest=8), programs(largest=8), ROWS)
+def test_a_composed_side_has_the_value_of_the_side_with_the_value_of_its_unknown_part(side, slot, other, row):
+    """The three inputs of `side` are a variable, a parameter and an unknown part, which depends on the variables."""
+    assume(tree_size(side) <= PRINTABLE_SIZE)
+    text = to_infix(side, ("x", "a", "?1"))
+    try:
+        template = read_template({"x": text, "y": "?1"}, {}, NAMES).for_equations(("x", "y"))
+    except UsageError:  # too long
+        return
+    x, value = row[0], row[1]
+    values = np.full(len(template.parameters), value)
+    slots = (slot, other) if template.unknowns[0].home == "x" else (other, slot)
+    composition = template.compose(slots, values)
+    expected = evaluate(side, (x, value, evaluate(slot, row)))
+    assert bits(evaluate(composition.programs[0], row)) == bits(expected)
+    assert bits(evaluate(composition.programs[1], row)) == bits(evaluate(slot, row))
+    for places in composition.parameters:
+        assert all(composition.programs[one].constants[node] == value for one, node in places)
+
+
+def bits(value):
+    return b"nan" if math.isnan(value) else struct.pack("<d", value)

@@ -6,26 +6,35 @@ names that are no variables are *parameters*: numbers that are fitted. Numbers i
 in several sides; it is the same expression in all of them.
 
 How it works. A side is a program over variables, then parameters, then unknowns, which are all variables of this
-program. `Template.compose` replaces each parameter by a constant and each unknown by its program, and tells where the
-constants are then. Each unknown belongs to one equation, its home: the first equation that contains it. So systems are
-still compared with one searched program for each equation; only the program of an equation with a template is the
-unknown part, and not the whole side. A side without an unknown of its own has nothing to search.
+program. `EquationTemplate.compose` replaces each parameter by a constant and each unknown by its program, and tells
+where the constants are then. Each unknown belongs to one equation, its home: the first equation that contains it. So
+systems are still compared with one searched program for each equation; only the program of an equation with a template
+is the unknown part, and not the whole side. A side without an unknown of its own has nothing to search.
 
 Letters: V variables, P parameters, U unknowns, D equations.
 """
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-from atoll_core.expression.operators import CONSTANT, FUNCTIONS, VARIABLE
-from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder, constant_places, variables_of
+from atoll_core.expression import operators as op
+from atoll_core.expression.operators import ARITY, CONSTANT, FUNCTIONS, VARIABLE
+from atoll_core.expression.program import (
+    MAX_NODES,
+    Expression,
+    Program,
+    ProgramBuilder,
+    constant_places,
+    dependent_nodes,
+    variables_of,
+)
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import did_you_mean
 
@@ -74,8 +83,8 @@ class Unknown:
     variables: tuple[str, ...] | None = None
 
 
-Parameter = TemplateParameter
-
+ZERO: Final = Program.of([(CONSTANT, 0, 0, 0.0)])
+"""The program that stands for an unknown part that is not known yet."""
 Place = tuple[int, int]
 """A constant: (equation, node in this equation)."""
 
@@ -109,13 +118,17 @@ class EquationTemplate:
         unknowns: the unknowns (U).
         sides: by equation, programs over variables, then parameters, then unknowns.
         texts: the sides as the user wrote them, by equation.
+        observed: the columns, among the keys of `sides`, whose sides are measured values and no derivatives.
+        equations: names of the equations (D) of the system that is composed, see `for_equations`.
     """
 
     names: tuple[str, ...]
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[TemplateParameter, ...]
     unknowns: tuple[Unknown, ...]
     sides: Mapping[str, Program]
     texts: Mapping[str, str] = field(default_factory=dict)
+    observed: tuple[str, ...] = ()
+    equations: tuple[str, ...] = ()
 
     @property
     def starts(self) -> FloatArray:
@@ -137,23 +150,57 @@ class EquationTemplate:
         used = set() if side is None else variables_of(side)
         return [place for place, _ in enumerate(self.parameters) if len(self.names) + place in used]
 
-    def for_equations(self, equations: Sequence[str]) -> "Template | None":
-        """Return the part of the template that belongs to these equations; None if it has no side of them.
+    def for_equations(self, equations: Sequence[str]) -> "EquationTemplate | None":
+        """Return the template of the system of these equations; None if it has no side of them.
 
         The parameters stay the same, so that their values keep their order.
         """
         sides = {name: side for name, side in self.sides.items() if name in equations}
-        return Template(self.names, self.parameters, self.unknowns, sides, self.texts) if sides else None
+        return replace(self, sides=sides, equations=tuple(equations)) if sides else None
 
-    def compose(self, equations: Sequence[str], slots: Sequence[Program], values: FloatArray) -> Composition:
-        """Return the right-hand sides of these equations (D).
+    def unknowns_in(self, equation: str) -> list[int]:
+        """Return the indices of the unknowns in the side of this equation."""
+        first, side = len(self.names) + len(self.parameters), self.sides.get(equation)
+        return sorted(index - first for index in variables_of(side) if index >= first) if side is not None else []
+
+    def solved_for(self, equation: str, unknown: int) -> Program | None:
+        """Return the value of an unknown as a program, from the value of the left-hand side of this equation.
+
+        The program is over variables, parameters and unknowns as a side is; in the place of the unknown itself it has
+        the left-hand side. None if the side cannot be solved, since the unknown occurs twice, or inside a function that
+        has the same value for several arguments.
+        """
+        return _solve(self.sides[equation], len(self.names) + len(self.parameters) + unknown)
+
+    def first_program(self, equation: str) -> Program:
+        """Return the side of this equation with the start values of its parameters; its unknown parts are 0."""
+        return self.complete(equation, {}, self.starts)[0]
+
+    def complete(
+        self, equation: str, slots: Mapping[str, Program], values: FloatArray
+    ) -> tuple[Program, tuple[str | None, ...]]:
+        """Return one side, and the name of each of its constants that is a parameter (None: it has none).
 
         Args:
-            equations: names of the equations.
-            slots: for each equation, the program of its unknown or, without a side, of the whole right-hand side.
-                Programs of sides without an unknown of their own are ignored.
+            equation: the equation of the side.
+            slots: the programs of unknown parts, by home; missing ones are 0.
             values: values (P,) of the parameters.
         """
+        draft = _SideDraft(self, {**{unknown.home: ZERO for unknown in self.unknowns}, **slots}, values)
+        program = draft.compose(self.sides[equation])
+        names = {node: self.parameters[place].name for place, node in draft.parameters.items()}
+        return program, tuple(names.get(node) for node in constant_places(program))
+
+    def compose(self, slots: Sequence[Program], values: FloatArray) -> Composition:
+        """Return the right-hand sides of the equations (D).
+
+        Args:
+            slots: for each equation, the program of its unknown or, without a side, of the whole right-hand side.
+                Programs of sides without an unknown of their own are ignored, and may be missing at the end.
+            values: values (P,) of the parameters.
+        """
+        equations = self.equations
+        slots = [*slots, *[ZERO] * (len(equations) - len(slots))]
         by_equation = dict(zip(equations, slots, strict=True))
         places: list[dict[int, tuple[Place, ...]]] = [{} for _ in equations]
         parameters: list[tuple[Place, ...]] = [() for _ in self.parameters]
@@ -166,7 +213,7 @@ class EquationTemplate:
                 held.append(slot)
                 places[index] = {node: ((index, node),) for node in constant_places(slot)}
                 continue
-            draft = _Draft(self, by_equation, values)
+            draft = _SideDraft(self, by_equation, values)
             program = draft.compose(side)
             programs.append(program)
             fixed.append(frozenset(draft.literals))
@@ -182,13 +229,66 @@ class EquationTemplate:
         return Composition(tuple(programs), tuple(fixed), tuple(held), tuple(places), tuple(parameters))
 
 
-Template = EquationTemplate
+def _solve(side: Program, variable: int) -> Program | None:
+    """Return the inverse of `side` as a function of this variable, which occurs once; None if there is none.
+
+    The operators on the way from the output to the variable are undone one after another.
+    """
+    nodes = side.nodes()
+    leaves = [place for place, node in enumerate(nodes) if node[:2] == (VARIABLE, variable)]
+    depends = dependent_nodes(nodes, leaves)
+    builder = ProgramBuilder()
+    places = builder.copy(nodes)
+    value, place = builder.add(VARIABLE, variable), len(nodes) - 1
+    while nodes[place][:2] != (VARIABLE, variable):
+        code, left, right, _ = nodes[place]
+        is_left = depends[left]
+        if ARITY[code] == 2 and is_left and depends[right]:
+            return None
+        if ARITY[code] == 1:
+            undone = _UNDONE.get(code)
+        else:
+            undone = _UNDONE_LEFT.get(code) if is_left else _UNDONE_RIGHT.get(code)
+        if undone is None:
+            return None
+        other = 0 if ARITY[code] == 1 else places[right if is_left else left]
+        value = builder.build(undone(value, other))
+        place = left if ARITY[code] == 1 or is_left else right
+    return builder.program(value)
 
 
-class _Draft:
+_Undo = Callable[[int, int], Expression]
+"""Returns the argument of an operator, from the operator's value and its other argument."""
+_UNDONE: Final[Mapping[int, _Undo]] = {
+    op.NEGATE: lambda value, _: (op.NEGATE, value),
+    op.INVERSE: lambda value, _: (op.INVERSE, value),
+    op.EXP: lambda value, _: (op.LOG, value),
+    op.LOG: lambda value, _: (op.EXP, value),
+    op.SQRT: lambda value, _: (op.SQUARE, value),
+    op.TANH: lambda value, _: (
+        op.MULTIPLY, 0.5, (op.LOG, (op.DIVIDE, (op.ADD, 1.0, value), (op.SUBTRACT, 1.0, value))),
+    ),
+}  # fmt: skip
+_UNDONE_LEFT: Final[Mapping[int, _Undo]] = {
+    op.ADD: lambda value, other: (op.SUBTRACT, value, other),
+    op.SUBTRACT: lambda value, other: (op.ADD, value, other),
+    op.MULTIPLY: lambda value, other: (op.DIVIDE, value, other),
+    op.DIVIDE: lambda value, other: (op.MULTIPLY, value, other),
+    op.POW: lambda value, other: (op.POW, value, (op.INVERSE, other)),
+}
+_UNDONE_RIGHT: Final[Mapping[int, _Undo]] = {
+    op.ADD: lambda value, other: (op.SUBTRACT, value, other),
+    op.SUBTRACT: lambda value, other: (op.SUBTRACT, other, value),
+    op.MULTIPLY: lambda value, other: (op.DIVIDE, value, other),
+    op.DIVIDE: lambda value, other: (op.DIVIDE, other, value),
+    op.POW: lambda value, other: (op.DIVIDE, (op.LOG, value), (op.LOG, other)),
+}
+
+
+class _SideDraft:
     """One side while it is composed: where its literals, parameters and constants of unknowns are."""
 
-    def __init__(self, template: Template, slots: Mapping[str, Program], values: FloatArray) -> None:
+    def __init__(self, template: EquationTemplate, slots: Mapping[str, Program], values: FloatArray) -> None:
         self._template, self._slots, self._values = template, slots, values
         self._builder = ProgramBuilder()
         self.literals: set[int] = set()
@@ -205,6 +305,8 @@ class _Draft:
                 new.append(self._leaf(left))
             else:
                 new += self._builder.copy([(code, left, right, value)], new)[len(new) :]
+        if new[-1] != len(self._builder.nodes) - 1:  # the output is a node that was there before
+            self._builder.append(*self._builder.nodes[new[-1]])
         return Program.of(self._builder.nodes)
 
     def _leaf(self, index: int) -> int:
@@ -227,8 +329,9 @@ class _Draft:
 
 
 def read_template(
-    sides: Mapping[str, str], parameters: Mapping[str, Parameter], names: Sequence[str], option: str = "--equation"
-) -> Template:
+    sides: Mapping[str, str], parameters: Mapping[str, TemplateParameter], names: Sequence[str],
+    observed: Collection[str] = (),
+) -> EquationTemplate:  # fmt: skip
     """Return the template of these sides.
 
     Args:
@@ -236,33 +339,29 @@ def read_template(
         parameters: parameters with bounds or start values, by name. Other names that occur in the sides are parameters
             without bounds.
         names: the symbols of the variables.
-        option: how the user's option is called in messages.
+        observed: the keys of `sides` that are measured columns, and not equations. Their sides have no unknowns.
 
     Raises:
         UsageError: a side cannot be read, a parameter is not used or has the name of a variable, an unknown occurs
             twice in a side, a side has several unknowns of its own, or an unknown has the same number but other
             variables. The message is a sentence for the user.
     """
-    found: dict[str, Parameter] = {}
+    option = "--equation"
+    found: dict[str, TemplateParameter] = {}
     labels: dict[str, _Occurrences] = {}
     for equation, text in sides.items():
-        for name in _names_in(_without_unknowns(text, f"{option} for '{equation}'")):
+        what = f"--observe for '{equation}'" if equation in observed else f"{option} for '{equation}'"
+        if equation in observed and "?" in text:
+            raise UsageError(f"{what} has an unknown part, which is possible in equations only; write a parameter")
+        for name in _names_in(_without_unknowns(text, what)):
             if name not in names and name not in _RESERVED:
-                _check_parameter_name(name, names, parameters, f"{option} for '{equation}'")
-                found.setdefault(name, parameters.get(name, Parameter(name)))
+                _check_parameter_name(name, names, parameters, what)
+                found.setdefault(name, parameters.get(name, TemplateParameter(name)))
         for match in _UNKNOWN.finditer(text):
             label = f"?{match['number']}" if match["number"] else f"? of {equation}"
             occurrences = labels.setdefault(label, _Occurrences())
             occurrences.add(equation, _arguments(match, names, f"{option} for '{equation}'"), f"{option}: {label}")
-    unused = next((name for name in parameters if name not in found), None)
-    if unused is not None:
-        if unused in names:
-            raise UsageError(f"--parameter {unused} has the name of a column; choose another name")
-        known = ", ".join(found) or "none"
-        raise UsageError(
-            f"--parameter {unused} occurs in no {option}; the parameters there are: {known}"
-            f"{did_you_mean(unused, list(found))}"
-        )
+    _check_used(parameters, found, names, option)
     unknowns = _place_unknowns(labels, option)
     letters = [_LETTER + unknown.label[1:].split(" ")[0] for unknown in unknowns]
     programs = {}
@@ -275,13 +374,28 @@ def read_template(
             programs[equation] = from_infix(_with_letters(text), [*names, *found, *own])
         except UsageError as error:
             sentence = re.sub(f", {_LETTER}{_LETTER}\\d+", "", str(error)).replace(_LETTER, "?")
+            option = "--observe" if equation in observed else option
             raise UsageError(f"{option} for '{equation}': {sentence}") from error
         if len(programs[equation]) > MAX_NODES // 2:
             most = MAX_NODES // 2
             raise UsageError(
                 f"{option} for '{equation}' has {len(programs[equation])} parts; at most {most} are possible"
             )
-    return Template(tuple(names), tuple(found.values()), unknowns, programs, dict(sides))
+    return EquationTemplate(tuple(names), tuple(found.values()), unknowns, programs, dict(sides), tuple(observed))
+
+
+def _check_used(parameters: Collection[str], found: Collection[str], names: Sequence[str], option: str) -> None:
+    """Refuse a parameter that occurs in no side."""
+    unused = next((name for name in parameters if name not in found), None)
+    if unused is None:
+        return
+    if unused in names:
+        raise UsageError(f"--parameter {unused} has the name of a column; choose another name")
+    known = ", ".join(found) or "none"
+    raise UsageError(
+        f"--parameter {unused} occurs in no {option}; the parameters there are: {known}"
+        f"{did_you_mean(unused, list(found))}"
+    )
 
 
 @dataclass
@@ -362,7 +476,9 @@ def _arguments(match: re.Match[str], names: Sequence[str], what: str) -> tuple[s
     return texts
 
 
-def _check_parameter_name(name: str, names: Sequence[str], parameters: Mapping[str, Parameter], what: str) -> None:
+def _check_parameter_name(
+    name: str, names: Sequence[str], parameters: Mapping[str, TemplateParameter], what: str
+) -> None:
     """Refuse a name that is not declared and looks like a misspelt variable."""
     similar = did_you_mean(name, names)
     if name not in parameters and similar:

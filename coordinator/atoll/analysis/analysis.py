@@ -331,7 +331,9 @@ def as_data(analysis: Analysis) -> dict[str, object]:
             "states": field.states,
             "inputs": dict(zip(field.inputs, analysis.inputs, strict=True)),
             "box": {name: ends for name, *ends in zip(field.states, box.lower, box.upper, strict=True)},
-            "parameters": [attributes(constant, "name", "variable", "value") for constant in field.parameters],
+            "parameters": [
+                attributes(constant, "name", "variable", "value") for constant in field.named_parameters.values()
+            ],
             "unit_coefficients": analysis.coefficients.units,
             "fixed_points": [_fixed_point_data(point) for point in fixed.points],
             "fixed_sets": [
@@ -414,7 +416,7 @@ def _continuation_data(analysis: Analysis) -> dict[str, object] | None:
     parameter = analysis.continuation_parameter
     if parameter is None:
         return None
-    named = {constant.name: constant.variable for constant in analysis.field.parameters}
+    named = {constant.name: constant.variable for constant in analysis.field.named_parameters.values()}
     return {
         "parameter": {"name": parameter.name, "variable": named.get(parameter.name), "value": parameter.value},
         "branches": [

@@ -136,7 +136,7 @@ class Coefficients:
             programs.append(separate)
             origins += [None if origin is None else begin + origin for origin in own]
             begin += len(constant_places(program))
-        return cls(field, replace(field, programs=tuple(programs)), tuple(origins))
+        return cls(field, replace(field, programs=tuple(programs), constant_names=()), tuple(origins))
 
     @cached_property
     def units(self) -> tuple[str, ...]:
@@ -175,14 +175,17 @@ class Coefficients:
     def _indices(self, name: str) -> list[int]:
         """Return the parameters of `explicit` by name: all uses of one constant, or the coefficient of one term."""
         constants = self.field.parameters
-        origin = next((place for place, known in enumerate(constants) if name in (known.name, str(place + 1))), None)
-        if origin is not None:
-            return [index for index, own_origin in enumerate(self.origins) if own_origin == origin]
+        named = [place for place, known in enumerate(constants) if known.name == name and name]
+        numbered = [place for place, known in enumerate(constants) if str(place + 1) == name and known.name]
+        if named or numbered:
+            return [index for index, origin in enumerate(self.origins) if origin in (named or numbered)]
         indices = self._term_indices(name)
         if len(indices) == 1:
             return indices
         fault = f"'{name}' occurs in several equations" if indices else f"there is no parameter '{name}'"
-        known = ", ".join(f"{constant.name} = {constant.value:g} of {constant.variable}" for constant in constants)
+        known = ", ".join(
+            f"{name} = {one.value:g} of {one.variable}" for name, one in self.field.named_parameters.items()
+        )
         others = [*self.units, *self.field.inputs]
         more = f"; you can also vary {', '.join(others)}" if others else ""
         raise UsageError(f"{fault}; the model has {known or 'no constants'}{more}")

@@ -24,7 +24,8 @@ class Discoverer:
     """Finds the equations of motion of measured states; takes the options of `atoll.discover`.
 
     After `fit`: `model_` is the `atoll.Model`, `equations_` has its right-hand sides by state, `front_` has the best
-    expression of each size with its errors by state, `feature_names_in_` has the names of states and inputs,
+    expression of each size with its errors by state, `parameters_` has the values of the parameters of a template by
+    name, `feature_names_in_` has the names of states and inputs,
     `n_features_in_` is the number of states.
     """
 
@@ -100,6 +101,14 @@ class Discoverer:
             equation.variable: [member.model_dump(mode="json") for member in equation.front] for equation in equations
         }
 
+    @property
+    def parameters_(self) -> dict[str, float]:
+        """The fitted values of the parameters of a template, by name; empty without a template."""
+        model = self._model
+        given = [equation.given for equation in model.equations if equation.given is not None]
+        names = {name for side in given for name in side.parameters}
+        return {name: one.value for name, one in model.params.items() if name in names}
+
     def equations(self, precision: int = DIGITS) -> list[str]:
         """Return the right-hand sides, with constants of `precision` significant digits."""
         from atoll_core.expression.text.infix import to_infix
@@ -107,7 +116,8 @@ class Discoverer:
 
         names = list(self._model.result.names)
         return [
-            to_infix(from_infix(equation.exact, names), names, digits=precision) for equation in self._model.equations
+            to_infix(from_infix(equation.exact, names), names, digits=precision, is_given=equation.given is not None)
+            for equation in self._model.equations
         ]
 
     def print(self, precision: int = DIGITS) -> None:

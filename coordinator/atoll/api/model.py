@@ -92,6 +92,7 @@ class Model(ModelCore):
         t: npt.ArrayLike | float | None = None,
         u: GivenInputs = None,
         *,
+        parameters: Mapping[str, float] | None = None,
         has_bands: bool = True,
         group: object = None,
         paths: None = None,
@@ -105,6 +106,7 @@ class Model(ModelCore):
         t: npt.ArrayLike | float | None = None,
         u: GivenInputs = None,
         *,
+        parameters: Mapping[str, float] | None = None,
         has_bands: bool = True,
         group: object = None,
         paths: int,
@@ -117,6 +119,7 @@ class Model(ModelCore):
         t: npt.ArrayLike | float | None = None,
         u: GivenInputs = None,
         *,
+        parameters: Mapping[str, float] | None = None,
         has_bands: bool = True,
         group: object = None,
         paths: int | None = None,
@@ -134,6 +137,7 @@ class Model(ModelCore):
                 begins at the first measured time. None: the times of the first trajectory.
             u: inputs by name: numbers, arrays (N,) at the times `t`, or functions of time; or an array (N, U), or a
                 function of time that returns U numbers. Leave out an input that is the time itself.
+            parameters: other values of constants, by their names in `params`; the simulation then has no bands.
             has_bands: whether standard errors of the constants, if known, are propagated to 95 % bands.
             group: the group of trajectories whose constants are used, one of `groups`; required if constants differ.
             paths: for a stochastic process, the number of paths to draw; returns an `Ensemble`. None: integrate only
@@ -148,6 +152,8 @@ class Model(ModelCore):
         model.require_one_group()
         if paths is not None:
             process_of(model)
+            if parameters:
+                raise UsageError("paths are drawn with the constants of the model; leave out parameters")
         field, times, start = model.field, times_of(model, t), start_of(model, x0)
         inputs = inputs_along(model, u, times, recorded_inputs(model) if x0 is None else {})
         remark = "" if x0 is None else _outside_range(model, start, None if u is None else inputs, float(times[0]))
@@ -155,7 +161,11 @@ class Model(ModelCore):
             warnings.warn(remark, ExtrapolationWarning, stacklevel=2)
         if paths is not None:
             return ensemble_of(model, start, times, inputs, (paths, seed))
-        errors = model.joint_errors if has_bands else None
+        if parameters:
+            field = field.with_values(
+                {name: number(value, f"the parameter {name}") for name, value in parameters.items()}
+            )
+        errors = model.joint_errors if has_bands and not parameters else None
         bands = None if errors is None else (errors, quantile(LEVEL, model.degrees_of_freedom))
         simulation = replace(simulate(field, start, times, inputs, bands), time=model.time, remark=remark)
         if len(simulation.t) < len(times):

@@ -308,6 +308,11 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("only", "data.only", names, "x", "search only these equations; they may use all states"),
         Option("offsets", "data.offsets", names, "x", "states with an unknown offset, fitted for each trajectory"),
         Option("step", "data.step", number, "0.1", "time between rows, if no column has times"),
+        Option("hidden", "data.hidden", names, "h", "states of given equations that no column measures"),
+        Option(
+            "observe", "data.observe", partial(by_equation, example="y=a*h + b", noun="the column"), "y=a*h + b",
+            "a column that is no state, as an expression of states and parameters", is_repeatable=True,
+        ),
         Option("sheet", "data.sheet", text, "NAME", "sheet of an Excel workbook (default: the first with a table)"),
         Option("missing", "data.missing", text, "refuse|drop", "what to do with NaN and infinity (default: refuse)"),
         Option(
@@ -371,6 +376,11 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
             "parameter", "prior.parameters", parameters, '"c=1 in 0.1..10"',
             "start value, bounds, or both, of a parameter in --equation (also c=1, c=0.., c=..10); 'by group' at the "
             "end: each group has its own value", is_repeatable=True,
+        ),
+        Option(
+            "initial", "prior.initial", parameters, "h=0..10",
+            "value of a state of given equations at the first row of each trajectory (h=10), or bounds on it",
+            is_repeatable=True,
         ),
         Option("islands", "evolution.islands", whole, "K", "islands per state variable (default: 8)"),
         Option("max_size", "space.max_size", whole, "N", "largest complexity of an equation (default: no limit)"),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from atoll.export.formats import latex_lines
 from atoll.model.equations import unit_text
+from atoll.model.given_sides import NamedSide, named_side
 from atoll.terminal.output import table
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.export import left_side_to_mathml, to_mathml
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from atoll.model.equations import Parameter
 
 _MATH: Final = '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">'
+_BRACE: Final = '<munder><munder><mrow>{}</mrow><mo stretchy="true">\u23df</mo></munder><mtext>{}</mtext></munder>'
 _HEADS: Final = ("constant", "value", "standard error", "95 % interval", "equation of")
 
 
@@ -60,7 +62,10 @@ def sympy_expressions(model: "ModelCore") -> "dict[str, sympy.Expr]":
 def mathml(model: "ModelCore") -> str:
     """Return the equations as the rows of a table in presentation MathML."""
     names = model.result.names
-    parts = [_mathml_parts(equation.lhs, equation.variable, equation.expression, names) for equation in model.equations]
+    parts = [
+        _mathml_parts(equation.lhs, equation.variable, equation.exact, names, named_side(equation, names))
+        for equation in model.equations
+    ]
     rows = (_row("mtr", "mtd", cells) for cells in parts)
     return f"{_MATH}<mtable>{''.join(rows)}</mtable></math>"
 
@@ -84,17 +89,28 @@ def _row(row: str, cell: str, contents: Iterable[str]) -> str:
     return f"<{row}>{''.join(f'<{cell}>{content}</{cell}>' for content in contents)}</{row}>"
 
 
-def equation_mathml(lhs: str, variable: str, expression: str, names: Sequence[str]) -> str:
+def equation_mathml(
+    lhs: str, variable: str, expression: str, names: Sequence[str], side: NamedSide | None = None
+) -> str:
     """Return one equation as MathML (presentation); `expression` is its right-hand side over `names`.
 
-    A left-hand side that is the `variable` itself is a name, even if it reads like a derivative.
+    A left-hand side that is the `variable` itself is a name, even if it reads like a derivative. A given `side` has its
+    parameters by name, and a brace below its unknown parts.
     """
-    return f"{_MATH}<mrow>{''.join(_mathml_parts(lhs, variable, expression, names))}</mrow></math>"
+    return f"{_MATH}<mrow>{''.join(_mathml_parts(lhs, variable, expression, names, side))}</mrow></math>"
 
 
-def _mathml_parts(lhs: str, variable: str, expression: str, names: Sequence[str]) -> tuple[str, str, str]:
-    side = left_side_to_mathml(lhs, is_name=lhs == variable)
-    return side, "<mo>=</mo>", to_mathml(from_infix(expression, names), names)
+def _mathml_parts(
+    lhs: str, variable: str, expression: str, names: Sequence[str], side: NamedSide | None
+) -> tuple[str, str, str]:
+    left = left_side_to_mathml(lhs, is_name=lhs == variable)
+    if side is None:
+        return left, "<mo>=</mo>", to_mathml(from_infix(expression, names), names)
+    parts = {
+        place: _BRACE.format(to_mathml(part, names, is_given=True), side.names[place])
+        for place, part in side.parts.items()
+    }
+    return left, "<mo>=</mo>", to_mathml(side.program, side.variables, is_given=True, parts=parts)
 
 
 def _cells(constant: "Parameter") -> tuple[str, ...]:

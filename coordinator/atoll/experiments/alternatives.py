@@ -98,7 +98,12 @@ def _weigh(fits: Sequence[tuple[EquationSetFit, str]]) -> tuple[WeightedSystem, 
     rivals = []
     for (nats, fitted, origin), share in zip(kept, shares, strict=True):
         constant_nats = constant_nats_of(float(fitted.measured.rows))
-        length = system_length(fitted.misfit, fitted.equations.programs, len(fitted.values), constant_nats)
+        length = system_length(
+            fitted.misfit,
+            fitted.equations.written_sides,
+            len(fitted.values),
+            constant_nats,
+        )
         rivals.append(WeightedSystem(fitted, origin, nats - least, share, length))
     return tuple(rivals)
 
@@ -139,10 +144,10 @@ def _systems(result: Result, measured: FitData, displayed: EquationSet) -> Itera
     """Yield systems in which one or two of the displayed equations are replaced."""
     options: list[tuple[int, Program, str]] = []
     for place, entry in enumerate(result.equations):
-        if place in displayed.fixed:
+        if place in displayed.fixed or not displayed.is_searched(place):
             continue
         others = sorted(
-            (candidate.nats, candidate.expression)
+            (candidate.nats, candidate.unknown or candidate.expression)
             for candidate in entry.candidates
             if not candidate.selected and candidate.nats is not None and candidate.nats <= _LONGEST
         )
@@ -151,11 +156,11 @@ def _systems(result: Result, measured: FitData, displayed: EquationSet) -> Itera
             (place, program, "denominator") for program in without_poles(displayed.programs[place], displayed, measured)
         ]
     for place, program, origin in options:
-        yield displayed.with_equation(place, program), origin
+        yield displayed.with_searched(place, program), origin
     pairs = (pair for pair in combinations(options, 2) if pair[0][0] != pair[1][0])
     for (place, first, origin), (other, second, other_origin) in islice(pairs, max(_MOST_FITTED - len(options), 0)):
         origins = " and ".join(sorted({origin, other_origin}))
-        yield displayed.with_equation(place, first).with_equation(other, second), origins
+        yield displayed.with_searched(place, first).with_searched(other, second), origins
 
 
 def without_poles(program: Program, equations: EquationSet, measured: FitData) -> Iterator[Program]:
@@ -212,12 +217,12 @@ def _with_denominator(program: Program, index: int, divisor: int, constant: floa
 def _has_pole(fitted: EquationSetFit) -> bool:
     """Tell whether the fit gave a constant in a denominator the other sign, so that the denominator can be 0."""
     programs = fitted.fit.system.programs[-len(fitted.equations.programs) :]
-    for before, after in zip(fitted.equations.explicit, programs, strict=True):
+    for before, after in zip(fitted.equations.sides, programs, strict=True):
         nodes = after.nodes()
         divisors = {right if code == DIVIDE else left for code, left, right, _ in nodes if code in (DIVIDE, INVERSE)}
         added = {place for divisor in divisors if nodes[divisor][0] == ADD for place in nodes[divisor][1:3]}
         for place in constant_places(after):
-            begun, ended = float(before.program.constants[place]), float(after.constants[place])
+            begun, ended = float(before.constants[place]), float(after.constants[place])
             if place in added and begun * ended <= 0.0:
                 return True
     return False

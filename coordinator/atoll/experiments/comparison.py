@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from atoll.experiments.alternatives import half_akaike, weigh_pair
-from atoll.experiments.fits import EquationSetFit, equations_of, fit_displayed, fit_equations, measured_of
+from atoll.experiments.fits import EquationSet, EquationSetFit, equations_of, fit_displayed, fit_equations, measured_of
 from atoll.experiments.suggestion import equations_text, which_of_two
 from atoll.model.core import ModelCore
 from atoll.model.equations import Parameter
@@ -176,6 +176,10 @@ def _forms(first: ModelCore, second: ModelCore) -> dict[str, str]:
             forms[equation.lhs] = "the same equation"
         elif structure(programs[0]) != structure(programs[1]):
             forms[equation.lhs] = "another form"
+        elif equation.given is not None and other.given is not None and equation.given.text != other.given.text:
+            forms[equation.lhs] = f"the same form, given as {equation.given.text} and as {other.given.text}"
+        elif (equation.given is None) is not (other.given is None):
+            forms[equation.lhs] = "the same form; one of the models has parts that the user gave"
         else:
             constants = [
                 [constant for constant in model.params.values() if constant.variable == equation.variable]
@@ -209,13 +213,7 @@ def most_errors(count: int) -> float:
 def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> DataComparison:
     _require_columns(holder, other)
     displayed = fit_displayed(measured_of(holder, table), holder)
-    texts = {equation.variable: equation.expression or "" for equation in other.equations}
-    equations = equations_of(holder)
-    for place, (variable, entry) in enumerate(zip(equations.variables, holder.equations, strict=True)):
-        program = from_infix(texts[variable], equations.names)
-        if program != from_infix(entry.expression or "", equations.names):
-            equations = equations.with_equation(place, program)
-    fitted = fit_equations(displayed.measured, equations, displayed.fit.starts)
+    fitted = fit_equations(displayed.measured, _equations_on_data_of(holder, other), displayed.fit.starts)
     if fitted is None:
         raise UsageError(
             "one model cannot be simulated along the data of the other model; compare them on different data"
@@ -223,6 +221,19 @@ def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -
     nats, longer = weigh_pair(displayed, fitted)
     source = displayed.measured.source.replace("the result", letter)
     return DataComparison(source, (_side(holder, displayed), _side(holder, fitted)), nats, longer)
+
+
+def _equations_on_data_of(holder: Result, other: Result) -> EquationSet:
+    """Return the equations of the other result over the symbols of `holder`, in the order of its equations."""
+    equations, own = equations_of(holder), equations_of(other)
+    if equations.given is not None or own.given is not None:
+        return own.over(equations.names, equations.variables)
+    texts = {equation.variable: equation.expression or "" for equation in other.equations}
+    for place, (variable, entry) in enumerate(zip(equations.variables, holder.equations, strict=True)):
+        program = from_infix(texts[variable], equations.names)
+        if program != from_infix(entry.expression or "", equations.names):
+            equations = equations.with_equation(place, program)
+    return equations
 
 
 def _observed_columns(model: ModelCore) -> frozenset[str]:

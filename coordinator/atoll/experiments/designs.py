@@ -109,7 +109,10 @@ class DesignPredictor:
         )  # fmt: skip
         reached = int(np.isfinite(simulated).all(axis=0).sum())
         by_all = gradients[:, measurements.observed] / self.sigmas[:, None]
-        spread = np.concatenate([by_all[..., :count] @ self.fitted.root, by_all[..., count:] * self.widths], axis=2)
+        root, sharing = self.fitted.root, fit.system.sharing
+        if sharing is not None:  # several constants are multiples of one fitted number
+            root = root[sharing.columns[0]] * sharing.multiples[:, None]
+        spread = np.concatenate([by_all[..., :count] @ root, by_all[..., count:] * self.widths], axis=2)
         return DesignPrediction(simulated[measurements.observed].T / self.sigmas, spread, reached)
 
 

@@ -20,16 +20,18 @@ from typing import Final, get_args
 
 import numpy as np
 
-from atoll.model.equations import differing_groups, match_constants, program_of
+from atoll.model.equations import differing_groups, match_constants, numbers_of
+from atoll.model.given_sides import ConstantSource, GivenSides, over_variables, program_of
 from atoll_coordinator.data.recording import Method, Recording, StateSmoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
+from atoll_coordinator.model.shooting.composed_system import composed_system
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, bounded_covariance
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import OdeSystem, system_of, variable_program
 from atoll_coordinator.result.base import Curve
-from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.equations import Constant, Equation
 from atoll_coordinator.result.findings import Errors, Noise
 from atoll_coordinator.result.listed_trajectories import Recorded, Smoothed
 from atoll_coordinator.result.result import Result
@@ -88,6 +90,9 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
     if kind != "dynamics":
         name = _OTHER_KINDS.get(str(kind), "a model of an unknown kind")
         raise UsageError(f"the result is {name}; only models of measured trajectories can be fitted again")
+    hidden = config_of(result).data.hidden
+    if hidden:
+        raise UsageError(f"the model has the hidden states {', '.join(hidden)}; such models are not fitted again yet")
     recording = _listed_recording(result) if table is None else _prepare_recording(result, table)
     rows = kept = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
     source = "the given data"
@@ -286,9 +291,9 @@ _TOLERANCE_OF_NOISE: Final = 1e-3
 class FreeConstant:
     """A constant that is fitted.
 
-    `name` is its name in `atoll.Model.params` (c1, c2, …). The name of an unwritten coefficient is `1 of` and its term.
-    `variable` is the state of its equation. `sign` is -1 if the text has a minus before it. `is_written`: the text
-    shows it.
+    `name` is its name in `atoll.Model.params` (c1, c2, …, or the name of a parameter). The name of an unwritten
+    coefficient is `1 of` and its term. `variable` is the state of its equation. `sign` is -1 if the text has a minus
+    before it. `is_written`: the text shows it.
     """
 
     name: str
@@ -304,6 +309,10 @@ class EquationSet:
     `explicit` are the same programs with unwritten coefficients of 1 as constants, unless `are_as_written`. The
     constants of `fixed` equations (by index) are not fitted. `bounds` has, by index of an equation, the user's bounds
     (lower, upper) on all its constants.
+
+    If the user gave sides with parameters or unknown parts, they are in `given`. The `programs` are then the searched
+    ones: unknown parts, and whole sides without an unknown part of their own. Numbers of the user's text are not
+    fitted, and a parameter, or a constant of an unknown part, is one number in all sides.
     """
 
     names: tuple[str, ...]
@@ -312,21 +321,68 @@ class EquationSet:
     fixed: frozenset[int]
     bounds: Mapping[int, tuple[tuple[float, float], ...]]
     are_as_written: bool = False
+    given: GivenSides | None = None
 
     @cached_property
     def explicit(self) -> tuple[ExplicitCoefficients, ...]:
-        """The programs with unwritten coefficients of 1 as constants; fixed and bounded programs are unchanged."""
-        kept = range(len(self.programs)) if self.are_as_written else {*self.fixed, *self.bounds}
+        """The programs with unwritten coefficients of 1 as constants; fixed and bounded programs are unchanged, and
+        sides in which nothing is searched."""
+        every = range(len(self.programs))
+        kept = {*self.fixed, *self.bounds, *(place for place in every if not self.is_searched(place))}
+        kept = {*every} if self.are_as_written else kept
         return tuple(
             as_written(program) if place in kept else make_coefficients_explicit(program)
             for place, program in enumerate(self.programs)
         )
 
+    def is_searched(self, place: int) -> bool:
+        """Tell whether the program of an equation was searched: the side is not given without an unknown part."""
+        return self.given is None or not self.given.template.is_given(self.variables[place])
+
+    @cached_property
+    def whole(self) -> GivenSides | None:
+        """The given sides with the explicit programs in their unknown parts."""
+        return None if self.given is None else self.given.with_slots([one.program for one in self.explicit])
+
+    @property
+    def sides(self) -> tuple[Program, ...]:
+        """The whole right-hand sides that are fitted, with unwritten coefficients of 1 as constants."""
+        return tuple(one.program for one in self.explicit) if self.whole is None else self.whole.programs
+
+    @property
+    def written_sides(self) -> tuple[Program, ...]:
+        """The whole right-hand sides as they are written."""
+        return self.programs if self.given is None else self.given.programs
+
     def with_equation(self, place: int, program: Program) -> "EquationSet":
-        """Return the same set with another equation at index `place`, which has no bounds."""
+        """Return the same set with another equation at index `place`, which has no bounds, and is not a given side."""
+        if self.given is None or not self.given.is_given(place):
+            return self.with_searched(place, program)
+        given, changed = self.given.without_side(place, program), self.with_searched(place, program)
+        return replace(changed, given=given, programs=changed.programs if given is None else given.slots)
+
+    def with_searched(self, place: int, program: Program) -> "EquationSet":
+        """Return the same set with another searched program at index `place`, which has no bounds."""
         bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
         programs = (*self.programs[:place], program, *self.programs[place + 1 :])
-        return replace(self, programs=programs, bounds=bounds, are_as_written=False)
+        given = None if self.given is None else self.given.with_slots(programs)
+        return replace(self, programs=programs, bounds=bounds, are_as_written=False, given=given)
+
+    def over(self, names: tuple[str, ...], variables: Sequence[str]) -> "EquationSet":
+        """Return the same equations over other symbols, and in the order of other `variables`."""
+        order = [self.variables.index(variable) for variable in variables]
+        places = [names.index(name) if name in names else -1 for name in self.names]
+        given = None if self.given is None else self.given.over(names, variables)
+        programs = tuple(over_variables(self.programs[place], places) for place in order)
+        return replace(
+            self,
+            names=names,
+            variables=tuple(variables),
+            programs=programs if given is None else given.slots,
+            fixed=frozenset(place for place, old in enumerate(order) if old in self.fixed),
+            bounds={place: self.bounds[old] for place, old in enumerate(order) if old in self.bounds},
+            given=given,
+        )
 
     def system(self, measurements: TrajectoryMeasurements, order: int) -> OdeSystem:
         """Return the system of the explicit programs; for order 2, the rates of the positions are the velocities."""
@@ -334,6 +390,8 @@ class EquationSet:
         count = len(programs) if order == 2 else 0
         velocities = measurements.variables[count : 2 * count]
         leading = [variable_program(self.names.index(name)) for name in velocities]
+        if self.whole is not None:
+            return self._composed_system(self.whole, measurements.variables, leading)
         fixed = [set[int]() for _ in range(count + len(programs))]
         for place in self.fixed:
             fixed[count + place].update(constant_places(programs[place]))
@@ -348,19 +406,42 @@ class EquationSet:
         lower, upper = np.array(ends).reshape(-1, 2).T.copy()
         return replace(system, lower=lower, upper=upper)
 
+    def _composed_system(self, whole: GivenSides, variables: Sequence[str], leading: Sequence[Program]) -> OdeSystem:
+        places = [[*constant_places(explicit.program)] for explicit in self.explicit]
+        bounds = {
+            there: self.bounds[home][number]
+            for home in self.bounds
+            for number, node in enumerate(places[home])
+            for there in whole.composition.places[home].get(node, ())
+        }
+        fixed = [set(nodes) if place in self.fixed else set[int]() for place, nodes in enumerate(places)]
+        return composed_system(whole.template, whole.composition, self.names, variables, leading, fixed, bounds)
+
 
 def equations_of(result: Result) -> EquationSet:
     """Return the displayed equations of a result."""
-    names, entries = result.names, result.equations
-    programs = tuple(program_of(equation, names) for equation in entries)
-    fixed = frozenset(place for place, equation in enumerate(entries) if equation.origin == "known")
-    ends = {place: _bounds(equation) for place, equation in enumerate(entries)}
+    names, entries, given = result.names, result.equations, GivenSides.of(result)
+    programs = tuple(program_of(equation, names) for equation in entries) if given is None else given.slots
+    fixed = frozenset(
+        place
+        for place, equation in enumerate(entries)
+        if equation.origin == "known" and (given is None or not given.is_given(place))
+    )
+    ends = {place: _bounds(_searched_constants(equation, place, given)) for place, equation in enumerate(entries)}
     bounds = {place: pairs for place, pairs in ends.items() if pairs and place not in fixed}
-    return EquationSet(names, tuple(equation.variable for equation in entries), programs, fixed, bounds)
+    return EquationSet(names, tuple(equation.variable for equation in entries), programs, fixed, bounds, given=given)
 
 
-def _bounds(equation: Equation) -> tuple[tuple[float, float], ...]:
-    ends = [constant.bounds or (None, None) for constant in equation.constants]
+def _searched_constants(equation: Equation, place: int, given: GivenSides | None) -> list[Constant]:
+    """Return the constants of the program that was searched for an equation."""
+    if given is None or not given.is_given(place):
+        return [*equation.constants]
+    sources = zip(equation.constants, given.sources(place), strict=True)
+    return [constant for constant, source in sources if source.home == place]
+
+
+def _bounds(constants: Sequence[Constant]) -> tuple[tuple[float, float], ...]:
+    ends = [constant.bounds or (None, None) for constant in constants]
     if not any(end is not None for pair in ends for end in pair):
         return ()
     return tuple((-math.inf if low is None else low, math.inf if high is None else high) for low, high in ends)
@@ -368,8 +449,10 @@ def _bounds(equation: Equation) -> tuple[tuple[float, float], ...]:
 
 def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, ...]:
     """Return the fitted constants in the order of the system, with the names in the texts of the result."""
+    called = {variable: [number.name for number in numbers] for variable, numbers in numbers_of(result).items()}
+    if equations.given is not None:
+        return _constants_of_sides(equations, equations.given, called)
     constants: list[FreeConstant] = []
-    taken = 0
     for place, (variable, explicit) in enumerate(zip(equations.variables, equations.explicit, strict=True)):
         program = equations.programs[place]
         values = program.constants[constant_places(program)].tolist()
@@ -383,11 +466,42 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
                 constants.append(FreeConstant(f"1 of {of} (d{variable})", variable, 1.0, False))
                 continue
             number = numbers[origin]
-            name = f"c{taken + number + 1}" if number is not None else f"{values[origin]:.4g} (d{variable})"
+            name = called[variable][number] if number is not None else f"{values[origin]:.4g} (d{variable})"
             sign = 1.0 if number is None or values[origin] * displayed[number] >= 0.0 else -1.0
             constants.append(FreeConstant(name, variable, sign, True))
-        taken += len(displayed)
     return tuple(constants)
+
+
+def _constants_of_sides(
+    equations: EquationSet, given: GivenSides, called: Mapping[str, Sequence[str]]
+) -> tuple[FreeConstant, ...]:
+    """Return the fitted constants of equations with given sides. `called` has the names of all numbers by variable."""
+    whole = equations.whole
+    assert whole is not None
+    written = {
+        source: name
+        for place, variable in enumerate(equations.variables)
+        for source, name in zip(given.sources(place), called[variable], strict=True)
+    }
+    constants: dict[ConstantSource, FreeConstant] = {}
+    for place, variable in enumerate(equations.variables):
+        for source in whole.sources(place) if place not in equations.fixed else ():
+            if source in constants or (source.parameter is None and source.home is None):
+                continue
+            if source.home is None:
+                constants[source] = FreeConstant(written[source], variable, 1.0, True)
+                continue
+            explicit, home = equations.explicit[source.home], equations.variables[source.home]
+            number = constant_places(explicit.program).index(source.place)
+            origin = explicit.origins[number]
+            if origin is None:
+                term = explicit.terms[explicit.origins[:number].count(None)]
+                of = to_infix(term, equations.names, digits=4)
+                constants[source] = FreeConstant(f"1 of {of} (d{home})", home, 1.0, False)
+            else:
+                before = ConstantSource(None, source.home, constant_places(equations.programs[source.home])[origin])
+                constants[source] = FreeConstant(written[before], home, 1.0, True)
+    return tuple(constants.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -413,9 +527,12 @@ class EquationSetFit:
 
     def texts(self, result: Result) -> dict[str, str]:
         """Return the fitted right-hand sides with rounded constants, by the left-hand sides of a result."""
+        names, given = self.equations.names, self.equations.given
         programs = self.fit.system.programs[-len(self.equations.programs) :]
-        pairs = zip(result.equations, programs, strict=True)
-        return {equation.lhs: to_infix(program, self.equations.names, digits=4) for equation, program in pairs}
+        return {
+            equation.lhs: to_infix(program, names, digits=4, is_given=given is not None and given.is_given(place))
+            for place, (equation, program) in enumerate(zip(result.equations, programs, strict=True))
+        }
 
     @cached_property
     def bounded_covariance(self) -> FloatArray:

@@ -30,6 +30,8 @@ from atoll_core.data.table import Table
 
 _LEVEL: Final = 0.01
 """Significance level at which one simulation is given up for several shorter ones."""
+_SHORTEST: Final = 3
+"""Rows of the shortest pieces of a fit. From the measured first state, a law may blow up within a few rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +102,7 @@ class KnownLaw:
         estimator = MultipleShooting(measurements, fitted.fit.estimator.tolerance)
         best = estimator.fit(fixed, None, steps, starts, errors, is_stiff=fitted.fit.is_stiff)
         if best is None or not _is_like_noise(best, measurements):
-            staged = fit_in_stages(estimator, fixed, (*SETTINGS.shooting.lengths[:2], None), steps)
+            staged = fit_in_stages(estimator, fixed, (_SHORTEST, *SETTINGS.shooting.lengths[:2], None), steps)
             if staged is not None:
                 staged = estimator.fit(fixed, None, steps, staged.starts, errors, is_stiff=staged.is_stiff)
             found = [fit for fit in (best, staged) if fit is not None]

@@ -599,7 +599,9 @@ class _Suggester:
         if system.origin == "shown":
             names = system.fitted.equations.names
             written = {
-                equation.lhs: to_infix(from_infix(equation.expression or "", names), names, digits=4)
+                equation.lhs: to_infix(
+                    from_infix(equation.expression or "", names), names, digits=4, is_given=equation.given is not None
+                )
                 for equation in displayed
             }
         others = {} if written == fitted else written

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.model.arguments import Given, inputs_along, recorded_inputs, require_inputs, start_of, times_of
-from atoll.model.equations import Parameter
+from atoll.model.equations import Parameter, numbers_of
+from atoll.model.given_sides import GivenSides
 from atoll.model.simulation import state_sizes
 from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_core import VERSION
@@ -157,7 +158,7 @@ def describe(
         symbols=model.result.names,
         states=states,
         inputs=inputs,
-        constants=tuple(parameter for parameter in model.params.values() if _is_named(parameter)),
+        constants=_constants(model),
         value=next(iter(formulas.values())) if model.is_regression else None,
         covariance={pair: formulas[name] for name, pair in components.items()},
         begin=float(times[0]),
@@ -171,6 +172,16 @@ def describe(
     )
 
 
+def _constants(model: "ModelCore") -> tuple[Parameter, ...]:
+    """Return the constants with a name; parameters of given sides always have one."""
+    given = _parameter_names(model)
+    return tuple(one for one in model.params.values() if one.name in given or _is_named(one))
+
+
+def _parameter_names(model: "ModelCore") -> set[str]:
+    return {name for equation in model.equations if equation.given is not None for name in equation.given.parameters}
+
+
 def _is_named(constant: Parameter) -> bool:
     """Tell whether a constant gets a name: an integer without a fitted error, such as the 2 in 2*x, gets none."""
     return constant.stderr is not None or constant.bounds is not None or not constant.value.is_integer()
@@ -178,13 +189,14 @@ def _is_named(constant: Parameter) -> bool:
 
 def _formulas(model: "ModelCore") -> dict[str, Formula]:
     """Return the right-hand sides by variable, with the names of constants in `Model.params`."""
-    formulas, count = {}, 0
-    for equation in model.equations:
-        program = from_infix(equation.exact, model.result.names)
-        names = {place: f"c{count + number}" for number, place in enumerate(constant_places(program), start=1)}
-        named = {place: name for place, name in names.items() if _is_named(model.params[name])}
-        formulas[equation.variable] = Formula(program, named)
-        count += len(names)
+    formulas, numbers, names = {}, numbers_of(model.result), model.result.names
+    known = {constant.name for constant in _constants(model)}
+    sides = GivenSides.of(model.result)
+    for place, equation in enumerate(model.equations):
+        is_given = sides is not None and sides.is_given(place)
+        program = sides.programs[place] if sides is not None and is_given else from_infix(equation.exact, names)
+        called = zip(constant_places(program), numbers[equation.variable], strict=True)
+        formulas[equation.variable] = Formula(program, {node: one.name for node, one in called if one.name in known})
     return formulas
 
 

@@ -6,7 +6,7 @@ These three are written from a result, which may be incomplete: equations that w
 import csv
 import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from atoll.export.description import Description, HeldInputs, Times, describe
@@ -14,10 +14,14 @@ from atoll.export.language import Language
 from atoll.export.languages import JULIA, MATLAB, MODELICA, PYTHON, XPPAUT, C
 from atoll.export.sbml import SBML
 from atoll.model.arguments import Given
-from atoll.model.equations import ConstantWords, constant_words, displayed_equation, remark_on_groups
+from atoll.model.equations import ConstantWords, constant_words, displayed_equation, given_words, remark_on_groups
+from atoll.model.given_sides import named_side, with_parameter_names
+from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.export import left_side_to_latex, to_latex, unit_to_latex
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.names import name_to_latex
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import enumerated
 
@@ -43,23 +47,38 @@ def as_csv(result: Result) -> str:
         origin = "known" if equation.why == "known" else "front"
         if equation.expression is not None:
             writer.writerow({**dict(equation), "shown": True})
+        unknown = next((part.label for part in equation.given.unknowns), "") if equation.given is not None else ""
+        sides["lhs"] = f"{unknown} in {equation.lhs}" if unknown else equation.lhs
         for number, member in enumerate(equation.front):
             writer.writerow({**dict(member), **sides, "pick": number, "shown": False, "origin": origin})
     return stream.getvalue().rstrip("\n")
 
 
 def as_sympy(result: Result) -> str:
-    """Return Python source with the symbols and a dictionary ``equations`` from left-hand side to expression."""
-    names = result.names
+    """Return Python source with the symbols and a dictionary ``equations`` from left-hand side to expression.
+
+    Parameters of given sides are symbols too; a dictionary ``parameters`` has their values.
+    """
+    parameters = {
+        name: equation.constants[place].value
+        for equation in result.equations
+        for name, place in (equation.given.parameters if equation.given is not None else {}).items()
+    }
+    names = (*result.names, *parameters)
     remark = remark_on_groups(result)
     lines = [f"# {remark}"] if remark else []
     lines += ["import sympy", "", f"names = {[*names]!r}", "symbols = {name: sympy.Symbol(name) for name in names}"]
     lines += ["equations = {"]
     for equation in result.equations:
         if equation.expression is not None:
-            parsed = f"sympy.parse_expr({equation.expression!r}, local_dict=symbols)"
+            expression = to_infix(*with_parameter_names(equation, result.names)) if parameters else equation.expression
+            parsed = f"sympy.parse_expr({expression!r}, local_dict=symbols)"
             lines.append(f"    {equation.lhs!r}: {parsed},")
-    return "\n".join([*lines, "}"])
+    lines.append("}")
+    if parameters:
+        values = ", ".join(f"symbols[{name!r}]: {value!r}" for name, value in parameters.items())
+        lines.append(f"parameters = {{{values}}}  # equations[...].subs(parameters)")
+    return "\n".join(lines)
 
 
 def as_latex(result: Result) -> str:
@@ -79,10 +98,29 @@ def latex_lines(result: Result) -> list[str]:
         left = left_side_to_latex(equation.lhs, is_name=equation.lhs == equation.variable)
         unit = displayed_equation(result, equation).unit
         unit = rf" \quad \left[{unit_to_latex(unit)}\right]" if unit else ""
-        lines.append(f"{left} &= {to_latex(from_infix(equation.expression, names), names)}{unit}")
-        constants = ",\\; ".join(map(_constant_latex, constant_words(equation.constants)))
+        given = given_words(equation, names)
+        lines.append(f"{left} &= {_side_latex(equation, names)}{unit}")
+        if given is not None and given.parameters:
+            values = ",\\; ".join(
+                f"{name_to_latex(name)} = {_constant_latex(words)}" for name, words in given.parameters.items()
+            )
+            lines.append(rf"&\quad {values}")
+        fitted = equation.constants if given is None else given.constants
+        constants = ",\\; ".join(map(_constant_latex, constant_words(fitted)))
         lines += [rf"&\quad \text{{constants: }} {constants}"] if constants else []
     return lines
+
+
+def _side_latex(equation: Equation, names: Sequence[str]) -> str:
+    """Return a right-hand side; a given side has its parameters by name, and a brace below its unknown parts."""
+    side = named_side(equation, names)
+    if side is None:
+        return to_latex(from_infix(equation.expression or "", names), names)
+    parts = {
+        place: rf"\underbrace{{{to_latex(part, names, is_given=True)}}}_{{{side.names[place]}}}"
+        for place, part in side.parts.items()
+    }
+    return to_latex(side.program, side.variables, is_given=True, parts=parts)
 
 
 def _constant_latex(words: ConstantWords) -> str:

@@ -18,12 +18,14 @@ from atoll.model.equations import (
     parameters_of,
     remark_on_groups,
 )
+from atoll.model.given_sides import GivenSides
 from atoll.model.vector_field import JointErrors, VectorField
 from atoll_coordinator.process_steps.moments import Pair
 from atoll_coordinator.result.equations import Candidate, Equation
 from atoll_coordinator.result.findings import InputKind
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
+from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import write_text
 
 
@@ -205,5 +207,15 @@ def _with_candidate(result: Result, place: int, other: Candidate) -> Result:
         **{name: getattr(replaced, name) for name in _SEARCH_FIELDS},
         is_of_all_groups=result.group is not None or bool(replaced.groups),
     )
+    sides = GivenSides.of(result)
+    if sides is not None and other.unknown is not None:
+        equations[place] = equations[place].model_copy(update={"given": replaced.given})
+        sides = sides.with_candidate(place, from_infix(other.unknown, result.names), other.parameters)
+        equations = [
+            sides.describe(equation, index, result.equations[index].constants)
+            if equation.given is not None
+            else equation
+            for index, equation in enumerate(equations)
+        ]
     unknown = {"covariance": None, "groups": (), "correlations": (), "shared_terms": (), "chaos": None}
     return result.model_copy(update={"equations": tuple(equations), **unknown})

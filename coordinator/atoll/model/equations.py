@@ -3,20 +3,26 @@
 The text of an equation contains numbers, and the result lists fitted constants. This module matches both by value. The
 names c1, c2, … count the numbers of all texts, in order. A number without a fitted constant has no error, such as the 2
 in 2*x, which stands for x + x.
+
+In a side that the user gave with ``--equation``, parameters keep their names, and numbers of the user's text have no
+name, since they are not fitted. Only constants of its unknown parts are counted, each once, even if they occur in
+several sides.
 """
 
+import itertools
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
+from atoll.model.given_sides import ConstantSource, GivenSides, program_of
 from atoll_coordinator.result.base import Pair
-from atoll_coordinator.result.equations import Constant, Equation, GroupEquation
+from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation
 from atoll_coordinator.result.findings import Group, Noise
 from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
-from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.program import constant_places
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
@@ -63,20 +69,23 @@ def displayed_equation(result: Result, equation: Equation) -> DisplayedEquation:
     if result.kind != "regression" and "/" in equation.lhs:
         both = (f"({name})" if _COMPOUND.search(name) else name for name in (above, below))
         unit = "/".join(both) + ("^2" if equation.lhs.startswith("d2") else "") if above and below else ""
-    displayed = {"expression": rounded(exact, result.names), "exact": exact, "unit": unit, "nats": equation.nats or 0.0}
+    texts = {"expression": side_text(equation, result.names), "exact": exact, "unit": unit}
+    displayed = {**texts, "nats": equation.nats or 0.0}
     return DisplayedEquation.model_construct(**(dict(equation) | displayed))
 
 
-def program_of(equation: Equation, names: Sequence[str]) -> Program:
-    """Return the program of a right-hand side over variables `names`: from the result, or else parsed from the text."""
-    if equation.program:
-        return Program.from_bytes(bytes.fromhex(equation.program), len(names))
-    return from_infix(equation.expression or "", names)
+def rounded(expression: str, names: Sequence[str], *, is_given: bool = False) -> str:
+    """Return an expression over these names with its constants rounded to `DIGITS`.
+
+    It is written in the shortest form; if the user gave it, its form stays the same.
+    """
+    return to_infix(from_infix(expression, names), names, digits=DIGITS, is_given=is_given)
 
 
-def rounded(expression: str, names: Sequence[str]) -> str:
-    """Return an expression over these names with its constants rounded to `DIGITS`."""
-    return to_infix(from_infix(expression, names), names, digits=DIGITS)
+def side_text(equation: Equation | GroupEquation, names: Sequence[str], *, is_given: bool | None = None) -> str:
+    """Return a right-hand side with rounded constants; `is_given` None: as the equation says."""
+    given = isinstance(equation, Equation) and equation.given is not None if is_given is None else is_given
+    return rounded(equation.expression or "", names, is_given=given)
 
 
 # ---------------------------------------------------------------------------------------------------------- constants
@@ -128,19 +137,22 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
     A constant that differs between groups of trajectories has a value for each: ``c1[strain 2]``.
     """
     label = result.data_settings.get("group") or "trajectory"
-    parameters: list[Parameter] = []
-    count = 0
+    parameters: dict[str, Parameter] = {}
+    numbers, has_sides = numbers_of(result), GivenSides.of(result) is not None
     for equation in result.equations:
-        by_group = [(f"[{label} {group.group}]", _numbers_in_text(group, result.names)) for group in equation.groups]
-        for place, (value, constant) in enumerate(_numbers_in_text(equation, result.names)):
-            count += 1
+        is_given = has_sides and equation.given is not None
+        by_group = [
+            (f"[{label} {group.group}]", _numbers_in(group, result.names, is_given=is_given))
+            for group in equation.groups
+        ]
+        for place, (name, value, constant) in enumerate(numbers[equation.variable]):
             values = [("", value, constant)]
             if by_group and (constant is None or constant.shared is False):
-                values = [(suffix, *numbers[place]) for suffix, numbers in by_group]
-            parameters += [
-                _parameter(f"c{count}{suffix}", equation.variable, number, known) for suffix, number, known in values
-            ]
-    return {parameter.name: parameter for parameter in parameters}
+                values = [(suffix, *listed[place]) for suffix, listed in by_group]
+            for suffix, number, known in values if name else ():
+                parameter = _parameter(f"{name}{suffix}", equation.variable, number, known)
+                parameters.setdefault(parameter.name, parameter)
+    return parameters
 
 
 def constant_names(result: Result) -> dict[str, list[str]]:
@@ -149,21 +161,72 @@ def constant_names(result: Result) -> dict[str, list[str]]:
     A constant that does not occur in the text has its value as name.
     """
     names: dict[str, list[str]] = {}
-    count = 0
-    for equation in result.equations:
-        numbers = _numbers_in_text(equation, result.names)
-        places = {id(constant): f"c{count + place}" for place, (_, constant) in enumerate(numbers, start=1)}
-        names[equation.variable] = [
+    for variable, numbers in numbers_of(result).items():
+        equation = next(equation for equation in result.equations if equation.variable == variable)
+        places = {id(number.constant): number.name for number in numbers}
+        names[variable] = [
             places.get(id(constant)) or f"{constant.value or 0.0:.6g}" for constant in equation.constants
         ]
-        count += len(numbers)
     return names
 
 
-def _numbers_in_text(equation: Equation | GroupEquation, names: Sequence[str]) -> list[tuple[float, Constant | None]]:
-    """Return the numbers in the text of an equation, each with its fitted constant, if there is one."""
+class EquationNumber(NamedTuple):
+    """A number of an equation: its `name` ("": it has none), its `value`, and its fitted `constant`, if there is
+    one."""
+
+    name: str
+    value: float
+    constant: Constant | None
+
+
+def numbers_of(result: Result) -> dict[str, list[EquationNumber]]:
+    """Return the numbers of each equation by variable: of its text or, for a given side, of its program in node
+    order."""
+    sides = GivenSides.of(result)
+    names = _Names() if sides is None else _Names({one.name for one in sides.template.parameters})
+    numbers: dict[str, list[EquationNumber]] = {}
+    for index, equation in enumerate(result.equations):
+        is_given = sides is not None and equation.given is not None
+        values = _numbers_in(equation, result.names, is_given=is_given)
+        if sides is not None and is_given:
+            called = [names.of(source, sides) for source in sides.sources(index)]
+        else:
+            called = [names.next() for _ in values]
+        numbers[equation.variable] = [EquationNumber(name, *pair) for name, pair in zip(called, values, strict=True)]
+    return numbers
+
+
+class _Names:
+    """The names c1, c2, … without the `taken` names; constants of the same unknown part have the same names."""
+
+    def __init__(self, taken: Collection[str] = ()) -> None:
+        self._free = (name for name in map("c{}".format, itertools.count(1)) if name not in taken)
+        self._known: dict[ConstantSource, str] = {}
+
+    def next(self) -> str:
+        return next(self._free)
+
+    def of(self, source: ConstantSource, sides: GivenSides) -> str:
+        if source.parameter is not None:
+            return sides.template.parameters[source.parameter].name
+        if source.home is None:
+            return ""
+        if source not in self._known:
+            self._known[source] = self.next()
+        return self._known[source]
+
+
+def _numbers_in(
+    equation: Equation | GroupEquation, names: Sequence[str], *, is_given: bool
+) -> list[tuple[float, Constant | None]]:
+    """Return the numbers in the text of an equation, each with its fitted constant, if there is one.
+
+    If the side `is_given`, they are the constants of its program.
+    """
     if equation.expression is None:
         return []
+    if is_given:
+        return [(constant.value or 0.0, constant) for constant in equation.constants]
     program = from_infix(equation.expression, names)
     values = program.constants[constant_places(program)].tolist()
     known = [math.nan if constant.value is None else constant.value for constant in equation.constants]
@@ -219,18 +282,52 @@ class ConstantWords:
 def constant_words(constants: Sequence[Constant]) -> list[ConstantWords]:
     """Return the displayed constants of an equation; empty if no error is known or all errors are rounding errors."""
     known = with_errors(constants)
-    is_rounding = (
-        (constant.std_error or 0.0) <= _EXACT_SHARE * abs(constant.value or 0.0)
-        and constant.identifiable
-        and not constant.at_bound
-        for constant in known
-    )
-    return [] if all(is_rounding) else [*map(words_of, known)]
+    return [] if all(map(_is_rounding, known)) else [*map(words_of, known)]
+
+
+def _is_rounding(constant: Constant) -> bool:
+    """Tell whether the standard error of a constant is only a rounding error, or not known."""
+    is_small = (constant.std_error or 0.0) <= _EXACT_SHARE * abs(constant.value or 0.0)
+    return is_small and constant.identifiable and not constant.at_bound
 
 
 def with_errors(constants: Sequence[Constant]) -> list[Constant]:
     """Return the constants with an error, also those that are not identifiable (infinite error) or at a bound."""
     return [each for each in constants if each.std_error is not None or not each.identifiable or each.at_bound]
+
+
+@dataclass(frozen=True)
+class GivenWords:
+    """A side that the user gave, for display: its `text`, and the values of its `parameters` and `unknowns` by name.
+
+    `constants` are the constants of its unknown parts.
+    """
+
+    text: str
+    parameters: dict[str, ConstantWords]
+    unknowns: dict[str, str]
+    constants: tuple[Constant, ...]
+
+
+def given_words(equation: Equation, names: Sequence[str]) -> GivenWords | None:
+    """Return the side that the user gave for display; None if there is none."""
+    given = equation.given
+    if given is None:
+        return None
+    constants, places = equation.constants, given.parameters
+    rest = (constant for place, constant in enumerate(constants) if place not in places.values())
+    return GivenWords(
+        given.text,
+        {name: _words_of_parameter(constants[place]) for name, place in places.items()},
+        {part.label: rounded(part.expression, names, is_given=True) for part in given.unknowns},
+        tuple(rest),
+    )
+
+
+def _words_of_parameter(constant: Constant) -> ConstantWords:
+    if _is_rounding(constant):
+        return ConstantWords(number_text(constant.value, 6), (), constant.unit)
+    return words_of(constant)
 
 
 def words_of(constant: Constant) -> ConstantWords:
@@ -319,11 +416,13 @@ def remark_on_groups(result: Result) -> str:
 def of_group(result: Result, group: Group) -> Result:
     """Return a result with the constants and the trajectories of one of its groups."""
     equations = []
+    given = _given_of_group(result, group)
     for equation in result.equations:
         own = next((known for known in equation.groups if known.group == group.group), None)
         update: dict[str, object] = {"groups": ()}
         if own is not None:
             update |= {"expression": own.expression, "program": own.program, "constants": own.constants}
+            update |= {"given": given[equation.variable]} if equation.variable in given else {}
         equations.append(equation.model_copy(update=update))
     taken: dict[str, object] = {"covariance": group.covariance, "groups": (), "group": group.group}
     taken["equations"] = tuple(equations)
@@ -340,6 +439,25 @@ def of_group(result: Result, group: Group) -> Result:
     share = _searched_rows(alone) / rows
     noise = {state: _with_share(known, share) for state, known in result.noise.items()}
     return alone.model_copy(update={"noise": noise})
+
+
+def _given_of_group(result: Result, group: Group) -> dict[str, GivenSide]:
+    """Return the given sides by variable; their unknown parts have the constants of the group."""
+    sides, names, given = GivenSides.of(result), result.names, {}
+    if sides is None:
+        return {}
+    own = {
+        place: program_of(one, names)
+        for place, equation in enumerate(result.equations)
+        for one in equation.groups
+        if one.group == group.group
+    }
+    of_group = sides.with_values_of([own.get(place, program) for place, program in enumerate(sides.programs)])
+    for place, equation in enumerate(result.equations):
+        if equation.given is not None:
+            parts = of_group.described_parts(place)
+            given[equation.variable] = equation.given.model_copy(update={"unknowns": parts})
+    return given
 
 
 def _with_share(noise: Noise, share: float) -> Noise:

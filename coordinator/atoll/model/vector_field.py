@@ -16,7 +16,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.equations import Parameter, program_of
+from atoll.model.equations import Parameter, numbers_of
+from atoll.model.given_sides import GivenSides, over_variables, program_of
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.findings import Covariance
 from atoll_coordinator.result.result import Result
@@ -25,10 +26,11 @@ from atoll_core.errors import UsageError
 from atoll_core.expression.derivative import derivative, with_variables
 from atoll_core.expression.evaluation import NUMPY, function_of
 from atoll_core.expression.operators import CONSTANT, VARIABLE, Functions
-from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.program import Program, constant_places, with_constants
 from atoll_core.expression.text.infix import displayed_form, to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
+from atoll_core.quoting import did_you_mean
 
 MOST_STATES: Final = 200
 """Largest number of states: the Jacobian of 200 states has 40,000 formulas."""
@@ -53,6 +55,8 @@ class VectorField:
     right-hand sides as infix text. For equations of second order, the velocities are states after all positions.
     `sizes` are the D largest measured absolute values of the states: 0 where unknown, empty if all are unknown.
     `programs` are the right-hand sides over states and inputs; if empty, they are parsed from `expressions`.
+    `constant_names` has the name of each constant of the programs: "" for a number that is no parameter, and equal
+    names for one parameter at several places. If it is empty, all constants have the names c1, c2, ….
     """
 
     states: tuple[str, ...]
@@ -60,6 +64,7 @@ class VectorField:
     expressions: tuple[str, ...]
     sizes: tuple[float, ...] = ()
     programs: tuple[Program, ...] = field(default=(), repr=False)
+    constant_names: tuple[str, ...] = field(default=(), repr=False)
     parameters: tuple[Parameter, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -75,7 +80,8 @@ class VectorField:
             for state, program in zip(self.states, programs, strict=True)
             for value in program.constants[constant_places(program)].tolist()
         ]
-        parameters = tuple(Parameter(f"c{number}", *its) for number, its in enumerate(constants, start=1))
+        called = self.constant_names or [f"c{number}" for number, _ in enumerate(constants, start=1)]
+        parameters = tuple(Parameter(name, *its) for name, its in zip(called, constants, strict=True))
         object.__setattr__(self, "programs", programs)
         object.__setattr__(self, "parameters", parameters)
 
@@ -104,7 +110,31 @@ class VectorField:
             velocities = [_velocity_of(equation.variable, symbols) for equation in equations]
             sides = dict(zip(sides, velocities, strict=True)) | dict(zip(velocities, sides.values(), strict=True))
         inputs = [name for name in symbols.values() if name not in sides]
-        return cls.of(sides, inputs, result.sizes(tuple(sides)))
+        field, given = cls.of(sides, inputs, result.sizes(tuple(sides))), GivenSides.of(result)
+        return field if given is None else _with_given_sides(field, given, result)
+
+    @property
+    def named_parameters(self) -> dict[str, Parameter]:
+        """The parameters by name, each once."""
+        named: dict[str, Parameter] = {}
+        for parameter in self.parameters:
+            if parameter.name:
+                named.setdefault(parameter.name, parameter)
+        return named
+
+    def with_values(self, values: Mapping[str, float]) -> "VectorField":
+        """Return the field with other values of parameters, by name; raises UsageError for an unknown name."""
+        named = self.named_parameters
+        wrong = next((name for name in values if name not in named), None)
+        if wrong is not None:
+            known = ", ".join(named) or "none"
+            raise UsageError(f"there is no parameter '{wrong}'; the parameters are {known}{did_you_mean(wrong, named)}")
+        constants = iter([values.get(each.name, each.value) for each in self.parameters])
+        programs = [
+            with_constants(program, {place: next(constants) for place in constant_places(program)})
+            for program in self.programs
+        ]
+        return replace(self, programs=tuple(programs))
 
     @property
     def values_of_parameters(self) -> FloatArray:
@@ -203,6 +233,21 @@ class VectorField:
         return function.at_points(columns, values.tolist(), rows).reshape(rows, *function.shape)
 
 
+def _with_given_sides(field: VectorField, given: GivenSides, result: Result) -> VectorField:
+    """Return the field with the sides that the user gave as they were fitted, and with the names of all constants."""
+    names = (*field.states, *field.inputs)
+    places = [names.index(name) for name in result.names]
+    programs, called = [*field.programs], [[""] * len(constant_places(program)) for program in field.programs]
+    numbers = numbers_of(result)
+    shift = len(field.states) // 2 if all(map(is_acceleration, result.equations)) else 0
+    for index, equation in enumerate(result.equations):
+        place = field.states.index(result.symbols[equation.variable]) + shift
+        if equation.given is not None:
+            programs[place] = over_variables(given.programs[index], places)
+        called[place] = [number.name for number in numbers[equation.variable]]
+    return replace(field, programs=tuple(programs), constant_names=tuple(itertools.chain.from_iterable(called)))
+
+
 def is_acceleration(equation: Equation) -> bool:
     """Tell whether an equation is of second order: d2x/dt2 = …"""
     time = equation.lhs.rpartition("/")[2]
@@ -284,33 +329,42 @@ class JointErrors:
         variables = [known.constants[row].variable for row in rows]
         names, programs = (*field.states, *field.inputs), list(field.programs)
         sides: dict[str, int] = {}
+        fitted: dict[str, npt.NDArray[np.int64]] = {}
+        given = GivenSides.of(result)
         for variable in dict.fromkeys(variables):
             equation = next(equation for equation in result.equations if equation.variable == variable)
-            program = _program_with_coefficients(result, equation, known)
-            if program is None:
+            coefficients = _with_coefficients(result, equation, known, given)
+            if coefficients is None:
                 return None
+            program, fitted[variable] = coefficients
             position = field.states.index(result.symbols[variable])
             sides[variable] = position + (len(field.states) // 2 if is_acceleration(equation) else 0)
-            places = [names.index(name) for name in result.names]
-            left = [places[index] if code == VARIABLE else index for code, index, _, _ in program.nodes()]
-            programs[sides[variable]] = replace(program, left=np.array(left, dtype=np.int16))
+            programs[sides[variable]] = over_variables(program, [names.index(name) for name in result.names])
         ends = np.cumsum([0, *(len(constant_places(program)) for program in programs)])
-        # parameters of one right-hand side are consecutive, in the order of the covariance
-        following = [itertools.count(begin) for begin in ends.tolist()]
-        columns = tuple(next(following[sides[variable]]) for variable in variables)
+        # the fitted constants of one right-hand side are in the order of the covariance
+        following = {variable: iter(ends[sides[variable]] + places) for variable, places in fitted.items()}
+        columns = tuple(int(next(following[variable])) for variable in variables)
         matrix = np.array(known.matrix, dtype=np.float64).reshape(len(known.constants), -1)
-        return cls(replace(field, programs=tuple(programs)), columns, matrix[np.ix_(rows, rows)])
+        return cls(replace(field, programs=tuple(programs), constant_names=()), columns, matrix[np.ix_(rows, rows)])
 
     def rates(self, x: FloatArray, u: FloatArray | None) -> FloatArray:
         """Return the derivatives (D, K) of the rates with respect to the constants at a point `x` (D,), `u` (U,)."""
         return self.field.parameter_derivatives(x, u)[:, list(self.columns)]
 
 
-def _program_with_coefficients(result: Result, equation: Equation, known: Covariance) -> Program | None:
-    """Return the right-hand side whose constants, in node order, are the constants of the covariance, or None."""
+def _with_coefficients(
+    result: Result, equation: Equation, known: Covariance, given: GivenSides | None
+) -> tuple[Program, npt.NDArray[np.int64]] | None:
+    """Return a right-hand side that has the constants of the covariance, and their indices among its constants.
+
+    None if the covariance does not fit to the side. The indices are in node order.
+    """
     if equation.program is None:
         return None
     origins = [place.constant for place in known.constants if place.variable == equation.variable]
+    if given is not None and equation.given is not None:
+        return next((pair for pair, own in given.explicit_sides(equation.variable) if own == origins), None)
     program = program_of(equation, result.names)
     explicit = (make_coefficients_explicit(program), as_written(program))
-    return next((coefficients.program for coefficients in explicit if [*coefficients.origins] == origins), None)
+    found = next((coefficients for coefficients in explicit if [*coefficients.origins] == origins), None)
+    return None if found is None else (found.program, np.arange(len(origins)))

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Final
 from atoll.display.curves import front
 from atoll.display.notation import equation_mathml
 from atoll.experiments.suggestion import equations_text
-from atoll.model.equations import constant_names, differing_groups, interval_text, r2_text, remark_on_groups, rounded
+from atoll.model.equations import (
+    GivenWords,
+    constant_names,
+    differing_groups,
+    given_words,
+    interval_text,
+    r2_text,
+    remark_on_groups,
+    rounded,
+)
+from atoll.model.given_sides import named_side
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
 from atoll.report.markup import (
     COLORS,
@@ -29,7 +39,7 @@ from atoll.report.markup import (
     table,
 )
 from atoll.text.conclusion import conclusion
-from atoll.text.render import ENDS, checks_text, constants_line
+from atoll.text.render import ENDS, checks_text, constants_line, given_lines
 from atoll_coordinator.result.equations import Check, Equation, Estimate, SimpleNumber
 from atoll_coordinator.result.findings import Correlation
 from atoll_core.redaction import without_secrets
@@ -70,9 +80,13 @@ def _equation(equation: Equation, findings: Findings) -> Element:
     if equation.expression is None:
         parts = [paragraph(f"{lhs}: no equation")]
     else:
-        formula = equation_mathml(lhs, equation.variable, equation.expression, findings.result.names)
+        names = findings.result.names
+        side = named_side(equation, names)
+        formula = equation_mathml(lhs, equation.variable, equation.expression, names, side)
         parts = [scrolling(f"equation {lhs}", parse_mathml(formula))]
-    errors = constants_line(equation.constants)
+    given = given_words(equation, findings.result.names)
+    parts += [] if given is None else _given(given)
+    errors = constants_line(equation.constants if given is None else given.constants)
     if errors:
         parts.append(paragraph(errors[:1].upper() + errors[1:]))
     if verdict is not None:
@@ -81,6 +95,14 @@ def _equation(equation: Equation, findings: Findings) -> Element:
     if equation.checks:
         parts += _checks(equation.checks)
     return element("div", *parts, class_="equation")
+
+
+def _given(given: GivenWords) -> list[Element]:
+    """Return the side as the user wrote it, the values of its parameters, and its unknown parts."""
+    text, *values = given_lines(given)
+    lead, _, side = text.partition(": ")
+    items = [element("li", element("code", value)) for value in values]
+    return [paragraph(f"{lead.capitalize()}: ", element("code", side)), *([element("ul", *items)] if items else [])]
 
 
 def _checks(checks: Sequence[Check]) -> list[Element]:
@@ -190,7 +212,9 @@ def _profile(constant: "ProfiledConstant", most: float) -> Element:
 
 
 def _rows(equation: Equation, names: Sequence[str]) -> list[list[Child]]:
-    listed: list[tuple[str, Estimate]] = [*zip(names, equation.constants, strict=True)]
+    known = zip(names, equation.constants, strict=True)
+    is_given = equation.given is not None  # numbers of the user's text were not fitted
+    listed: list[tuple[str, Estimate]] = [pair for pair in known if not is_given or pair[1].fitted is not None]
     listed += [(f"1 of {factor.of}", factor) for factor in equation.implied]
     return [
         [
@@ -302,8 +326,10 @@ def _front(equation: Equation, findings: Findings) -> Element:
          element("code", rounded(member.expression, findings.result.names))]
         for member in equation.front
     ]  # fmt: skip
-    numbers = table(f"front of {equation.lhs}", ["complexity", "error", "chosen", "expression"], rows)
-    return figure(drawn.svg(), equation.lhs, numbers)
+    unknown = next((part.label for part in equation.given.unknowns), "") if equation.given is not None else ""
+    name = f"{unknown} in {equation.lhs}" if unknown else equation.lhs
+    numbers = table(f"front of {name}", ["complexity", "error", "chosen", "expression"], rows)
+    return figure(drawn.svg(), name, numbers)
 
 
 def _candidates(equation: Equation, findings: Findings) -> list[Element]:
@@ -311,7 +337,7 @@ def _candidates(equation: Equation, findings: Findings) -> list[Element]:
         return []
     rows: list[list[Child]] = [
         [
-            element("code", rounded(candidate.expression, findings.result.names)),
+            element("code", rounded(candidate.expression, findings.result.names, is_given=equation.given is not None)),
             "shown" if candidate.selected else number(candidate.nats, 3),
             r2_cell(candidate.r2),
             r2_cell(candidate.held_out_r2) + (" (cross-validated)" if candidate.cross_validated else ""),

@@ -72,7 +72,11 @@ class Findings:
 
 def count_constants(result: Result) -> int:
     """Return the number of fitted constants, including coefficients of 1 that the text does not show."""
-    return sum(len(equation.constants) + len(equation.implied) for equation in result.equations)
+    return sum(
+        sum(equation.given is None or constant.fitted is not None for constant in equation.constants)
+        + len(equation.implied)
+        for equation in result.equations
+    )
 
 
 def _try(find: Callable[[], ValueT]) -> ValueT | None:

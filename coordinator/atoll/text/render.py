@@ -12,18 +12,22 @@ from atoll.export.formats import as_csv, as_latex, as_sympy
 from atoll.model.equations import (
     DIGITS,
     ConstantWords,
+    GivenWords,
     constant_names,
     constant_words,
     fitted_text,
+    given_words,
     interval_text,
     number_text,
     plus_minus,
     r2_text,
     rounded,
+    side_text,
     unit_text,
     with_errors,
     words_of,
 )
+from atoll.model.given_sides import GivenSides
 from atoll_coordinator.result.equations import Candidate, Check, Constant, Equation, Member, SimpleTogether, Units
 from atoll_coordinator.result.findings import Errors, Noise, PathEnsemble, Place
 from atoll_coordinator.result.listed_trajectories import Simulated
@@ -101,14 +105,18 @@ def _words_text(words: ConstantWords) -> str:
     return words.number + (f" ({', '.join(words.notes)})" if words.notes else "") + unit_text(words.unit)
 
 
-def constants_table(constants: Sequence[Constant]) -> list[str]:
-    """Return a table of the constants whose standard errors are known or infinite; empty without such constants."""
+def constants_table(constants: Sequence[Constant], names: Sequence[str] = ()) -> list[str]:
+    """Return a table of the constants whose standard errors are known or infinite; empty without such constants.
+
+    `names` are the names of all constants; if there are none, the constants have no names in the table.
+    """
     known = with_errors(constants)
+    called = {id(constant): f"{name} = " for constant, name in zip(constants, names, strict=False)}
     has_intervals = any(constant.interval is not None for constant in known)
     heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
     rows = [
         (
-            number_text(constant.value, 6) + unit_text(constant.unit),
+            called.get(id(constant), "") + number_text(constant.value, 6) + unit_text(constant.unit),
             fitted_text(constant),
             *((interval_text(constant.interval),) if has_intervals else ()),
             _remark(constant),
@@ -419,6 +427,7 @@ def pick(result: Result, picks: Mapping[str, int]) -> Result:
         _pick_member(equation, picks[equation.variable], is_of_group) if equation.variable in picks else equation
         for equation in result.equations
     ]
+    equations = _complete_given_sides(result, equations, picks)
     groups = tuple(group.model_copy(update={"covariance": None}) for group in result.groups)
     unknown = {"correlations": (), "covariance": None, "shared_terms": (), "simulation": None, "chaos": None}
     return result.model_copy(update={"equations": tuple(equations), "groups": groups, **unknown})
@@ -456,6 +465,11 @@ def render_text(result: Result, *, fronts: bool = False) -> str:
     return "\n".join(blocks)
 
 
+_OF_FIT_ONLY: Final = ("program", "simple_together", "units", "verdict", "reason", "prediction", "nats")
+_LISTS_OF_FIT_ONLY: Final = ("groups", "implied", "bounds", "candidates", "checks")
+"""Fields that belong to the fitted equation, and not to a member of its front."""
+
+
 def _pick_member(equation: Equation, number: int, is_of_group: bool) -> Equation:
     front = equation.front
     if not 0 <= number < len(front):
@@ -471,10 +485,38 @@ def _pick_member(equation: Equation, number: int, is_of_group: bool) -> Equation
             "converged": error is not None and most is not None and error <= most,
             "front": tuple(candidate.model_copy(update={"selected": candidate is member}) for candidate in front),
             "is_of_all_groups": is_of_group or bool(equation.groups) or equation.is_of_all_groups,
-            **dict.fromkeys(("program", "simple_together", "units", "verdict", "reason", "prediction", "nats")),
-            **dict.fromkeys(("groups", "implied", "bounds", "candidates", "checks"), ()),
+            **dict.fromkeys(_OF_FIT_ONLY),
+            **dict.fromkeys(_LISTS_OF_FIT_ONLY, ()),
         }
     )
+
+
+def _complete_given_sides(result: Result, equations: Sequence[Equation], picks: Mapping[str, int]) -> list[Equation]:
+    """Return equations in which the picked members of given sides, which are unknown parts, stand in their sides.
+
+    An unknown part that occurs in several sides changes in all of them. Parameters keep their values. A side without an
+    unknown part of its own has nothing to pick.
+    """
+    sides = GivenSides.of(result)
+    if sides is None:
+        return [*equations]
+    slots, homes = [*sides.slots], set[int]()
+    for place, equation in enumerate(equations):
+        unknown = sides.template.unknown_of(equation.variable) if equation.variable in picks else None
+        if unknown is not None:
+            slots[place] = from_infix(equation.expression or "", result.names)
+            homes.add(place)
+    picked = sides.with_slots(slots)
+    changed = []
+    for place, (equation, before) in enumerate(zip(equations, result.equations, strict=True)):
+        if not sides.is_given(place):
+            changed.append(equation)
+        elif any(source.home in homes for source in sides.sources(place)) or place in homes:
+            emptied = equation.model_copy(update=dict.fromkeys(_OF_FIT_ONLY) | dict.fromkeys(_LISTS_OF_FIT_ONLY, ()))
+            changed.append(picked.describe(emptied, place, before.constants))
+        else:
+            changed.append(before)
+    return changed
 
 
 def _shared_lines(result: Result) -> list[str]:
@@ -499,14 +541,17 @@ def _shared_lines(result: Result) -> list[str]:
 def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[str], with_tables: bool) -> str:
     if equation.expression is None:
         return f"{equation.lhs} = ?\n    no equation found yet"
-    lines = [f"{equation.lhs} = {rounded(equation.expression, names)}"]
-    constants = None if with_tables else constants_line(equation.constants)
-    if with_tables or constants:
+    lines = [f"{equation.lhs} = {side_text(equation, names)}"]
+    given = given_words(equation, names)
+    constants = None if with_tables else constants_line(equation.constants if given is None else given.constants)
+    if given is not None:
+        lines += [f"    {line}" for line in given_lines(given)]
+    elif with_tables or constants:
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
     lines += ["    its constants are fitted to all groups together"] if equation.is_of_all_groups else []
     lines += units_line(equation.units)
-    texts = [rounded(group.expression or "", names) for group in equation.groups]
+    texts = [side_text(group, names, is_given=given is not None) for group in equation.groups]
     lines += groups_table(equation, texts, called)
     if equation.verdict is not None:
         lines.append(f"    {equation.verdict}: {equation.reason}")
@@ -514,15 +559,25 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
     lines.append(f"    {_standing(equation)}")
     most = None if with_tables else NEAREST
     if with_tables:
-        lines += constants_table(equation.constants)
+        lines += constants_table(equation.constants, [] if given is None else called)
         lines += together_line(equation.simple_together)
     if with_tables or equation.verdict != "exact":
-        listed = candidates_table(equation.candidates, lambda text: rounded(text, names), most)
+        listed = candidates_table(
+            equation.candidates, lambda text: rounded(text, names, is_given=given is not None), most
+        )
         lines += listed
         lines += ["    constants of candidates are fitted to all groups together"] if listed and texts else []
     if with_tables:
-        lines += [*_front_lines(equation.front, names), ""]
+        unknown = "" if given is None else next(iter(given.unknowns), "")
+        lines += [*_front_lines(equation.front, names, f"expression of {unknown}" if unknown else "expression"), ""]
     return "\n".join(lines)
+
+
+def given_lines(given: GivenWords) -> list[str]:
+    """Return the side as the user wrote it, the values of its parameters, and its unknown parts."""
+    values = [f"{name} = {_words_text(words)}" for name, words in given.parameters.items()]
+    parts = [f"{label} = {text}" for label, text in given.unknowns.items()]
+    return [f"given: {given.text}", *values, *parts]
 
 
 def _written_out(equation: Equation, names: Sequence[str]) -> list[str]:
@@ -551,10 +606,10 @@ def _standing(equation: Equation) -> str:
     return text
 
 
-def _front_lines(front: Sequence[Member], names: Sequence[str]) -> list[str]:
+def _front_lines(front: Sequence[Member], names: Sequence[str], head: str) -> list[str]:
     is_held_out = any(member.holdout_error is not None for member in front)
     held_out = f" {'held out':>10}" if is_held_out else ""
-    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10}{held_out} {'R2':>9}  expression"]
+    lines = [f"    {'pick':>4}   {'size':>4} {'error':>10}{held_out} {'R2':>9}  {head}"]
     for number, member in enumerate(front):
         mark = "*" if member.selected else " "
         unseen = f" {number_text(_held_out_error(member)):>10}" if is_held_out else ""

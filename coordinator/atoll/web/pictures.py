@@ -11,10 +11,11 @@ from atoll.api.model import Model
 from atoll.display.curves import choose_trajectories, curves_of, label
 from atoll.display.notation import equation_mathml
 from atoll.model.arguments import initial_conditions
-from atoll.model.equations import r2_text, rounded
+from atoll.model.equations import GivenWords, given_words, r2_text, rounded, side_text
+from atoll.model.given_sides import named_side
 from atoll.model.simulation import SimulationResult
 from atoll.text.conclusion import conclusion
-from atoll.text.render import constants_line
+from atoll.text.render import constants_line, given_lines
 from atoll_coordinator.result.base import Number
 from atoll_coordinator.result.equations import Convergence, Equation
 from atoll_coordinator.result.listed_trajectories import Simulated
@@ -60,7 +61,9 @@ def progress(result: Result) -> dict[str, Any]:
 
 
 def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str, Any]:
-    symbols, constants = tuple(names), constants_line(equation.constants)
+    symbols, given = tuple(names), given_words(equation, names)
+    is_given = given is not None
+    constants = constants_line(equation.constants if given is None else given.constants)
 
     def written(expression: str | None) -> dict[str, Any]:
         if expression is None:
@@ -68,15 +71,18 @@ def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str
         typeset = _mathml(equation.lhs, equation.variable, expression, symbols)
         return {"expression": _rounded(expression, symbols), "mathml": typeset}
 
+    side = {} if given is None else _given_side(equation, symbols, given)
+
     return {
         "variable": equation.variable,
         "lhs": equation.lhs,
         **written(equation.expression),
+        **side,
         "constants": constants.removeprefix("constants: ") if constants else None,
         "origin": equation.origin,
         "candidates": [
             {
-                "expression": written(candidate.expression)["expression"],
+                "expression": _rounded(candidate.expression, symbols, is_given=is_given),
                 "nats": candidate.nats,
                 "r2": r2_text(candidate.r2),
                 "held_out_r2": None if candidate.held_out_r2 is None else r2_text(candidate.held_out_r2),
@@ -104,10 +110,17 @@ def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str
     }
 
 
+def _given_side(equation: Equation, names: tuple[str, ...], given: GivenWords) -> dict[str, Any]:
+    """Return a side with its parameters by name, and lines with the user's text and the values."""
+    expression = equation.expression or ""
+    typeset = equation_mathml(equation.lhs, equation.variable, expression, names, named_side(equation, names))
+    return {"expression": side_text(equation, names), "mathml": typeset, "given": given_lines(given)}
+
+
 @lru_cache(4_096)
-def _rounded(expression: str, names: tuple[str, ...]) -> str:
+def _rounded(expression: str, names: tuple[str, ...], *, is_given: bool = False) -> str:
     try:
-        return rounded(expression, names)
+        return rounded(expression, names, is_given=is_given)
     except AtollError:
         return expression
 

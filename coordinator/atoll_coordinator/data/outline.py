@@ -20,7 +20,7 @@ from atoll_coordinator.units import Unit
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 from atoll_core.expression.template import EquationTemplate, TemplateParameter
-from atoll_core.expression.text.export import left_side_to_mathml, to_mathml
+from atoll_core.expression.text.export import GIVEN_DIGITS, left_side_to_mathml, to_mathml
 
 _ONLY_GIVEN: Final = ("given", "unknown", "mathml", "unit")
 """Keys of an equation that is given with ``--equation``; other equations do not have them."""
@@ -160,7 +160,8 @@ def _given_part(template: EquationTemplate | None, name: str, lhs: str) -> tuple
     labels = [unknown.label for unknown in template.unknowns]
     names = [*template.names, *(parameter.name for parameter in template.parameters), *labels]
     unknown = template.unknown_of(name)
-    sides = f"{left_side_to_mathml(lhs)}<mo>=</mo>{to_mathml(template.sides[name], names, digits=None)}"
+    side = to_mathml(template.sides[name], names, digits=GIVEN_DIGITS, is_given=True)
+    sides = f"{left_side_to_mathml(lhs)}<mo>=</mo>{side}"
     mathml = f'<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">{sides}</math>'
     return template.texts[name], "" if unknown is None else unknown.label, mathml
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -41,7 +41,7 @@ from atoll_coordinator.data.recording import (
     StateSmoothing,
     Trajectory,
 )
-from atoll_coordinator.data.roles.roles import assign_symbols
+from atoll_coordinator.data.roles.roles import Roles, assign_symbols
 from atoll_coordinator.data.row_means import average_oversampled_rows, estimates_of_means
 from atoll_coordinator.data.searched_rows import (
     SelectedRows,
@@ -53,7 +53,7 @@ from atoll_coordinator.data.searched_rows import (
 from atoll_coordinator.data.trajectories.measurements import Measurements, split_at_gaps
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
-from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray, Target
+from atoll_core.data.dataset import CLEAN_UNCERTAINTY, AnyArray, Dataset, FloatArray, Target
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 
@@ -113,15 +113,26 @@ def assemble_differentiated(
     """
     roles = measurements.roles
     warnings = [*measurements.warnings, *selected.warnings, *_remarks(measurements, estimates, selected)]
-    values = [estimate.values if estimate.points is None else estimate.points for estimate in estimates]
+    values = [
+        estimate.values if estimate.points is None else estimate.points
+        for name, estimate in zip(roles.states, estimates, strict=True)
+        if name not in roles.observed
+    ]
+    # the number of each row stands for a hidden state until a template was fitted
+    values += [np.arange(float(measurements.row_count)) for _ in roles.hidden]
     values += [estimate.velocity for estimate in estimates if roles.velocities]
     values += [np.concatenate(parts) for parts in measurements.inputs]
     targets = [
         _derivative_target(name, roles.left_hand_side(name), estimate, selected.searched)
         for name, estimate in zip(roles.states, estimates, strict=True)
+        if name not in roles.observed
+    ]
+    targets += [
+        Target(name, roles.left_hand_side(name), np.zeros(measurements.row_count), 1.0, 1.0, 1.0)
+        for name in roles.hidden
     ]
     sought = tuple(target for target in targets if target.variable in equations)
-    recording = _recording(measurements, weights, estimates, selected, symbols)
+    recording = _add_hidden_states(_recording(measurements, weights, estimates, selected, symbols), roles, symbols)
     error, noise = recording.input_error, max(part.relative_noise for part in recording.smoothing)
     if error > max(noise, SETTINGS.selection.least_noise):
         of_inputs = f"Between rows, inputs ({', '.join(recording.inputs)}) are uncertain by {100.0 * error:.2g} %"
@@ -220,7 +231,7 @@ def _recording(
         )
     return Recording(
         roles.states,
-        tuple(symbols[name] for name in roles.states),
+        tuple(symbols.get(name, name) for name in roles.states),  # observed columns are no variables
         tuple(symbols[name] for name in roles.velocities),
         roles.inputs,
         tuple(symbols[name] for name in roles.inputs),
@@ -233,6 +244,38 @@ def _recording(
         measurements.rows_of_mean,
         kinds,
         max(map(partial(relative_curve_error, whole.times), measurements.inputs, kinds), default=0.0),
+    )
+
+
+def _add_hidden_states(recording: Recording, roles: Roles, symbols: Mapping[str, str]) -> Recording:
+    """Return the recording with the hidden states after the columns. Their course is 0 until a template is fitted."""
+    if not roles.hidden and not roles.observed:
+        return recording
+    count = len(roles.hidden)
+
+    def extended(values: AnyArray | None, filling: float) -> Any:
+        if values is None:
+            return None
+        return np.concatenate([values, np.full((count, values.shape[1]), filling, values.dtype)])
+
+    trajectories = tuple(
+        replace(
+            part,
+            measured=extended(part.measured, np.nan), smoothed=extended(part.smoothed, 0.0),
+            slopes=extended(part.slopes, 0.0), robustness_weights=extended(part.robustness_weights, 1.0),
+            is_known=extended(part.is_known, 1), rates=extended(part.rates, 0.0),
+            rate_errors=extended(part.rate_errors, np.inf),
+        )
+        for part in recording.trajectories
+    )  # fmt: skip
+    return replace(
+        recording,
+        states=(*recording.states, *roles.hidden),
+        state_symbols=(*recording.state_symbols, *(symbols[name] for name in roles.hidden)),
+        smoothing=(*recording.smoothing, *(StateSmoothing(name, "hidden", 0.0, 0.0) for name in roles.hidden)),
+        trajectories=trajectories,
+        hidden=roles.hidden,
+        observed=roles.observed,
     )
 
 

@@ -15,7 +15,7 @@ from typing import Final, TypeVar
 from atoll_coordinator.data.recording import component_name
 from atoll_coordinator.data.roles.names_and_options import check_given_equations, split_unit
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.templates import check_template, template_of
+from atoll_coordinator.data.templates import check_hidden_states, check_template, template_of
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.errors import UsageError
@@ -24,7 +24,7 @@ from atoll_core.expression.operators import BY_NAME, VARIABLE
 from atoll_core.expression.program import Program, tree_size
 from atoll_core.expression.restrictions import ALL_EQUATIONS, parse_bound
 from atoll_core.expression.simplification import complexity, simplify_program
-from atoll_core.expression.template import Template
+from atoll_core.expression.template import EquationTemplate
 from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import did_you_mean
@@ -127,7 +127,9 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
     sides, only = _sides(config, names, symbols), config.data.only
     given = sides.single("--known", config.prior.known) | sides.single("--equation", config.prior.equations)
     equations = tuple(name for name in names if not only or name in only or name in given)
-    return resolve_prior(config, equations, symbols), equations
+    resolved = resolve_prior(config, equations, symbols)
+    check_hidden_states(template_of(resolved, tuple(symbols.values())), roles, symbols)
+    return resolved, equations
 
 
 def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, str]) -> JobConfig:
@@ -184,7 +186,12 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
                 f"{', '.join(usable)} only; change one of the two"
             )
     prior = PriorConfig(
-        guesses=guesses, known=known, bounds=bounds, equations=equations, parameters=config.prior.parameters
+        guesses=guesses,
+        known=known,
+        bounds=bounds,
+        equations=equations,
+        parameters=config.prior.parameters,
+        initial=config.prior.initial,
     )
     resolved = config.model_copy(update={"prior": prior, "space": space})
     for name, texts in guesses.items():
@@ -195,10 +202,17 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
 def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
     """Return the programs of the known equations by variable, in the order in which they are targets of the dataset.
 
-    `config` is resolved. Raises UsageError if an equation is not an expression over the dataset's symbols.
+    Sides of the job's template in which nothing is searched are also known equations; their parameters have start
+    values. `config` is resolved. Raises UsageError if an equation is not an expression over the dataset's symbols.
     """
-    known = config.prior.known
-    return {name: _known_program(name, known[name], dataset.names) for name in dataset.variables if name in known}
+    known, template = config.prior.known, template_of(config, dataset.names)
+    return {
+        name: _known_program(name, known[name], dataset.names)
+        if name in known or template is None
+        else template.first_program(name)
+        for name in dataset.variables
+        if name in known or (template is not None and template.is_given(name))
+    }
 
 
 def guessed_programs(dataset: Dataset, config: JobConfig) -> dict[str, tuple[Program, ...]]:
@@ -216,7 +230,7 @@ def guessed_programs(dataset: Dataset, config: JobConfig) -> dict[str, tuple[Pro
 
 def _checked_template(
     config: JobConfig, equations: Mapping[str, str], known: Mapping[str, str], names: Sequence[str]
-) -> Template | None:
+) -> EquationTemplate | None:
     """Return the template of these sides by variable; None without a side. Raises UsageError if no job can have it."""
     check_given_equations(config)
     both = next((name for name in equations if name in known), None)
@@ -229,7 +243,9 @@ def _checked_template(
     return template
 
 
-def _variables_of_unknowns(template: Template, allowed: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+def _variables_of_unknowns(
+    template: EquationTemplate, allowed: Mapping[str, tuple[str, ...]]
+) -> dict[str, tuple[str, ...]]:
     """Return the allowed variables by equation, with the variables that unknowns name: ``?(v, u)``."""
     variables = dict(allowed)
     for unknown in template.unknowns:
@@ -245,7 +261,7 @@ def _variables_of_unknowns(template: Template, allowed: Mapping[str, tuple[str, 
     return variables
 
 
-def _why_not_searched(template: Template, equation: str) -> str:
+def _why_not_searched(template: EquationTemplate, equation: str) -> str:
     """Return why nothing is searched under the name of a given equation, as a clause, and what to do."""
     shared = next((unknown for unknown in template.unknowns if equation in unknown.equations), None)
     if shared is None:

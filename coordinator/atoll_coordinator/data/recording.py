@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from atoll_core.data.dataset import Dataset, FloatArray
 
-Method = Literal["interpolation", "loess", "robust loess"]
+Method = Literal["interpolation", "loess", "robust loess", "hidden"]
 InputKind = Literal["smooth", "shape-preserving", "held"]
 """Kinds of an input between rows. Smooth: a curve with continuous second derivatives (de Boor 1978, chapter IV);
 shape-preserving: a curve without overshoot where the input is switched (Fritsch & Butland 1984); held: the value of a
@@ -120,7 +120,10 @@ class Recording:
     subtracted from the times of the file to centre them. `groups` are the names of groups of trajectories with
     constants of their own; empty: all trajectories share the constants. A row is the mean of about `rows_of_mean` rows
     of the file. `input_kinds` has the kind of each input between rows; empty: not known. `input_error` is the largest
-    error of these curves over the standard deviations of the inputs.
+    error of these curves over the standard deviations of the inputs. `hidden` are the last states, which no column
+    measures: their `measured` values are NaN, and their `smoothed` values are the course by the job's template.
+    `observed` are the columns among the states that are computed from states and have no equation of their own.
+    `initial` are bounds on initial values: name of the state, lower and upper bound, which are equal if it is given.
     """
 
     states: tuple[str, ...]
@@ -137,6 +140,9 @@ class Recording:
     rows_of_mean: int = 1
     input_kinds: tuple[InputKind, ...] = ()
     input_error: float = 0.0
+    hidden: tuple[str, ...] = ()
+    observed: tuple[str, ...] = ()
+    initial: tuple[tuple[str, float, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +211,19 @@ class Source:
     read_as: str = ""
 
 
+@dataclass(frozen=True)
+class FoundMinima:
+    """What fits of a template from many `starts` found: `reached` fits ended at the best minimum.
+
+    `rivals` are the other minima that describe the rows almost as well: by how many nats each is worse, and its values
+    of the parameters.
+    """
+
+    starts: int
+    reached: int
+    rivals: tuple[tuple[float, tuple[float, ...]], ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Preparation:
     """The result of preparing a table.
@@ -216,7 +235,8 @@ class Preparation:
 
     If the left-hand sides were given, `counted` has the rows that fits use, with the `weights`. It includes rows whose
     weight is too small for the search, which gives all its rows equal weight. `counted` None: the rows of `dataset`;
-    `weights` None: all are 1. `source` is the table; None: not known.
+    `weights` None: all are 1. `source` is the table; None: not known. `parameters` are the parameters of the job's
+    template as the derivatives determine them, or a fit from many starts (`minima`); fits start with them.
     """
 
     dataset: Dataset
@@ -226,6 +246,8 @@ class Preparation:
     process: ProcessRecording | None = None
     source: Source | None = None
     counted: Dataset | None = None
+    parameters: tuple[float, ...] = ()
+    minima: "FoundMinima | None" = None
 
 
 def by_group(preparation: Preparation) -> Iterator[Preparation]:

@@ -3,22 +3,17 @@ can have them. Pure."""
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 from atoll_coordinator.data.roles.names_and_options import check_given_equations
 from atoll_coordinator.data.roles.roles import RESERVED, Roles, assign_symbols
 from atoll_core.config import JobConfig, ParameterConfig
 from atoll_core.errors import UsageError
-from atoll_core.expression import operators as op
-from atoll_core.expression.program import Program, tree_size
-from atoll_core.expression.template import Parameter, Template, Unknown, read_template
+from atoll_core.expression.program import tree_size, variables_of
+from atoll_core.expression.template import EquationTemplate, TemplateParameter, read_template
 from atoll_core.expression.text.infix import PRINTABLE_SIZE
 
-_UNDECIDED: Final = {op.SIN: "sin", op.COS: "cos", op.ABS: "abs", op.SQUARE: "a power"}
-"""Operations with the same value for several arguments, so that the value does not determine an unknown inside."""
 
-
-def template_of(config: JobConfig, names: Sequence[str]) -> Template | None:
+def template_of(config: JobConfig, names: Sequence[str]) -> EquationTemplate | None:
     """Return the template over the symbols `names`; None if no equation is given with ``--equation``.
 
     `config` is resolved: its equations are keyed by variable.
@@ -27,15 +22,16 @@ def template_of(config: JobConfig, names: Sequence[str]) -> Template | None:
         UsageError: see `read_template`.
     """
     prior = config.prior
-    if not prior.equations and not prior.parameters:
+    if not prior.equations and not prior.parameters and not config.data.observe:
         return None
-    return read_template(prior.equations, parameters_of(prior.parameters), names)
+    parameters = parameters_of(prior.parameters)
+    return read_template({**prior.equations, **config.data.observe}, parameters, names, config.data.observe)
 
 
-def parameters_of(given: Mapping[str, ParameterConfig]) -> dict[str, Parameter]:
+def parameters_of(given: Mapping[str, ParameterConfig]) -> dict[str, TemplateParameter]:
     """Return the parameters of a configuration, by name."""
     return {
-        name: Parameter(
+        name: TemplateParameter(
             name,
             -math.inf if one.lower is None else one.lower,
             math.inf if one.upper is None else one.upper,
@@ -64,44 +60,59 @@ def check_names(config: JobConfig, columns: Sequence[str], roles: Roles) -> None
             )
 
 
-def check_template(template: Template) -> None:
+def check_template(template: EquationTemplate) -> None:
     """Raise UsageError for names that no parameter may have, and for unknown parts that the data cannot determine."""
     reserved = next((one.name for one in template.parameters if one.name in RESERVED), None)
     if reserved is not None:
         raise UsageError(f"--equation uses {reserved}, the name of a function, as a parameter; choose another name")
-    first = len(template.names) + len(template.parameters)
     for equation, side in template.sides.items():
         if tree_size(side) > PRINTABLE_SIZE:
             raise UsageError(f"--equation for '{equation}' has more than {PRINTABLE_SIZE} operations when written out")
-        for place, unknown in enumerate(template.unknowns):
-            _check_unknown(side, first + place, unknown, equation)
+        for place in template.unknowns_in(equation):
+            label = template.unknowns[place].label
+            if template.solved_for(equation, place) is None:
+                raise UsageError(
+                    f"--equation for '{equation}' has {label} in more than one place, or inside sin, cos, abs or an "
+                    f"even power, whose value does not determine {label}; write {label} once, for the whole of it"
+                )
 
 
-def _check_unknown(side: Program, variable: int, unknown: Unknown, equation: str) -> None:
-    """Raise UsageError if the value of a side does not determine the value of an unknown in it.
+def check_hidden_states(template: EquationTemplate | None, roles: Roles, symbols: Mapping[str, str]) -> None:
+    """Raise UsageError if a hidden state has no given equation, or if nothing that is measured depends on it."""
+    for name in roles.hidden:
+        if template is None or name not in template.sides:
+            raise UsageError(
+                f"--hidden names '{name}', which has no equation; give one with --equation \"d{name}/dt=…\", or leave "
+                "--hidden out"
+            )
+    if template is None or not roles.hidden:
+        return
+    for name in roles.states:
+        if name not in roles.observed and name not in template.sides:
+            raise UsageError(
+                f"with --hidden every state needs a given equation, but '{name}' has none; give one with --equation "
+                f'"d{name}/dt=…" (? alone is an unknown one), or make it an input with --inputs {name}'
+            )
+    unreached = next((name for name in roles.hidden if name not in _states_that_matter(template, roles, symbols)), None)
+    if unreached is not None:
+        raise UsageError(
+            f"nothing that is measured depends on the hidden state '{unreached}', so that the data cannot determine "
+            "it; leave its equation out"
+        )
 
-    `linear` and `other` are the nodes that depend linearly and otherwise on the unknown.
+
+def _states_that_matter(template: EquationTemplate, roles: Roles, symbols: Mapping[str, str]) -> set[str]:
+    """Return the hidden states on which a measured column depends, directly or through other states.
+
+    An unknown part may depend on every state.
     """
-    linear, other, label = set[int](), set[int](), unknown.label
-    for node, (code, left, right, _) in enumerate(side.nodes()):
-        if code in (op.CONSTANT, op.VARIABLE):
-            linear |= {node} if code == op.VARIABLE and left == variable else set()
-            continue
-        arguments = [left, right][: op.OPERATORS[code].arity]
-        dependent = [argument for argument in arguments if argument in linear or argument in other]
-        if not dependent:
-            continue
-        if code in _UNDECIDED or (code == op.POW and dependent[0] == left):
-            inside = _UNDECIDED.get(code, "a power")
-            raise UsageError(
-                f"--equation for '{equation}' has {label} inside {inside}, whose value does not determine {label}; "
-                f"write {label} for the whole of it"
-            )
-        is_sum = code in (op.ADD, op.SUBTRACT)
-        if len(dependent) > 1 and not (is_sum and linear.issuperset(dependent)):
-            raise UsageError(
-                f"--equation for '{equation}' has {label} in both parts of a sum, product, quotient or power, whose "
-                f"value does not determine {label}; write {label} once"
-            )
-        keeps = code in (op.ADD, op.SUBTRACT, op.NEGATE, op.MULTIPLY) or (code == op.DIVIDE and dependent == [left])
-        (linear if keeps and linear.issuperset(dependent) else other).add(node)
+    index = {name: template.names.index(symbols[name]) for name in roles.hidden}
+    reached, waiting = set[str](), list(roles.states)
+    while waiting:
+        used = variables_of(template.sides[waiting.pop()])
+        if any(one >= len(template.names) + len(template.parameters) for one in used):
+            return set(roles.hidden)
+        new = {name for name, place in index.items() if place in used} - reached
+        reached |= new
+        waiting += new
+    return reached

@@ -20,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.batches import Batches, spreading
 from atoll_coordinator.model.deadline import Deadline
@@ -128,7 +130,8 @@ def _refine(
     with spreading(batches, threads, deadline) as spread:
         task = add_laws(ModellingTask(
             preparation.dataset, preparation.recording, config, candidates, settled, spread, deadline=deadline,
-            among_many=laws,
+            among_many=laws, parameters=np.array(preparation.parameters) if preparation.parameters else None,
+            minima=preparation.minima,
         ))  # fmt: skip
         selected = select_model(task)
         deadline.begin_last_stage()

@@ -17,9 +17,9 @@ from atoll_core.expression.program import Program
 from atoll_core.expression.writing.expansion import Shape
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
-JobKind = Literal["trajectories", "target", "process"]
-"""The kind of job decides which data test an equation: simulated trajectories, the rows of a target, or the steps of a
-stochastic process."""
+JobKind = Literal["trajectories", "template", "target", "process"]
+"""The kind of job decides which data test an equation: simulated trajectories (of a template: also what is unknown in
+it), the rows of a target, or the steps of a stochastic process."""
 CheckOutcome = Literal["passed", "failed", "not made", "not applicable"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
 """How refining ended: finished, stopped by ``--max-time`` with the best result so far, or not run."""
@@ -43,7 +43,8 @@ class Alternative:
     equation, and negative if the alternative is shorter but predicts worse. Below about 3 nats the data hardly decide
     between the two. `r2` is the R2 of the simulated state. `held_out_r2` is the R2 on trajectories to which the
     alternative was not fitted: held-out trajectories or, if `is_cross_validated`, trajectories left out one at a time.
-    It is None if there are no such trajectories.
+    It is None if there are no such trajectories. `unknown` is the searched unknown part of an equation with a template,
+    and `parameters` are the values of the template's parameters.
     """
 
     program: Program
@@ -53,6 +54,8 @@ class Alternative:
     is_shown: bool = False
     is_cross_validated: bool = False
     origin: Origin | None = None
+    unknown: Program | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +68,8 @@ class Refined:
     coefficients 1 that are not written. If groups of trajectories have their own constants, `by_group` has the program
     and constants of each group by name, and the constants of `program` that are not `shared` are means over the groups.
     `units` are the units of the constants, None if no unit is known. `simple_together` are simple numbers that two or
-    more constants may have together; None if no such numbers are likely.
+    more constants may have together; None if no such numbers are likely. With a template, `parameters` has for each
+    constant the name of its parameter (None: it has none), and `unknowns` are the unknown parts by label.
     """
 
     member: int | None
@@ -83,6 +87,18 @@ class Refined:
     by_group: Mapping[str, tuple[Program, tuple[Constant, ...]]] = field(default_factory=dict)
     units: EquationUnits | None = None
     simple_together: SimpleTogether | None = None
+    parameters: tuple[str | None, ...] = ()
+    unknowns: Mapping[str, Program] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedColumn:
+    """A measured column that is computed from states: its program, the constants with errors, and the name of each
+    constant that is a parameter."""
+
+    program: Program
+    constants: tuple[Constant, ...]
+    parameters: tuple[str | None, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +110,7 @@ class Refinement:
     enters another. Each flux has the shape of the term (without numbers) and, by variable, the multiple of the term in
     each equation. The multiple is None if the factor of the term was fitted separately in this equation. `covariance`
     is the covariance of all constants, `by_group` the covariance of each group of trajectories if groups have their own
-    constants.
+    constants. `observations` are the measured columns that are computed from states.
     """
 
     equations: Mapping[str, Refined] = field(default_factory=dict)
@@ -107,4 +123,5 @@ class Refinement:
     fluxes: tuple[tuple[Shape, Mapping[str, float | None]], ...] = ()
     covariance: Covariance | None = None
     by_group: Mapping[str, Covariance | None] = field(default_factory=dict)
+    observations: Mapping[str, ObservedColumn] = field(default_factory=dict)
     end: RefiningEnd = "finished"

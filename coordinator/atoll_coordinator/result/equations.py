@@ -168,6 +168,12 @@ class Candidate(Part):
     )
     origin: Text | None = Field(default=None, description="source of the candidate, as for the equation")
     selected: Flag = Field(default=False, description="whether it is the displayed equation")
+    unknown: Text | None = Field(
+        default=None, description="its unknown part, missing without a side from `--equation` that has one"
+    )
+    parameters: Numbers = Field(
+        default_factory=dict, description="values of parameters that were fitted with it, missing if there are none"
+    )
 
 
 class Member(Part):
@@ -181,6 +187,34 @@ class Member(Part):
     constants: tuple[Constant, ...] = Field(default=(), description="its constants")
     holdout_error: Number = Field(default=None, description="error on held-out rows")
     selected: Flag = Field(default=False, description="whether the displayed equation was derived from it")
+
+
+class UnknownPart(Part):
+    """An unknown part of a given equation, as it was found."""
+
+    label: Text = Field(description="`?`, or `?1` if it has a number")
+    expression: Text = Field(description="the expression that was found")
+    program: Text | None = Field(default=None, description="its operation list, hexadecimal")
+
+
+class GivenSide(Part):
+    """A right-hand side from `--equation`: its parameters, and its unknown parts as they were found."""
+
+    text: Text = Field(description="the right-hand side as the user wrote it")
+    parameters: dict[Text, Count] = Field(
+        default_factory=dict, description="position of each parameter in the list `constants`, from 0"
+    )
+    unknowns: tuple[UnknownPart, ...] = Field(default=(), description="the unknown parts")
+
+
+class Observation(Part):
+    """A measured column that is computed from states, from `--observe`."""
+
+    column: Text = Field(description="name of the column")
+    expression: Text = Field(description="the expression with its fitted constants")
+    program: Text | None = Field(default=None, description="its operation list, hexadecimal")
+    constants: tuple[Constant, ...] = Field(default=(), description="constants in the order of `program`")
+    given: GivenSide | None = Field(default=None, description="the expression as the user wrote it")
 
 
 class Equation(Part):
@@ -201,6 +235,7 @@ class Equation(Part):
     r2: Number = Field(default=None, description="R2 on the target")
     converged: Flag | None = Field(default=None, description="whether the error is at most `target_error`")
     constants: tuple[Constant, ...] = Field(default=(), description="constants in the order of `program`")
+    given: GivenSide | None = Field(default=None, description="the side from `--equation`, missing without one")
     simple_together: SimpleTogether | None = Field(
         default=None, description="simple numbers for several constants, null if none are likely"
     )
@@ -231,7 +266,10 @@ class Equation(Part):
     prediction: Prediction | None = Field(default=None, description="predictions from other initial states")
     convergence: tuple[Convergence, ...] = Field(default=(), description="decrease of the error of each island")
     candidates: tuple[Candidate, ...] = Field(default=(), description="equations that were compared with this one")
-    front: tuple[Member, ...] = Field(default=(), description="the best expression of each complexity")
+    front: tuple[Member, ...] = Field(
+        default=(),
+        description="the best expression of each complexity; for a side from `--equation`, of its unknown part",
+    )
     nats: Number = Field(default=None, description="Δ description length, if the equation was chosen by hand")
     is_of_all_groups: Flag = Field(
         default=False, description="whether it was chosen by hand; its constants are then the same in all groups"

@@ -10,7 +10,7 @@ from typing import Final, Literal
 from pydantic import Field, JsonValue, TypeAdapter
 
 from atoll_coordinator.result.base import Count, Number, Part, Text
-from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.equations import Equation, Observation
 from atoll_coordinator.result.findings import (
     Chaos,
     Correlation,
@@ -29,9 +29,10 @@ from atoll_coordinator.result.reading import SCHEMA, as_parts, json_of, read_fil
 from atoll_core.errors import UsageError
 
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
-_RARE: Final = ("group", "command")
+_RARE: Final = ("group", "command", "observations", "hidden")
 """Keys that only some results have: models of one group, and results written by a command."""
-_RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups")
+_RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups", "given")
+_RARE_OF_CANDIDATES: Final = ("unknown", "parameters")
 
 
 UNTIMED: Final = -1.0
@@ -49,6 +50,10 @@ class Result(Part):
     reason: Text | None = Field(default=None, description="why the job failed")
     equations: tuple[Equation, ...] = Field(description="one for each variable")
     shared_terms: tuple[SharedTerm, ...] = Field(default=(), description="terms that occur in several equations")
+    observations: tuple[Observation, ...] = Field(
+        default=(), description="measured columns from `--observe`, missing without one"
+    )
+    hidden: tuple[Text, ...] = Field(default=(), description="states from `--hidden`, missing without one")
     noise: dict[Text, Noise] = Field(default_factory=dict, description="by state")
     smoothing: Smoothing | None = Field(default=None, description="smoothed states")
     correlations: tuple[Correlation, ...] = Field(default=(), description="constants that the data hardly distinguish")
@@ -105,6 +110,11 @@ class Result(Part):
         for equation in equations:
             assert isinstance(equation, dict)
             _drop_empty(equation, _RARE_OF_EQUATIONS)
+            candidates = equation["candidates"]
+            assert isinstance(candidates, list)
+            for candidate in candidates:
+                assert isinstance(candidate, dict)
+                _drop_empty(candidate, _RARE_OF_CANDIDATES)
         return content
 
     def to_json(self) -> str:

@@ -116,9 +116,16 @@ def prepare_job(
         screen_variables,
         settled_variables,
     )
+    from atoll_coordinator.model.template.hidden_states import with_hidden_states
+    from atoll_coordinator.model.template.unknown_targets import with_unknown_targets
     from atoll_coordinator.tasks.defaults import resolve, with_units
 
     preparation = preparer(table, config)
+    if config.prior.equations or config.data.observe:
+        given = resolve(config, preparation.dataset)
+        with spreading(batches, batches.threads if batches else 1, Deadline()) as spread:
+            preparation = with_hidden_states(preparation, given, spread)
+        preparation = with_unknown_targets(preparation, given)
     data = dataset_to_bytes(preparation.dataset)
     blob = hashlib.sha256(data).hexdigest()
     resolved = screen_variables(preparation, resolve(config, preparation.dataset))

@@ -5,8 +5,9 @@ text.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
 from atoll_core.expression.operators import ABS, SQRT
@@ -24,7 +25,7 @@ _LATEX_ESCAPES: Final = {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", 
 _LATEX_UNITS: Final = {" ": r"\ ", "°": r"{}^{\circ}", "µ": r"\mu ", "μ": r"\mu ", "Ω": r"\Omega "}
 _UNKNOWN: Final = re.compile(r"\?(\d*)")
 """The name of an unknown part of a given equation."""
-_ALL_DIGITS: Final = 15
+GIVEN_DIGITS: Final = 15
 """The most digits of a number that a person has written."""
 _RAISED: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺"
 _LOWERED: Final = str.maketrans(_RAISED, "0123456789-+")
@@ -32,6 +33,10 @@ _UNIT_PART: Final = re.compile(
     rf"(?:\^|\*\*)(?P<power>[-+]?\d[\d.]*)|(?P<raised>[{_RAISED}]+)|(?P<times>[*·⋅×])|(?P<words>[^*·⋅×^{_RAISED}]+|\^)"
 )
 """A power, a product, or other text."""
+
+
+Parts = Mapping[int, str]
+"""Markup that is written for variables, by index, instead of their names."""
 
 
 def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
@@ -42,25 +47,38 @@ def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
     return _Sympy(names).render(exact_form(program))
 
 
-def to_latex(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
+def to_latex(
+    program: Program,
+    names: Sequence[str],
+    *,
+    digits: int = 6,
+    is_given: bool = False,
+    parts: Parts = MappingProxyType({}),
+) -> str:
     """Return `program` as LaTeX mathematics, in the form of `to_infix`. Constants have `digits` significant digits.
 
-    Factors are separated by a space if a name is a word.
+    Factors are separated by a space if a name is a word. `is_given` is as in `to_infix`.
     """
     has_words = any(r"\mathrm" in name or r"\text" in name for name in map(_latex_name, names))
-    return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ").render(displayed_form(program, digits))
+    return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ", parts).render(
+        displayed_form(program, digits, is_given=is_given)
+    )
 
 
-def to_mathml(program: Program, names: Sequence[str], *, digits: int | None = 6) -> str:
+def to_mathml(
+    program: Program,
+    names: Sequence[str],
+    *,
+    digits: int = 6,
+    is_given: bool = False,
+    parts: Parts = MappingProxyType({}),
+) -> str:
     """Return `program` as presentation MathML without its ``math`` element, in the form of `to_infix`.
 
-    If `digits` is None, the order of terms and factors is the order in the program. Factors are separated by dots if a
-    name has several letters, and before numbers.
+    Factors are separated by dots if a name has several letters, and before numbers. `is_given` is as in `to_infix`.
     """
     times = _MATHML.dot if any(len(name) > 1 for name in names) else "<mo>\u2062</mo>"
-    if digits is None:
-        return _Typeset(_MATHML, names, _ALL_DIGITS, times).render(exact_form(program))
-    return _Typeset(_MATHML, names, digits, times).render(displayed_form(program, digits))
+    return _Typeset(_MATHML, names, digits, times, parts).render(displayed_form(program, digits, is_given=is_given))
 
 
 class _Sympy(Renderer["sympy.Expr"]):
@@ -127,11 +145,12 @@ class _Typeset(Renderer[str]):
     """Renders forms in a markup language: quotients as fractions, powers raised.
 
     `digits` are the significant digits of constants; `times` is the multiplication sign between factors that are not
-    numbers.
+    numbers. `parts` is written for some variables.
     """
 
-    def __init__(self, markup: _Markup, names: Sequence[str], digits: int, times: str) -> None:
+    def __init__(self, markup: _Markup, names: Sequence[str], digits: int, times: str, parts: Parts) -> None:
         super().__init__()
+        self._parts = parts
         self._markup, self._names, self._digits, self._times = markup, names, digits, times
 
     def negative(self, operand: str) -> str:
@@ -141,7 +160,7 @@ class _Typeset(Renderer[str]):
         markup = self._markup
         match form.kind:
             case Kind.NAME:
-                return markup.name(self._names[form.index])
+                return self._parts.get(form.index) or markup.name(self._names[form.index])
             case Kind.NUMBER:
                 mantissa, _, power = f"{form.value:.{self._digits}g}".partition("e")
                 return markup.scaled.format(mantissa, int(power)) if power else markup.number.format(mantissa)

@@ -297,15 +297,17 @@ PRINTABLE_SIZE: Final = 5_000
 become a huge text."""
 
 
-def to_infix(program: Program, names: Sequence[str], *, digits: int | None = None) -> str:
+def to_infix(program: Program, names: Sequence[str], *, digits: int | None = None, is_given: bool = False) -> str:
     """Return `program` as infix text over `names`, the symbols of the V input variables.
 
-    If `digits` are given (significant digits of constants), the text is for display; otherwise it is exact. Raises
-    ValueError if the text would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
+    If `digits` are given (significant digits of constants), the text is for display; otherwise it is exact. A program
+    that `is_given` by the user is displayed as it is, and not in the shortest writing. Raises ValueError if the text
+    would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
     """
     if digits is None:
         return _Text(names, repr).render(exact_form(program))
-    return _Text(names, lambda value: f"{value:.{digits}g}").render(displayed_form(program, digits))
+    form = displayed_form(program, digits, is_given=is_given)
+    return _Text(names, lambda value: f"{value:.{digits}g}").render(form)
 
 
 def exact_form(program: Program) -> Written:
@@ -314,9 +316,15 @@ def exact_form(program: Program) -> Written:
     return form_of(program)
 
 
-def displayed_form(program: Program, digits: int) -> Written:
-    """Return the form for display with this many significant digits; raises ValueError if `program` is too large."""
+def displayed_form(program: Program, digits: int, *, is_given: bool = False) -> Written:
+    """Return the form for display with this many significant digits; raises ValueError if `program` is too large.
+
+    If the program `is_given`, it is not rewritten.
+    """
     _check_size(program)
+    if is_given:
+        values = {place: float(f"{program.constants[place]:.{digits}g}") for place in constant_places(program)}
+        return form_of(with_constants(program, values))
     # Imported here, because exact printing does not need this module.
     from atoll_core.expression.writing.shortest import shortest
 

@@ -23,6 +23,7 @@ export class EquationCard {
     this.verdict = h("span", { class: "verdict", hidden: true });
     this.now = h("div", { class: "formula", tabindex: "0", role: "group", "aria-label": `Equation of ${this.variable}` }, "No equation yet.");
     this.facts = h("p", { class: "faint numbers" });
+    this.given = h("ul", { class: "numbers", hidden: true, "aria-label": `Given side of ${this.variable}` });
     this.constants = h("p", { class: "numbers" });
     this.checks = h("div", { class: "reason", hidden: true });
     this.candidates = h("div");
@@ -41,7 +42,7 @@ export class EquationCard {
     this.search = folding("Candidates, front and convergence", this.candidates, this.pictures, this.#table());
     this.search.hidden = true;
     this.box = h("article", { class: "equation", "aria-label": `Equation of ${this.variable}` },
-      h("div", { class: "head" }, this.title, this.verdict), this.now, this.constants, this.facts, this.checks, this.search);
+      h("div", { class: "head" }, this.title, this.verdict), this.now, this.given, this.constants, this.facts, this.checks, this.search);
   }
 
   #table() {
@@ -79,7 +80,9 @@ export class EquationCard {
   #tell() { if (this.#chosen !== null) this.pick(this.#index); } // its index changes when the front grows
 
   #draw() {
-    const { lhs, expression, mathml, constants, convergence, plateau, reason, checks, candidates } = this.#equation;
+    const { lhs, expression, mathml, given, constants, convergence, plateau, reason, checks, candidates } = this.#equation;
+    show(this.given, Boolean(given));
+    redraw(this.given, JSON.stringify(given), () => (given ?? []).map((line) => h("li", {}, line)));
     setText(this.constants, constants ? `Constants: ${constants}` : "");
     show(this.constants, Boolean(constants));
     show(this.checks, Boolean(reason));

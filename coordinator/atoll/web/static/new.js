@@ -85,8 +85,9 @@ class NewJob {
     this.shared.checked = job.shared;
     const result = HAS_RESULT.includes(job.state) ? await get(paths.of(id, "result")).catch(() => null) : null;
     this.#options = this.#optionsOf(result?.config ?? {}, job);
-    const given = Object.keys(result?.config?.prior?.equations ?? {}); // their expressions are not their unknown parts
-    const found = (result?.equations ?? []).filter(({ expression, why, variable }) => expression && why !== "known" && !given.includes(variable)).map(({ lhs, expression }) => `${lhs}=${expression}`);
+    const given = Object.keys(result?.config?.prior?.equations ?? {}); // guesses are for the unknown part of these equations
+    const guess = ({ variable, expression, candidates }) => (given.includes(variable) ? candidates.find(({ selected }) => selected)?.unknown : expression);
+    const found = (result?.equations ?? []).filter((equation) => equation.why !== "known" && guess(equation)).map((equation) => `${equation.lhs}=${guess(equation)}`);
     if (found.length) this.#options.guess = found; // the search continues from the other job's equations
     this.#fields.forEach((field, name) => field.show(this.#options[name]));
     for (const [role, option] of Object.entries(OPTION_OF)) namesOf(this.#options[option]).forEach((name) => this.#chosen.set(name, role));

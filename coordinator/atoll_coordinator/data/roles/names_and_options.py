@@ -39,6 +39,14 @@ _EXCLUSIONS: Final = (
     ("stochastic", "weights", "the diffusion determines the weight of each step"),
     ("stochastic", "offsets", "increments do not depend on offsets"),
     ("stochastic", "group per_trajectory", "the likelihood of a step has one set of constants"),
+    ("hidden", "target", "rows of an explicit regression are no course of a state"),
+    ("hidden", "derivatives", "a hidden state is followed along trajectories"),
+    ("hidden", "stochastic", "the likelihood of a step needs all states"),
+    ("hidden", "order", "write the velocities as states of their own"),
+    ("hidden", "group per_trajectory", "constants by group need all states measured"),
+    ("observe", "target derivatives stochastic", "columns are computed from states along trajectories"),
+    ("observe", "order", "write the velocities as states of their own"),
+    ("observe", "group per_trajectory", "constants by group need all states measured"),
     ("group", "per_trajectory", "name the column, or let all differ"),
     ("group", "target derivatives", "constants by group need states measured in time"),
     ("per_trajectory", "target derivatives", "constants by group need states measured in time"),
@@ -129,7 +137,7 @@ def check_options(config: DataConfig) -> None:
     """Raise UsageError if options contradict each other, regardless of the data."""
 
     def is_set(name: str) -> bool:
-        return config.order == 2 if name == "order" else getattr(config, name) not in (None, False, ())
+        return config.order == 2 if name == "order" else getattr(config, name) not in (None, False, (), {})
 
     for name, others, reason in _EXCLUSIONS:
         for other in others.split():

@@ -41,7 +41,8 @@ class Roles:
     states are differentiated in time, `order` times. `weights` is the column of the weights of rows. `held` are the
     inputs that keep their value from one row to the next. `angles` are the states and inputs that are angles, with
     their unit; `offsets` are the states measured up to an offset. Trajectories with different values in column `group`
-    may have different constants; if `is_by_trajectory`, each trajectory may.
+    may have different constants; if `is_by_trajectory`, each trajectory may. `hidden` states have no column; `observed`
+    are the columns among `states` that are computed from states and have no equation of their own.
     """
 
     time: str | None
@@ -57,6 +58,8 @@ class Roles:
     group: str | None = None
     is_by_trajectory: bool = False
     held: tuple[str, ...] = ()
+    hidden: tuple[str, ...] = ()
+    observed: tuple[str, ...] = ()
 
     @property
     def used(self) -> tuple[str, ...]:
@@ -72,8 +75,10 @@ class Roles:
 
     @property
     def equations(self) -> tuple[str, ...]:
-        """Columns whose equations are searched."""
-        return self.states if self.target is None else (self.target,)
+        """Columns and hidden states whose equations are searched."""
+        if self.target is not None:
+            return (self.target,)
+        return (*(name for name in self.states if name not in self.observed), *self.hidden)
 
     def left_hand_side(self, name: str) -> str:
         """Return the left-hand side of an equation, or of a component of a diffusion, as it is printed."""
@@ -96,7 +101,8 @@ class Roles:
     @property
     def variables(self) -> tuple[str, ...]:
         """Names that expressions may use: states, for order 2 their velocities, and inputs."""
-        return (*self.states, *self.velocities, *self.inputs)
+        states = (name for name in self.states if name not in self.observed)
+        return (*states, *self.hidden, *self.velocities, *self.inputs)
 
 
 def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
@@ -123,6 +129,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
     if roles.time is None and not roles.is_given and text_time is not None:
         reason = f"column '{text_time}' of {table.files[0]} holds text that is neither a number nor a date"
         raise DataError(f"{reason}; write numbers, or dates as year-month-day")
+    _check_hidden_states(roles, config, table.names)
     _check_equations(roles, config, table)
     _check_named_roles(roles, config)
     return roles, config
@@ -151,6 +158,8 @@ def assign_roles_by_name(names: Sequence[str], config: DataConfig, trajectory: s
         config.group,
         config.per_trajectory,
         config.hold,
+        config.hidden,
+        tuple(name for name in states if name in config.observe),
     )
 
 
@@ -186,6 +195,24 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         raise UsageError(f"{counts}; name as many states with --states, in the same order")
     if roles.time is None and not roles.is_given:
         raise _missing_time_error(table, roles.states, config)
+
+
+def _check_hidden_states(roles: Roles, config: DataConfig, columns: Sequence[str]) -> None:
+    """Raise UsageError if a hidden state has a column, or if an observed column is no state column."""
+    for name in config.hidden:
+        if name in columns:
+            raise UsageError(f"--hidden names '{name}', which is a column; a hidden state has none, so remove it")
+        if not _is_symbol(name):
+            raise UsageError(f"--hidden names '{name}', which cannot be the name of a state; write a name such as h")
+    twice = next((name for name in config.hidden if config.hidden.count(name) > 1), None)
+    if twice is not None:
+        raise UsageError(f"--hidden names '{twice}' twice; name it once")
+    for name in config.observe:
+        if name not in roles.states:
+            known = ", ".join(roles.states)
+            raise UsageError(
+                f"--observe names '{name}', but the measured columns are {known}{did_you_mean(name, roles.states)}"
+            )
 
 
 def _check_named_roles(roles: Roles, config: DataConfig) -> None:

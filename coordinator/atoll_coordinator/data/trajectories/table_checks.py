@@ -54,7 +54,7 @@ def _check_count(table: Table, count: int) -> None:
 def check_searched_rows(table: Table, roles: Roles, rows: Sequence[int]) -> None:
     """Raise DataError if the search has too few `rows`, or if a column with an equation is constant in them."""
     _check_count(table, len(rows))
-    for name in roles.derivatives or roles.equations:
+    for name in roles.derivatives or ((roles.target,) if roles.target is not None else roles.states):
         role = "state" if name in roles.states else "derivative" if roles.derivatives else "target"
         check_varies(table, name, table.column(name)[rows], role, is_only=len(roles.equations) == 1)
 
@@ -273,7 +273,11 @@ def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) ->
     degrees = [angle.column for angle in roles.angles if angle.degrees]
     if degrees:
         remarks.append(f"Degrees were converted to radians: {', '.join(degrees)}.")
-    variables = [name for name in (*roles.states, *roles.inputs) if name not in roles.equations or roles.derivatives]
+    variables = [
+        name
+        for name in (*roles.states, *roles.inputs)
+        if name not in (*roles.equations, *roles.observed) or roles.derivatives
+    ]
     for name in variables:
         values = table.column(name)[rows]
         values = values[np.isfinite(values)]

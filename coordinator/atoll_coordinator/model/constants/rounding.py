@@ -213,12 +213,14 @@ class RoundedEquations:
 
     `simple` has the nearest simple number of each constant of each equation; it is empty for an equation that the user
     gave. `together` has the joint odds of the simple numbers of each equation; it is empty if these odds were not
-    computed.
+    computed. `parameters` are the values of the parameters of a template, which are rounded, but never replaced by
+    simple numbers.
     """
 
     programs: tuple[Program, ...]
     simple: tuple[tuple[SimpleNumber | None, ...], ...]
     together: tuple[SimpleTogether | None, ...] = ()
+    parameters: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +229,7 @@ class FittedEquations:
 
     The constants of the equations `given`, by index, were not fitted. The other equations obey their `restrictions`.
     Constant p of the other equations is fitted number `columns[p]` times `multiples[p]`; by default it is fitted number
-    p.
+    p. Further elements of `columns` belong to the parameters of a template.
     """
 
     programs: Sequence[Program]
@@ -247,7 +249,9 @@ class FittedEquations:
         Args:
             misfit_increase: returns the misfit of programs in nats minus the misfit of the fitted programs.
         """
-        numbers = self.estimates.accepted_numbers
+        numbers = {
+            number: value for number, value in self.estimates.accepted_numbers.items() if number not in self._parameters
+        }
         simple = self.round_equations(ERROR_DIGITS[-1]).programs if numbers else ()
         if (
             not simple
@@ -265,7 +269,8 @@ class FittedEquations:
             digits: number of digits of the standard errors to which estimates are rounded.
             estimates: indices of the fitted numbers that remain estimates, even if a simple number is accepted.
         """
-        rounded, near = self.estimates.round_values(digits, estimates), self.estimates.simple
+        kept = {*estimates, *self._parameters}
+        rounded, near = self.estimates.round_values(digits, kept), self.estimates.simple
         columns = (np.arange(self.estimates.count) if self.columns is None else self.columns).tolist()
         multiples = (np.ones(len(columns)) if self.multiples is None else self.multiples).tolist()
         programs, simple, together, first = [], [], [], 0
@@ -278,7 +283,16 @@ class FittedEquations:
             programs.append(moved if restrictions.bounds is None else restrictions.bounds.clipped(moved))
             simple.append(tuple(_scale_number(near[k], multiple) for k, multiple in zip(numbers, by, strict=True)))
             together.append(_scale_joint_numbers(self.estimates.joint_simple_numbers(numbers), by))
-        return RoundedEquations(tuple(programs), tuple(simple), tuple(together))
+        parameters = rounded[columns[first:]] if len(columns) > first else None
+        return RoundedEquations(tuple(programs), tuple(simple), tuple(together), parameters)
+
+    @property
+    def _parameters(self) -> list[int]:
+        """The indices of the fitted numbers that are parameters of a template."""
+        searched = sum(
+            len(constant_places(program)) for place, program in enumerate(self.programs) if place not in self.given
+        )
+        return [] if self.columns is None else self.columns[searched:].tolist()
 
 
 def _scale_joint_numbers(together: SimpleTogether | None, multiples: Sequence[float]) -> SimpleTogether | None:

@@ -13,6 +13,7 @@ same data adds uncertainty, which appears only in the comparison with the altern
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from atoll_coordinator.model.inference.final_model import FinalModel, estimate_e
 from atoll_coordinator.model.inference.long_run import assess_long_run
 from atoll_coordinator.model.inference.prediction import AlternativeSystem, compare_predictions, draw_systems
 from atoll_coordinator.model.inference.remarks import warn_of_random_walk
+from atoll_coordinator.model.inference.template_checks import TemplateChecks
 from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
     compute_r2,
@@ -41,7 +43,7 @@ from atoll_coordinator.model.inference.trajectory_simulation import (
     simulated_states,
 )
 from atoll_coordinator.model.inference.verdict import judge
-from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
+from atoll_coordinator.model.refinement import Alternative, ObservedColumn, Refined, Refinement
 from atoll_coordinator.model.regression.errors import measure_grouped_errors
 from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.selection.comparison import ModelComparison
@@ -56,7 +58,7 @@ from atoll_coordinator.result.findings import Errors
 from atoll_coordinator.result.listed_trajectories import Simulation
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.program import constant_places
+from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.writing.expansion import expand_program
 
@@ -76,35 +78,36 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     long_run = assess_long_run(final)
     chaos = long_run.chaos
     predictions = _predict_states(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
-    held_out_r2: Sequence[float | None] = final.ranking.validated or (None,) * len(task.variables)
-    if held_out_simulation is not None and final.held_out_comparison is not None:
-        held_out_rows, held_out_fit = final.held_out_comparison.estimator.measurements, held_out_simulation[0]
-        failed = [-math.inf for _ in held_out_r2]
-        held_out_r2 = failed if held_out_fit is None else compute_r2(held_out_rows, held_out_fit, slice(None))
-    compared: list[TrajectoryChecks] = []
-    for index, prediction in enumerate(predictions):
-        equation = _describe_equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
-        compared.append(TrajectoryChecks(final, long_run, index, equation, held_out_r2[index], compared))
-    equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
+    held_out_r2 = _held_out_r2(final, None if held_out_simulation is None else held_out_simulation[0])
     measurements = final.shown_comparison.estimator.measurements
     if measurements.rows > final.comparison.estimator.measurements.rows:
         spread = _errors_along_trajectories(final, final.shown_comparison, final.shown_fit, errors)
     else:
         spread = simulated_standard_errors(measurements, final.free.fit, errors.finite_covariance, errors.scale)
+    compared: list[TrajectoryChecks] = []
+    for index, prediction in enumerate(predictions):
+        r2 = held_out_r2[final.columns[index]]
+        equation = _describe_equation(final, index, constants[index], by_group[index], r2, prediction)
+        given = final, long_run, index, equation, r2, compared
+        is_plain = final.comparison.template is None
+        compared.append(TrajectoryChecks(*given) if is_plain else TemplateChecks(*given, spread))
+    equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
     recording, quantile = preparation.recording, student_quantile_95(errors.degrees_of_freedom)
     assert recording is not None
-    trajectories = list_trajectories(measurements, final.shown_fit, spread, task.variables, preparation, quantile)
+    trajectories = list_trajectories(measurements, final.shown_fit, spread, task.shown_names, preparation, quantile)
     if held_out_simulation is not None and final.held_out_comparison is not None:
         trajectories += list_trajectories(
             final.held_out_comparison.estimator.measurements,
             *held_out_simulation,
-            task.variables,
+            task.shown_names,
             preparation,
             quantile,
         )
-    values, _ = simulated_states(measurements, final.shown_fit, task.variables)
-    simulated = [values[:, rows] for _, rows in rows_by_trajectory(measurements)]
-    places = list_fitted_places(final.comparison.fixed, task.variables, final.explicit)
+    values, _ = simulated_states(measurements, final.shown_fit, task.shown_names)
+    simulated = [values[: len(measurements.observed), rows] for _, rows in rows_by_trajectory(measurements)]
+    observed = task.recording.observed
+    explicit = (*final.explicit, *final.explicit_observations)
+    places = list_fitted_places(final.comparison.held, (*task.variables, *observed), explicit)
     covariances = [joint_covariance(places, one.covariance, one.degrees_of_freedom) for one in of_groups]
     return Refinement(
         equations,
@@ -114,13 +117,25 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         (
             *piece_remarks(task, is_tested_in_whole=long_run.fits is True),
             *_warn_of_poles(final),
-            *warn_of_random_walk(recording, task.variables, simulated),
+            *warn_of_random_walk(recording, task.shown_names[: len(measurements.observed)], simulated),
         ),
         chaos,
         fluxes=final.fluxes,
+        observations=_describe_observations(final, of_groups[0]),
         covariance=covariances[0] if (system.columns == system.columns[0]).all() else None,
         by_group=dict(zip(task.recording.groups, covariances, strict=False)),
     )
+
+
+def _held_out_r2(final: FinalModel, held_out_fit: TrajectoryFit | None) -> Sequence[float | None]:
+    """Return the R2 (O,) of held-out trajectories, or of trajectories left out one at a time; None: there are none."""
+    comparison = final.held_out_comparison
+    columns = len(final.comparison.estimator.measurements.observed)
+    if comparison is None:
+        return final.ranking.validated or (None,) * columns
+    if held_out_fit is None:
+        return (-math.inf,) * columns
+    return compute_r2(comparison.estimator.measurements, held_out_fit, slice(None))
 
 
 def _describe_constants(
@@ -131,8 +146,8 @@ def _describe_constants(
     In the estimates for all groups together, shared constants have standard errors; other constants are means over the
     groups and have no standard errors.
     """
-    fixed, columns = final.comparison.fixed, final.free.fit.system.columns
-    described = [
+    fixed, columns = final.comparison.held, final.free.fit.system.columns
+    described = [  # constants of observations are last
         describe_constants(fixed, final.explicit, programs, errors)
         for programs, errors in zip(final.by_group or [final.programs], of_groups, strict=True)
     ]
@@ -156,6 +171,31 @@ def _describe_constants(
     return together, by_group
 
 
+def _describe_observations(final: FinalModel, errors: ConstantErrors) -> dict[str, ObservedColumn]:
+    """Return the measured columns that are computed from states, with their constants."""
+    observed, count = final.task.recording.observed, len(final.programs)
+    described = describe_constants(
+        final.comparison.held, (*final.explicit, *final.explicit_observations), (*final.programs, *final.observations),
+        errors,
+    )  # fmt: skip
+    return {
+        name: ObservedColumn(program, known.written, tuple(names))
+        for name, program, known, names in zip(
+            observed, final.observations, described[count:], final.names[count:], strict=True
+        )
+    }
+
+
+def _unknown_parts(final: FinalModel, index: int) -> dict[str, Program]:
+    """Return the unknown parts of one equation, by label; empty without a template."""
+    template = final.comparison.template
+    if template is None:
+        return {}
+    name = template.equations[index]
+    unknowns = [template.unknowns[place] for place in template.unknowns_in(name)]
+    return {one.label: final.searched[template.equations.index(one.home)] for one in unknowns}
+
+
 def _combine_groups(value: float, constants: Sequence[Constant]) -> Constant:
     """Return a constant for all groups together: the shared constant, or else the mean over the groups, without a
     standard error."""
@@ -175,10 +215,10 @@ def _describe_equation(
     name, program = task.variables[index], final.programs[index]
     programs = [group_programs[index] for group_programs in final.by_group]
     problem = task.dataset.problem(name)
-    error, mse = measure_grouped_errors(problem, programs or [program], task.config.evolution.loss)
+    error, mse = measure_grouped_errors(problem, programs or [final.searched[index]], task.config.evolution.loss)
     together = final.rounded.together
     return Refined(
-        task.candidates[name].member_of(program),
+        task.candidates[name].member_of(final.searched[index]),
         program,
         error,
         mse,
@@ -191,6 +231,8 @@ def _describe_equation(
         if by_group
         else {},
         simple_together=together[index] if together else None,
+        parameters=tuple(final.names[index]) if final.names else (),
+        unknowns=_unknown_parts(final, index),
     )
 
 
@@ -198,21 +240,36 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
     """Return the equation that is shown and its closest alternatives; all other equations stay the same."""
     ranking = final.ranking
     comparison, best = ranking.selection.comparison, ranking.selection.model
-    r2 = compute_r2(final.shown_comparison.estimator.measurements, final.shown_fit, slice(None))[index]
+    column = final.columns[index]
+    r2 = compute_r2(final.shown_comparison.estimator.measurements, final.shown_fit, slice(None))[column]
     origin = final.find_origin(index, best.programs[index])
     is_crossed = final.held_out_comparison is None and ranking.validated is not None
-    alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
+
+    def parts(searched: Sequence[Program], values: FloatArray) -> dict[str, Any]:
+        """Return the unknown part of the equation, and the values of the template's parameters."""
+        template = comparison.template
+        if template is None or template.unknown_of(template.equations[index]) is None:
+            return {}
+        named = zip(template.parameters, values.tolist(), strict=True)
+        return {"unknown": searched[index], "parameters": {one.name: value for one, value in named}}
+
+    shown = parts(final.searched, final.shown_fit.system.parameter_values)
+    alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin, **shown)]
     for alternative in ranking.alternatives[index]:
-        programs, nats = alternative.model.programs, alternative.model.nats - best.nats
-        r2 = compute_r2(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
-        held_out_r2 = None if alternative.validated is None else alternative.validated[index]
+        model, nats = alternative.model, alternative.model.nats - best.nats
+        programs = model.programs
+        r2 = compute_r2(comparison.estimator.measurements, alternative.model.fit, slice(None))[column]
+        held_out_r2 = None if alternative.validated is None else alternative.validated[column]
         if nats <= SETTINGS.inference.distinct_nats and final.held_out_comparison is not None and not final.by_group:
-            fit = fit_initial_states(final.held_out_comparison, programs)
+            parameters = None if comparison.template is None else model.fit.system.parameter_values
+            fit = fit_initial_states(final.held_out_comparison, programs, parameters=parameters)
             measurements = final.held_out_comparison.estimator.measurements
-            held_out_r2 = -math.inf if fit is None else compute_r2(measurements, fit, slice(None))[index]
+            held_out_r2 = -math.inf if fit is None else compute_r2(measurements, fit, slice(None))[column]
         is_crossed = alternative.validated is not None
         origin = final.find_origin(index, programs[index])
-        alternatives.append(Alternative(programs[index], nats, r2, held_out_r2, False, is_crossed, origin))
+        equation = comparison.equations_of(model)[index]
+        other = parts(programs, model.fit.system.parameter_values)
+        alternatives.append(Alternative(equation, nats, r2, held_out_r2, False, is_crossed, origin, **other))
     return tuple(alternatives)
 
 
@@ -269,7 +326,12 @@ def _predict_states(final: FinalModel, errors: ConstantErrors, *, is_near: bool)
     drawn = draw_systems(final.free.fit.system, errors.finite_covariance)
     simulator = final.shown_comparison.estimator
     return compare_predictions(
-        simulator.measurements, final.shown_fit.system, others, simulator.tolerance, drawn, is_near=is_near
+        simulator.measurements.with_all_states(),
+        final.shown_fit.system,
+        others,
+        simulator.tolerance,
+        drawn,
+        is_near=is_near,
     )
 
 
@@ -307,7 +369,7 @@ def _estimate_state_errors(final: FinalModel) -> dict[str, Errors]:
         comparison.score.counts / fit.errors.lengths,
     )
     errors_by_state, variances = {}, estimate_variances(final.task.recording)
-    for index, name in enumerate(final.task.variables):
+    for index, name in enumerate(final.task.shown_names[: len(comparison.estimator.measurements.observed)]):
         share, decay = float(fit.errors.shares[index]), float(fit.errors.decays[index])
         errors_by_state[name] = Errors(
             sd=float(np.sqrt(fit.squares[index])),

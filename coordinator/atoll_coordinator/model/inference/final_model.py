@@ -17,6 +17,7 @@ Doubtful: each step decides alone, and its decision is not tested again after a 
 the shown structure with all constants free, including constants that were replaced by simple numbers.
 """
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -32,6 +33,7 @@ from atoll_coordinator.model.constants.standard_errors import (
     make_explicit_if_free,
     write_refuted_factors,
 )
+from atoll_coordinator.model.inference.composed_equations import compose_equations
 from atoll_coordinator.model.inference.groups import choose_shared_constants
 from atoll_coordinator.model.inference.residual_covariance import estimate_variance_inflation, residual_covariances
 from atoll_coordinator.model.inference.shared_terms import fit_shared_terms
@@ -47,7 +49,9 @@ from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.system import SharedNumber
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import CONSTANT, SUBTRACT, VARIABLE
+from atoll_core.expression.program import Program, constant_places, structure, variables_of
 from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written
 from atoll_core.expression.writing.expansion import Shape
 from atoll_core.expression.writing.shortest import shortest_over
@@ -61,6 +65,9 @@ class ShownEquations:
 
     `fluxes` are terms that were fitted together, see `Refinement`. If groups of trajectories have their own constants,
     `by_group` has the equations of each group; each fitted number of `free` belongs to one group or to all groups.
+    `names` has the name of each constant of each equation that is a parameter of a template. `observations` are the
+    programs of measured columns that are computed from states, as they are shown, and `explicit_observations` the
+    programs whose constants were fitted; `names` of their constants follow.
     """
 
     rounded: RoundedEquations
@@ -69,6 +76,9 @@ class ShownEquations:
     free: FittedModel
     fluxes: tuple[tuple[Shape, Mapping[str, float | None]], ...] = ()
     by_group: Sequence[Sequence[Program]] = ()
+    names: Sequence[Sequence[str | None]] = ()
+    observations: tuple[Program, ...] = ()
+    explicit_observations: tuple[ExplicitCoefficients, ...] = ()
 
     @property
     def programs(self) -> tuple[Program, ...]:
@@ -83,9 +93,10 @@ class FinalModel(ShownEquations):
     `comparison` fits the constants, in pieces of at most `piece` rows, possibly to a subset of the rows.
     `shown_comparison` simulates the equations as they are shown: over all rows and, if possible, along whole
     trajectories; `shown_fit` is this simulation. `held_out_comparison` contains the held-out trajectories; None if
-    there are none.
+    there are none. `searched` are the searched programs as they are shown; with a template, they are its unknown parts.
     """
 
+    searched: tuple[Program, ...]
     task: ModellingTask
     ranking: Ranking
     origins: Sequence[Mapping[bytes, Origin]]
@@ -123,12 +134,35 @@ class FinalModel(ShownEquations):
         ]
 
     @cached_property
+    def columns(self) -> list[int]:
+        """For each equation, the measured column (index) by which it is judged: the column of its state. For a hidden
+        state, this is the column whose residuals are largest, compared with its noise."""
+        measurements = self.shown_comparison.estimator.measurements
+        noise = np.maximum(measurements.noise, SETTINGS.common.negligible * measurements.observed_scales)
+        worst = int(np.argmax(self.shown_fit.squares / noise**2))
+        found = [measurements.column_of(state) for state in range(len(self.task.variables))]
+        return [worst if column is None else column for column in found]
+
+    @cached_property
     def residual_covariances(self) -> list[FloatArray] | None:
         """The covariance of the residuals of each state; None if constants were fitted to other rows or pieces."""
         fitted = self.comparison.estimator.measurements
         if fitted.rows != self.shown_comparison.estimator.measurements.rows or self.piece != self.task.piece:
             return None
         return residual_covariances(fitted, self.free.fit)
+
+    def gain_of_unknown_part(self, equation: int) -> float:
+        """Return by how many nats the model's description is shorter than without the unknown part of an equation, or
+        with a constant in its place; the better one counts."""
+        selection = self.ranking.selection
+        comparison, model = selection.comparison, selection.model
+        own, lengths = model.programs[equation], list[float]()
+        mean = float(np.mean(values_of(own, self.task.dataset.inputs)))
+        nothing = Program.of([(VARIABLE, 0, 0, 0.0), (SUBTRACT, 0, 0, 0.0)])  # 0 without a fitted constant
+        for program in (nothing, Program.of([(CONSTANT, 0, 0, mean)]))[: 2 if variables_of(own) else 1]:
+            other = comparison.fit_replacement(model, equation, program, SETTINGS.effort.steps)
+            lengths.append(math.inf if other is None or not math.isfinite(other.nats) else other.nats)
+        return min(lengths) - model.nats
 
     @cached_property
     def unknown_variances(self) -> list[tuple[str, str, float | None]]:
@@ -170,6 +204,8 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
     equations = _show_by_group(whole) if task.recording.groups else _show_on_all_rows(whole)
     if equations is None:
         return None
+    searched = equations.programs
+    whole = replace(whole, task=replace(whole.task, parameters=equations.rounded.parameters))
     task, piece = whole.task, whole.task.piece
     shown_comparison, fit = whole.comparison, equations.fit.fit
     if not equations.by_group:
@@ -177,9 +213,11 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
     held_out_comparison = None
     if any(trajectory.held_out for trajectory in task.recording.trajectories):
         held_out_comparison = task.make_comparison(task.measurements(task.variables, held_out=True), task.variables)
+    equations = _compose_shown(whole.comparison, equations)
     return FinalModel(
-        **vars(equations), task=task, ranking=ranking, origins=origins, held_out_comparison=held_out_comparison,
-        comparison=whole.comparison, shown_comparison=shown_comparison, shown_fit=fit, piece=piece,
+        **vars(equations), searched=searched, task=task, ranking=ranking, origins=origins,
+        held_out_comparison=held_out_comparison, comparison=whole.comparison, shown_comparison=shown_comparison,
+        shown_fit=fit, piece=piece,
     )  # fmt: skip
 
 
@@ -274,7 +312,7 @@ def _simulate_in_whole(
         measurements = here.measurements(here.variables)
         if here.piece != task.piece or measurements.rows > fitted:
             shown_comparison = here.make_comparison(measurements, here.variables, is_precise=True)
-            fit = fit_initial_states(shown_comparison, shown.programs)
+            fit = fit_initial_states(shown_comparison, shown.programs, parameters=shown.rounded.parameters)
             if fit is not None:
                 return here, shown_comparison, fit
     return task, comparison, shown.fit.fit
@@ -290,7 +328,7 @@ def _show_equations(
     if free is None or fitted is None:
         return None
     errors, is_exact = estimate_errors_of_constants(comparison, free), comparison.score.is_exact(free)
-    numbers = fitted.fit.system.columns[0].tolist()
+    numbers = fitted.fit.system.searched_numbers[0].tolist()
 
     def numbers_outside_intervals(rounded: RoundedEquations) -> frozenset[int]:
         """Return the indices of the fitted numbers whose shown value is outside of the 95 % interval."""
@@ -298,11 +336,32 @@ def _show_equations(
             return frozenset()  # intervals would only reflect integration errors
         known = describe_constants(comparison.fixed, explicit, rounded.programs, errors)
         searched = (constants for equation, constants in enumerate(known) if equation not in comparison.fixed)
-        written = (constant for constants in searched for constant in constants.written)
-        return frozenset(number for number, constant in zip(numbers, written, strict=True) if not constant.is_within)
+        written = [constant for constants in searched for constant in constants.written]
+        pairs = zip(numbers[: len(written)], written, strict=True)  # the other numbers are parameters
+        return frozenset(number for number, constant in pairs if not constant.is_within)
 
     rounded_fit = _round_to_fewest_digits(comparison, fitted, numbers_outside_intervals)
     return None if rounded_fit is None else ShownEquations(*rounded_fit, explicit, free)
+
+
+def _compose_shown(comparison: ModelComparison, shown: ShownEquations) -> ShownEquations:
+    """Return the whole right-hand sides of the equations; without a template, `shown` itself."""
+    template = comparison.template
+    if template is None:
+        return shown
+    composed = compose_equations(template, shown.explicit, shown.programs, shown.rounded.simple)
+    programs = comparison.equations_of(shown.fit)
+    count = len(programs)
+    return replace(
+        shown,
+        observations=shown.fit.fit.system.programs[len(comparison.leading) + count :],
+        explicit_observations=composed.explicit[count:],
+        rounded=RoundedEquations(programs, composed.simple[:count], (), shown.rounded.parameters),
+        fit=replace(shown.fit, programs=programs),
+        explicit=composed.explicit[:count],
+        free=replace(shown.free, programs=comparison.equations_of(shown.free)),
+        names=composed.names,
+    )
 
 
 def _write_refuted_factors(
@@ -310,7 +369,7 @@ def _write_refuted_factors(
 ) -> tuple[Program, ...] | None:
     """Return the programs in which refuted factors of one are written as constants. None if the data refute no
     factor."""
-    programs, errors = shown.programs, estimate_errors(comparison, shown.free)
+    programs, errors = shown.programs, estimate_errors_of_constants(comparison, shown.free)
     known = describe_constants(comparison.fixed, shown.explicit, programs, errors)
     if not any(constants.refuted_factors for constants in known):
         return None
@@ -360,7 +419,7 @@ def _round_to_digits(
     while not (further := numbers_outside_intervals(rounded)) <= estimates:
         estimates |= further
         rounded = constants.round_equations(digits, estimates)
-    fit = fit_initial_states(comparison, rounded.programs, fitted.fit)
+    fit = fit_initial_states(comparison, rounded.programs, fitted.fit, rounded.parameters)
     return None if fit is None else (rounded, comparison.score_fit(fit))
 
 
@@ -391,9 +450,7 @@ def attach_estimates(comparison: ModelComparison, model: FittedModel) -> FittedE
     system, errors = model.fit.system, estimate_errors(comparison, model)
     restrictions = [comparison.restrictions(equation) for equation in range(len(model.programs))]
     estimates = Estimates(errors.values, errors.finite_covariance)
-    return FittedEquations(
-        model.programs, estimates, restrictions, comparison.fixed, system.columns[0], system.multiples
-    )
+    return FittedEquations(model.programs, estimates, restrictions, comparison.fixed, *system.searched_numbers)
 
 
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
@@ -417,6 +474,6 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Constant
 
 
 def estimate_errors_of_constants(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
-    """Return the errors of all constants of a model; several constants may be multiples of one fitted number."""
-    system = model.fit.system
-    return estimate_errors(comparison, model).for_multiples(system.columns[0], system.multiples)
+    """Return the errors of all constants of the searched programs of a model, then of the parameters of a template;
+    several constants may be multiples of one fitted number."""
+    return estimate_errors(comparison, model).for_multiples(*model.fit.system.searched_numbers)

@@ -120,7 +120,7 @@ def _fits_in_whole(final: FinalModel) -> bool | None:
     not. So constants are fitted once more, in pieces that grow to whole trajectories; very many rows are thinned. There
     is no test after the time limit, or for a model that does not describe the pieces.
     """
-    task, programs = final.task, final.programs
+    task, programs = final.task, final.searched
     limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
     if task.piece >= task.longest or not final.comparison.score.excess(final.free) <= limit:
         return None

@@ -56,8 +56,10 @@ def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequ
     """Return `shown` with brackets expanded and shared terms fitted together. None if this does not shorten the
     description.
 
-    Equations that the user gave, or that have bounds, are not changed.
+    Equations that the user gave, or that have bounds, are not changed; nor are equations with a template.
     """
+    if comparison.template is not None:
+        return None  # a template says which parts are shared
     sums = _expand_equations(comparison, shown)
     expansions = [None if summands is None else write_expansion(summands) for summands in sums]
     common = _find_common_terms(expansions)

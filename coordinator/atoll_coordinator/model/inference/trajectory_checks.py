@@ -79,7 +79,8 @@ class TrajectoryChecks(EquationChecks):
         self.held_out_r2, self.solver = held_out_r2, task.solver
         self.measurements = final.shown_comparison.estimator.measurements
         sensor = final.comparison.score.errors
-        self._set_quantities(sensor if sensor is not None and sensor.shares[index] > 0.0 else None)
+        self.column = final.columns[index]
+        self._set_quantities(sensor if sensor is not None and sensor.shares[self.column] > 0.0 else None)
 
     # ------------------------------------------------------------------------------ residuals and errors of measurement
 
@@ -88,11 +89,11 @@ class TrajectoryChecks(EquationChecks):
         final, measurements, index, residuals = (
             self.final,
             self.measurements,
-            self.index,
+            self.column,
             self.final.shown_fit.residuals,
         )
         recording = final.task.recording
-        smoothing = recording.smoothing[recording.states.index(self.name)]
+        smoothing = recording.smoothing[recording.states.index(final.task.shown_names[index])]
         noise = self.noise_estimate = float(measurements.noise[index])
         if sensor is not None:
             noise = float(sensor.sigmas[index])
@@ -130,7 +131,8 @@ class TrajectoryChecks(EquationChecks):
         # An equation with more constants always fits about as well. This is no reason to doubt the equation with fewer
         # constants, unless the longer equation fits far better. Constants are counted before some of them are replaced
         # by simple numbers.
-        most = len(constant_places(final.ranking.selection.model.programs[index]))
+        chosen = final.ranking.selection
+        most = len(constant_places(chosen.comparison.equations_of(chosen.model)[self.index]))
         self.alternative = min((one.nats for one in drop_larger_equations(most, self.shown.alternatives)), default=None)
 
     def _count_distinct_rows(self) -> int:
@@ -141,10 +143,12 @@ class TrajectoryChecks(EquationChecks):
         measurements, dataset = self.measurements, self.final.task.dataset
         used = {dataset.names[one] for one in variables_of(self.shown.program)}
         states, inputs = len(measurements.smoothed), measurements.variables[len(measurements.smoothed) :]
-        names = [*(measurements.variables[:states][place] for place in measurements.observed), *inputs]
+        computed = self.final.task.recording.observed
+        names = [*measurements.variables[:states], *computed]
+        names = [*(names[place] for place in measurements.observed), *inputs]
         values = np.concatenate([measurements.measured, measurements.inputs])
         if used <= set(names):
-            values = values[[place for place, name in enumerate(names) if place == self.index or name in used]]
+            values = values[[place for place, name in enumerate(names) if place == self.column or name in used]]
         scales = np.maximum(np.nanstd(values, axis=1), 1e-300)[:, None]
         return len(np.unique(np.nan_to_num(np.round(values / (EXACT_ERROR * scales))) + 0.0, axis=1).T)
 
@@ -159,8 +163,9 @@ class TrajectoryChecks(EquationChecks):
         per equation, and the count of numbers fitted to this state. If there are more initial values than trajectories,
         the additional values are also counted.
         """
-        final, measurements, index, fit = self.final, self.measurements, self.index, self.final.shown_fit
-        program, is_given = self.shown.program, index in final.comparison.fixed
+        final, measurements, index, fit = self.final, self.measurements, self.column, self.final.shown_fit
+        program, is_given = self.shown.program, self.index in final.comparison.fixed
+        is_held = self.index in final.comparison.held
         squares = deviations = effective = 0.0
         series, times = [], []
         for owner in range(len(measurements.names)):
@@ -183,7 +188,7 @@ class TrajectoryChecks(EquationChecks):
         lengths = final.free.fit.errors.lengths
         rows_of_one = max(float(lengths[index]) if len(lengths) > index else 1.0, 1.0)
         own = max(len(constant_places(program)), final.free.fit.system.count / len(final.programs))
-        constants = 0.0 if is_given else own
+        constants = 0.0 if is_held else own
         constants += max(fit.starts.size / len(measurements.observed) - len(series), 0.0)
         constants = max(constants, self.parameters - len(series))
         of_constant = log_bayes_factor(effective / rows_of_one - (len(series) - 1), constants, squares / deviations)
@@ -193,7 +198,7 @@ class TrajectoryChecks(EquationChecks):
             constants += 1.0  # the correlation of the errors was also fitted; a random walk has no such parameter
         free = effective - drift - (len(series) - 1)
         of_walk = log_bayes_factor(free, max(constants - drift, 0.0), innovations / steps)
-        price = 0.0 if is_given else structure_price(program, len(final.task.dataset.names))
+        price = 0.0 if is_given else structure_price(final.searched[self.index], len(final.task.dataset.names))
         return min(of_constant, of_walk) - price
 
     def check_explained_variance(self) -> Finding:
@@ -300,7 +305,7 @@ class TrajectoryChecks(EquationChecks):
         long_run = self.long_run
         if long_run.fits is not None or long_run.r2 is None:
             return long_run.fits
-        r2 = long_run.r2[self.index]
+        r2 = long_run.r2[self.column]
         return r2 is None or r2 >= 1.0 - SETTINGS.inference.part - noise * noise
 
     def check_whole_trajectories(self) -> Finding | None:

@@ -32,10 +32,17 @@ _MOST_NUMBERS: Final = 100_000
 
 
 def fit_initial_states(
-    comparison: ModelComparison, programs: Sequence[Program], near: TrajectoryFit | None = None
-) -> TrajectoryFit | None:
-    """Return the simulation of `programs` with fitted initial states and unchanged constants; None if it fails."""
-    system = comparison.system(programs, [constant_places(program) for program in programs])
+    comparison: ModelComparison, programs: Sequence[Program], near: TrajectoryFit | None = None,
+    parameters: FloatArray | None = None,
+) -> TrajectoryFit | None:  # fmt: skip
+    """Return the simulation of `programs` with fitted initial states and unchanged constants; None if it fails.
+
+    The parameters of a template have the values `parameters`; None: their values in `near`.
+    """
+    if parameters is None and near is not None and comparison.template is not None:
+        parameters = near.system.parameter_values
+    nodes = [constant_places(program) for program in programs]
+    system = comparison.system(programs, nodes, parameters=parameters)
     starts, errors = (None, None) if near is None else (near.starts, near.errors)
     return comparison.estimator.fit(system, None, SETTINGS.effort.steps, starts, errors)
 
@@ -43,9 +50,10 @@ def fit_initial_states(
 def simulated_states(
     measurements: TrajectoryMeasurements, fit: TrajectoryFit, states: Sequence[str]
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return the simulated values (O, N) of measured states, which include the offsets, and the offsets (N,) by
-    state."""
-    values, offsets = fit.simulated[measurements.observed], dict[str, FloatArray]()
+    """Return the simulated values of measured columns (which include the offsets) and then of hidden states, and the
+    offsets (N,) by state."""
+    offsets = dict[str, FloatArray]()
+    values = np.concatenate([fit.simulated_columns, fit.simulated[list(measurements.hidden)]])
     lengths = fit.segments[:, 1] - fit.segments[:, 0]
     columns = fit.starts[:, fit.starts.shape[1] - len(measurements.offset) :].T
     for state, column in zip(measurements.offset.tolist(), columns, strict=True):
@@ -78,8 +86,8 @@ def list_trajectories(
     Args:
         measurements: the trajectories.
         fit: their simulation; None if it failed.
-        errors: the standard errors (O, N) of the simulated states; None: there are no bands.
-        states: names of the O states.
+        errors: the standard errors of the simulated columns and hidden states; None: there are no bands.
+        states: names of the O measured columns, then of the hidden states.
         preparation: the prepared table.
         quantile: half the width of the 95 % bands, in standard errors. It is a quantile of Student's t distribution,
             the same as for the constants.
@@ -87,7 +95,12 @@ def list_trajectories(
     recording, source = preparation.recording, preparation.source
     assert recording is not None
     velocities = [] if source is None or not source.velocities else source.velocities
-    names = [*states, *(velocities[source.states.index(name)] for name in states if source is not None and velocities)]
+    columns = states[: len(measurements.observed)]
+    names = [*measurements.variables[: len(measurements.smoothed)]]
+    if not measurements.hidden:
+        names = [
+            *states, *(velocities[source.states.index(name)] for name in states if source is not None and velocities)
+        ]  # fmt: skip
     parts = {part.name: part for part in recording.trajectories}
     most = max(2, min(_MOST_POINTS, _MOST_NUMBERS // (len(parts) * (1 + 4 * len(states)))))
     values, offsets = (None, dict[str, FloatArray]()) if fit is None else simulated_states(measurements, fit, states)
@@ -102,19 +115,19 @@ def list_trajectories(
     for name, rows in rows_by_trajectory(measurements):
         places = spread_places(len(rows), most)
         measured = np.where(measurements.weights > 0.0, measurements.measured, np.nan)[:, rows]
-        recorded = parts[name].measured[[recording.states.index(state) for state in states]]
+        recorded = parts[name].measured[[recording.states.index(column) for column in columns]]
         if recorded.shape == measured.shape:
             measured = np.where(np.isnan(measured), np.nan, recorded)
-        r2 = [None for _ in states] if fit is None else compute_r2(measurements, fit, rows)
+        r2 = [None for _ in columns] if fit is None else compute_r2(measurements, fit, rows)
         start = None if fit is None else dict(zip(names, fit.simulated[:, rows[0]].tolist(), strict=False))
         listed.append(Simulated(
             name=name,
             held_out=parts[name].held_out,
-            r2=dict(zip(states, r2, strict=True)),
+            r2=dict(zip(columns, r2, strict=True)),
             offsets={state: float(offset[rows].mean()) for state, offset in offsets.items()},
             start=start,
             times=curve(measurements.times[rows[places]] + recording.offset, digits=12),
-            measured=curves(states, measured[:, places]),
+            measured=curves(columns, measured[:, places]),
             values=curves_of(values, rows[places]),
             lower=curves_of(lower, rows[places]),
             upper=curves_of(upper, rows[places]),
@@ -147,8 +160,8 @@ def squares_about_mean(measurements: TrajectoryMeasurements, state: int, rows: I
 def simulated_standard_errors(
     measurements: TrajectoryMeasurements, fit: TrajectoryFit, spread: FloatArray, scale: float
 ) -> FloatArray:
-    """Return the standard errors (O, N) of the simulated states that are due to the errors of constants and initial
-    states together.
+    """Return the standard errors of the simulated columns and then of the hidden states, by row, that are due to the
+    errors of constants and initial states together.
 
     To first order, the variance of a state is K S K' + Y C^-1 Y' with K = J - Y C^-1 B'. J are the sensitivities to the
     constants, and Y the sensitivities to the initial state of the piece. B and C are blocks of the normal equations: B
@@ -162,12 +175,12 @@ def simulated_standard_errors(
         scale: a factor by which variances from the normal equations are multiplied.
     """
     fitted = fit.system.count
-    standard_errors = np.zeros((len(measurements.observed), measurements.rows))
+    standard_errors = np.zeros((len(measurements.shown), measurements.rows))
     sensitivities = fit.integrated_sensitivities()
     for group, (first, end) in enumerate(fit.segments.tolist()):
         own = np.linalg.pinv(fit.blocks.own[group], hermitian=True)
         carried = own @ fit.blocks.coupling[group].T
-        for state, index in enumerate(measurements.observed.tolist()):
+        for state, index in enumerate(measurements.shown.tolist()):
             gradients = sensitivities[first:end, index]
             starts = gradients[:, fitted:]
             constants = gradients[:, :fitted] - starts @ carried

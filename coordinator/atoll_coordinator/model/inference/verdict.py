@@ -57,7 +57,8 @@ class Rule:
         return finding._replace(outcome="not made", reason=reason, advice="measure more rows, or with less noise")
 
 
-_SIMULATED: Final[Sequence[JobKind]] = ("trajectories",)
+_SIMULATED: Final[Sequence[JobKind]] = ("trajectories", "template")
+_TEMPLATE: Final[Sequence[JobKind]] = ("template",)
 _TARGET: Final[Sequence[JobKind]] = ("target",)
 _PROCESS: Final[Sequence[JobKind]] = ("process",)
 _FITTED: Final = (*_SIMULATED, *_TARGET)
@@ -72,6 +73,9 @@ RULES: Final[Sequence[Rule]] = (
     Rule("distinct rows", "rows that differ by more than rounding", "5", _FITTED),
     Rule("inputs between rows", "share of the variance of a rate that is not known", "0.1", _SIMULATED),
     Rule("no equation", "Δ log-likelihood over a constant and a random walk", "4.6", _FITTED),
+    Rule("unknown part", "Δ description length without it, or with a constant", "4.6", _TEMPLATE),
+    Rule("hidden state", "share of its variance that is error", "0.1", _TEMPLATE),
+    Rule("starting values", "fits from other starts that end elsewhere, as well", "none", _TEMPLATE),
     Rule("held-out trajectories", "R2 of trajectories left out", "0.9 minus the noise", _SIMULATED),
     Rule("rows left out", "R2 of rows left out one at a time", "0.9", _TARGET),
     Rule("target uncertainty", "uncertainty of the target", "0.01", _TARGET),

@@ -13,7 +13,7 @@ import math
 import platform
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Final
@@ -22,8 +22,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.pools import Origin
-from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
+from atoll_coordinator.model.refinement import Alternative, ObservedColumn, Refined, Refinement
 from atoll_coordinator.model.regression.errors import measure_errors
 from atoll_coordinator.model.result.shared_terms import find_shared_terms
 from atoll_coordinator.model.result.tables import (
@@ -43,11 +44,14 @@ from atoll_coordinator.result.equations import (
     Convergence,
     Equation,
     Estimate,
+    GivenSide,
     GroupEquation,
     ImpliedConstant,
     ImpliedUnit,
     Member,
+    Observation,
     Units,
+    UnknownPart,
 )
 from atoll_coordinator.result.findings import Group, SharedTerm
 from atoll_coordinator.result.result import Result
@@ -57,6 +61,7 @@ from atoll_core.data.dataset import Dataset, FloatArray, Target
 from atoll_core.data.notes import notes_of
 from atoll_core.expression.program import Program, constant_places, structure, tree_size
 from atoll_core.expression.restrictions import restrictions_of
+from atoll_core.expression.template import ZERO
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix
 from atoll_core.expression.writing.shortest import points_of, shortest_at
 from atoll_core.search.pareto import FrontEntry
@@ -154,6 +159,7 @@ def build_result(
     shown = {
         one.variable: select_shown_equation(one, model.equations.get(one.variable), dataset, config) for one in outcomes
     }
+    shown = _complete_sides(shown, preparation, config)
     known = {name: equation for name, equation in shown.items() if equation is not None}
     first = next(iter(shown.values()), None)
     shared: tuple[SharedTerm, ...] = ()
@@ -170,6 +176,11 @@ def build_result(
             for outcome in outcomes
         ),
         shared_terms=shared,
+        observations=tuple(
+            _describe_observation(name, config.data.observe[name], one, dataset.names)
+            for name, one in model.observations.items()
+        ),
+        hidden=() if recording is None else recording.hidden,
         noise=describe_noise(recording, model.errors),
         smoothing=describe_smoothing(recording),
         correlations=model.correlations,
@@ -268,6 +279,7 @@ def _describe_equation(
         r2=target.r2(shown.mse),
         converged=normalized <= threshold,
         constants=_describe_constants(shown.program, shown.constants, shown),
+        given=_describe_given(config.prior.equations.get(target.variable), shown, names),
         simple_together=shown.simple_together,
         units=_describe_units(shown),
         groups=tuple(
@@ -370,6 +382,65 @@ def _describe_constants(
     )
 
 
+def _complete_sides(
+    shown: Mapping[str, Refined | None], preparation: Preparation, config: JobConfig
+) -> dict[str, Refined | None]:
+    """Return the equations; a side of the template whose unknown part was not refined is completed.
+
+    Its parameters have the values by the derivatives, and unknown parts that were not found are 0.
+    """
+    template = template_of(config, preparation.dataset.names)
+    if template is None:
+        return dict(shown)
+    parts = {unknown.home: shown.get(unknown.home) for unknown in template.unknowns}
+    slots = {home: ZERO if one is None or one.parameters else one.program for home, one in parts.items()}
+    values = np.array(preparation.parameters) if preparation.parameters else template.starts
+    completed = dict(shown)
+    for name, equation in shown.items():
+        if equation is None or equation.parameters or equation.unknowns or name not in template.sides:
+            continue
+        program, parameters = template.complete(name, slots, values)
+        unknowns = {
+            template.unknowns[place].label: slots[template.unknowns[place].home] for place in template.unknowns_in(name)
+        }
+        completed[name] = replace(
+            equation,
+            program=program,
+            constants=(),
+            parameters=parameters,
+            unknowns=unknowns,
+            unit_coefficients=(),
+            units=None,  # the units found are those of the unknown part
+        )
+    return completed
+
+
+def _describe_given(text: str | None, shown: Refined, names: Sequence[str]) -> GivenSide | None:
+    """Return the side that the user gave with ``--equation``; None without one, and before refining."""
+    if text is None or not (shown.parameters or shown.unknowns):
+        return None
+    return GivenSide(
+        text=text,
+        parameters={name: place for place, name in enumerate(shown.parameters) if name is not None},
+        unknowns=tuple(
+            UnknownPart(label=label, expression=to_infix(program, names), program=program.to_bytes().hex())
+            for label, program in shown.unknowns.items()
+        ),
+    )
+
+
+def _describe_observation(name: str, text: str, observed: ObservedColumn, names: Sequence[str]) -> Observation:
+    """Return a measured column that is computed from states."""
+    parameters = {called: place for place, called in enumerate(observed.parameters) if called is not None}
+    return Observation(
+        column=name,
+        expression=to_infix(observed.program, names),
+        program=observed.program.to_bytes().hex(),
+        constants=_describe_constants(observed.program, observed.constants),
+        given=GivenSide(text=text, parameters=parameters),
+    )
+
+
 def _describe_units(shown: Refined) -> Units | None:
     """Return the units that follow for an equation, and the contradictions between units. None if no unit is known."""
     if shown.units is None:
@@ -392,6 +463,8 @@ def _list_candidates(alternatives: Sequence[Alternative], names: Sequence[str]) 
             cross_validated=alternative.is_cross_validated,
             origin=alternative.origin,
             selected=alternative.is_shown,
+            unknown=None if alternative.unknown is None else to_infix(alternative.unknown, names),
+            parameters=dict(alternative.parameters),
         )
         for place, alternative in enumerate(ordered)
         if place < MOST_CANDIDATES or alternative.origin == "guess"

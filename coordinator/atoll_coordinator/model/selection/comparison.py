@@ -29,6 +29,7 @@ from atoll_coordinator.model.description_length import least_term_length
 from atoll_coordinator.model.least_squares import SETTLED
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.score import FittedModel, Score, SummarizedFit
+from atoll_coordinator.model.shooting.composed_system import composed_system, constants_in
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
@@ -40,6 +41,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.restrictions import NONE, Restrictions
+from atoll_core.expression.template import Composition, EquationTemplate
 from atoll_core.wire.values import encode_value
 
 Programs = tuple[Program, ...]
@@ -53,12 +55,13 @@ accuracy."""
 @dataclass(frozen=True, eq=False)
 class FitStart:
     """The start of a fit: initial states, error model, and stiffness. With groups of trajectories, also a system with
-    the constants of each group."""
+    the constants of each group; with a template, also the values of its parameters."""
 
     starts: FloatArray
     errors: ErrorModel
     is_stiff: bool
     system: OdeSystem | None = None
+    parameters: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +116,13 @@ class PrefetchedModels:
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """`restrictions` of equations by index; `groups` of trajectories that may have constants of their own."""
+    """`restrictions` of equations by index; `groups` of trajectories that may have constants of their own; the
+    `template` of the equations, and the values (P,) of its parameters with which fits start."""
 
     restrictions: Mapping[int, Restrictions] = field(default_factory=dict)
     groups: GroupedRows | None = None
+    template: EquationTemplate | None = None
+    parameters: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 def differ(first: FloatArray, second: FloatArray, share: float = SETTINGS.common.negligible) -> bool:
@@ -162,7 +168,7 @@ class ModelComparison:
     Attributes:
         estimator: fits systems to the measurements.
         names: the variables of the programs.
-        fixed: equations, by index, whose constants are given.
+        fixed: equations, by index, whose form is given, so that nothing is searched.
         leading: for order 2, the equations of the positions, which come before the other equations.
         spread: fits systems in threads or on workers; by default one after another.
         constraints: restrictions of the equations.
@@ -185,6 +191,19 @@ class ModelComparison:
         """The score by which systems are compared."""
         count = 1 if self.groups is None else self.groups.count
         return self.calibration or Score.from_smoother(self.estimator, len(self.leading), self.fixed, count)
+
+    @property
+    def template(self) -> EquationTemplate | None:
+        """The template of the equations; None: whole right-hand sides are searched."""
+        return self.constraints.template
+
+    @property
+    def held(self) -> frozenset[int]:
+        """The equations, by index, whose constants are given, too, and not fitted."""
+        template = self.template
+        return self.fixed if template is None else self.fixed - {
+            index for index, name in enumerate(template.equations) if name in template.sides
+        }  # fmt: skip
 
     @property
     def groups(self) -> GroupedRows | None:
@@ -261,18 +280,26 @@ class ModelComparison:
         """Return the model of a system that a worker has fitted."""
         admitted = self.admissible_programs(programs)
         assert admitted is not None, "a fitted system meets the restrictions"
-        ends = np.cumsum([len(program) for program in (*self.leading, *admitted)])
-        parts = np.split(summary.constants, ends[:-1])[len(self.leading) :]
 
-        def complete() -> TrajectoryFit:
+        def fitted_system() -> OdeSystem:
             near = None if plan.near is None else plan.near.system
             system = replace(self.system(admitted, (), near), constants=summary.constants)
             if system.sharing is not None and summary.by_group is not None:
                 system = replace(system, sharing=replace(system.sharing, constants=summary.by_group))
-            stiff = summary.is_stiff
-            return self.estimator.complete(system, summary.length, summary.starts, summary.errors, is_stiff=stiff)
+            return system
 
-        fitted = tuple(replace(one, constants=part) for one, part in zip(admitted, parts, strict=True))
+        def complete() -> TrajectoryFit:
+            stiff = summary.is_stiff
+            return self.estimator.complete(
+                fitted_system(), summary.length, summary.starts, summary.errors, is_stiff=stiff
+            )
+
+        if self.template is None:
+            ends = np.cumsum([len(program) for program in (*self.leading, *admitted)])
+            parts = np.split(summary.constants, ends[:-1])[len(self.leading) :]
+            fitted = tuple(replace(one, constants=part) for one, part in zip(admitted, parts, strict=True))
+        else:
+            fitted = fitted_system().searched(len(self.leading))
         return FittedModel(fitted, SummarizedFit(summary.squares, complete), summary.misfit, summary.nats)
 
     def fit_and_summarize(self, planned: PlannedFit) -> FitOutcome:
@@ -284,7 +311,8 @@ class ModelComparison:
     def summarize(self, plan: FitPlan, model: FittedModel) -> FitSummary:
         """Return the summary of a model, as a worker sends it."""
         fit, sharing = model.fit, model.fit.system.sharing
-        in_whole = plan.near is not None or self.score.errors is not None
+        is_hidden = bool(self.estimator.measurements.hidden)
+        in_whole = plan.near is not None or self.score.errors is not None or is_hidden
         return FitSummary(
             fit.system.constants, None if sharing is None else sharing.constants, fit.starts, fit.errors, fit.squares,
             None if in_whole else plan.lengths[-1], fit.is_stiff, model.misfit, model.nats,
@@ -329,22 +357,28 @@ class ModelComparison:
 
     def system(
         self, programs: Sequence[Program], fixed_nodes: Sequence[Iterable[int]] = (), near: OdeSystem | None = None,
-        shared: Collection[SharedNumber] = (),
+        shared: Collection[SharedNumber] = (), parameters: FloatArray | None = None,
     ) -> OdeSystem:  # fmt: skip
         """Return the system of `programs`.
 
         Args:
-            programs: one for each equation.
-            fixed_nodes: for each program, the nodes whose constants are not fitted.
+            programs: one for each equation. With a template, they are its unknown parts.
+            fixed_nodes: for each program, the nodes whose constants are not fitted. If they are given, the parameters
+                of a template are not fitted either.
             near: a similar system, used if groups of trajectories have their own constants. If an equation is also in
                 `near`, its fit starts with the constants that each group has in `near`. The constants of other
                 equations are first fitted to the rows of each group.
             shared: fitted numbers that are common to all groups, or to several constants.
+            parameters: values of the parameters of a template; None: the values with which fits start.
         """
         fixed = [
-            set(constant_places(program)) if index in self.fixed else set(fixed_nodes[index]) if fixed_nodes else set()
+            set(constant_places(program)) if index in self.held else set(fixed_nodes[index]) if fixed_nodes else set()
             for index, program in enumerate(programs)
         ]
+        if self.template is not None:
+            values = self.constraints.parameters if parameters is None else parameters
+            composition = self.template.compose(programs, values)
+            return self._composed_system(composition, fixed, is_fixed=bool(fixed_nodes))
         none: list[set[int]] = [set() for _ in self.leading]
         variables = self.estimator.measurements.variables
         system = system_of([*self.leading, *programs], self.names, variables, [*none, *fixed])
@@ -358,11 +392,38 @@ class ModelComparison:
             lower, upper = system.sharing.ranges(lower, upper)
         return replace(system, lower=lower, upper=upper)
 
+    def _composed_system(
+        self, composition: Composition, fixed: Sequence[Collection[int]], *, is_fixed: bool
+    ) -> OdeSystem:
+        """Return the system of equations that were composed with the template.
+
+        `fixed` are the nodes of the searched programs whose constants are not fitted; `is_fixed`: no parameter is
+        fitted.
+        """
+        template = self.template
+        assert template is not None
+        bounds: dict[Place, tuple[float, float]] = {}
+        for index, (slot, held) in enumerate(zip(composition.slots, fixed, strict=False)):
+            restrictions = self.restrictions(index)
+            if restrictions.bounds is None or template.is_given(template.equations[index]):
+                continue
+            nodes = [node for node in constant_places(slot) if node not in held]
+            for node, *ends in zip(nodes, *restrictions.ranges(slot, held).tolist(), strict=True):
+                bounds |= dict.fromkeys(composition.places[index].get(node, ()), (ends[0], ends[1]))
+        variables = self.estimator.measurements.variables
+        return composed_system(
+            template, composition, self.names, variables, self.leading, fixed, bounds, are_parameters_fixed=is_fixed
+        )
+
+    def equations_of(self, model: FittedModel) -> tuple[Program, ...]:
+        """Return the whole right-hand sides of a model; without a template, these are its programs."""
+        if self.template is None:
+            return model.programs
+        return model.fit.system.programs[len(self.leading) :][: len(model.programs)]
+
     def places(self, system: OdeSystem) -> list[Place]:
         """Return equation and node of each fitted constant of a system of this comparison."""
-        firsts = [0, *(system.outputs + 1).tolist()]
-        pairs = zip(system.places.tolist(), system.owners.tolist(), strict=True)
-        return [(owner - len(self.leading), node - firsts[owner]) for node, owner in pairs]
+        return constants_in(system, len(self.leading))
 
     def _ranges(
         self, programs: Sequence[Program], fixed: Sequence[Collection[int]]
@@ -386,6 +447,8 @@ class ModelComparison:
         admitted = self.admissible_programs(programs)
         if admitted is None:
             return None
+        if self.estimator.measurements.hidden:  # short segments would need unknown initial values
+            lengths = (None,)
         fit = fit_in_stages(self.estimator, self.system(admitted), lengths, steps)
         if fit is not None and self.score.errors is not None:
             fit = self.score.refit_with_errors(fit, self.score.errors)
@@ -404,7 +467,9 @@ class ModelComparison:
     def _start_of(self, near: FittedModel) -> FitStart:
         """Return the start of fits of systems that are similar to `near`."""
         fit = near.fit
-        return FitStart(fit.starts, fit.errors, fit.is_stiff, None if self.groups is None else fit.system)
+        system = None if self.groups is None else fit.system
+        parameters = None if self.template is None else fit.system.parameter_values
+        return FitStart(fit.starts, fit.errors, fit.is_stiff, system, parameters)
 
     def _fit_from_start(
         self, near: FitStart, programs: Sequence[Program], steps: int, shared: Collection[SharedNumber] = (),
@@ -413,7 +478,7 @@ class ModelComparison:
         admitted = self.admissible_programs(programs)
         if admitted is None:
             return None
-        system = self.system(admitted, near=near.system, shared=shared)
+        system = self.system(admitted, near=near.system, shared=shared, parameters=near.parameters)
         most = self.score.misfit_limit(system, limit) if limit < math.inf else None
         fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff, limit=most)
         return None if fit is None else self.score_fit(fit)

@@ -31,12 +31,14 @@ _LEAST_FOLDS: Final = 3
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """The `programs`, `starts` and `errors` of a fit to all trajectories, and the trajectories to leave out."""
+    """The `programs`, `starts` and `errors` of a fit to all trajectories, and the trajectories to leave out; with a
+    template, also the values of its parameters."""
 
     programs: tuple[Program, ...]
     starts: FloatArray
     errors: ErrorModel
     left_out: frozenset[int]
+    parameters: FloatArray | None = None
 
 
 class Validation:
@@ -57,7 +59,8 @@ class Validation:
         comparison, fit = self._comparison, model.fit
         measurements = comparison.estimator.measurements
         squares, total = np.zeros((2, len(measurements.observed)))
-        folds = [Fold(model.programs, fit.starts, fit.errors, left_out) for left_out in self._folds]
+        parameters = None if comparison.template is None else fit.system.parameter_values
+        folds = [Fold(model.programs, fit.starts, fit.errors, left_out, parameters) for left_out in self._folds]
         found = comparison.spread.map(FOLDS, lambda: comparison, folds, parts=lambda: comparison.parts)
         for left_out, errors in zip(self._folds, found, strict=True):
             if comparison.estimator.deadline.is_over or errors is None:
@@ -77,7 +80,9 @@ def squared_errors(comparison: ModelComparison, fold: Fold) -> FloatArray:
     if whole.deadline.is_over:
         return unknown
     others = _make_estimator(whole, measurements.part(set(measurements.owners.tolist()) - left_out))
-    fitted = others.fit(comparison.system(fold.programs), None, steps, fold.starts[~is_out], fold.errors)
+    fitted = others.fit(
+        comparison.system(fold.programs, parameters=fold.parameters), None, steps, fold.starts[~is_out], fold.errors
+    )
     if fitted is None:
         return unknown
     rest = _make_estimator(whole, measurements.part(left_out))

@@ -87,9 +87,8 @@ def _treat_as_noise_free(
     proportional to the noise. So in this case the tolerance would be so large that unnecessary terms would describe the
     integration errors.
     """
-    limit = SETTINGS.selection.least_noise * comparison.estimator.measurements.scales
-    observed = comparison.estimator.measurements.observed
-    if task.is_nearly_clean or np.any(best.fit.squares > limit[observed] ** 2):
+    limit = SETTINGS.selection.least_noise * comparison.estimator.measurements.observed_scales
+    if task.is_nearly_clean or np.any(best.fit.squares > limit**2):
         return comparison, best
     precise = task.make_comparison(comparison.estimator.measurements, task.variables, has_noise=False)
     model = precise.fit_from(best, best.programs)

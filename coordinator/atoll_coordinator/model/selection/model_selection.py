@@ -115,7 +115,7 @@ class Stage:
 
 def select_model(task: ModellingTask) -> SelectedModel | None:
     """Return the best system of equations, fitted to the longest possible pieces; None if no system can be fitted."""
-    if task.recording.offsets:
+    if task.recording.offsets or task.recording.hidden:
         task = replace(task, piece=task.longest)
     choice = Choice(add_laws(task))
     for stage in STAGES:

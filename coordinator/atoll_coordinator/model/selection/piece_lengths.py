@@ -120,7 +120,8 @@ def piece_remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> I
             f"Trajectories were simulated in pieces of {task.piece} rows or less, each from its own initial state, "
             f"not in whole (up to {whole} rows); {tested}."
         )
-    others = [state for state in task.recording.states if state not in task.variables]
+    known = (*task.variables, *task.recording.observed)
+    others = [state for state in task.recording.states if state not in known]
     if others:
         yield (
             f"Simulations use the smoothed values of {', '.join(others)}, which have no equation; errors of these "

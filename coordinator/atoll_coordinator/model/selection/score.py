@@ -82,7 +82,7 @@ class Score:
     Attributes:
         estimator: fits systems to the measurements.
         leading: number of equations of positions, which come before the other equations (order 2) and are not scored.
-        fixed: equations, by index, whose constants are given.
+        fixed: equations, by index, whose form is given.
         groups: number of groups of trajectories that may have their own constants; 1 if there are no groups.
         roughness: standard deviations (O,) of independent errors.
         rows: number of independent rows (O,) from which `roughness` was estimated.
@@ -110,8 +110,7 @@ class Score:
 
     @property
     def _scales(self) -> FloatArray:
-        measurements = self.estimator.measurements
-        return measurements.scales[measurements.observed]
+        return self.estimator.measurements.observed_scales
 
     @cached_property
     def least_errors(self) -> FloatArray:
@@ -171,12 +170,14 @@ class Score:
     @cached_property
     def _initial_values(self) -> int:
         measurements = self.estimator.measurements
-        return len(measurements.bounds) * (len(measurements.scales) + len(measurements.offset))
+        whole = len(measurements.bounds) * (len(measurements.scales) + len(measurements.offset))
+        ranges = measurements.start_ranges(measurements.bounds)
+        return whole - (0 if ranges is None else int(np.count_nonzero(ranges[0] == ranges[1])))  # given values
 
     def score_fit(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model of a fit, with its misfit and length in nats."""
         misfit = self._misfit_of(fit.system).total(self.squares(fit)) + self._resting_misfit(fit)
-        return FittedModel(fit.system.programs[self.leading :], fit, misfit, self._add_prices(misfit, fit.system))
+        return FittedModel(fit.system.searched(self.leading), fit, misfit, self._add_prices(misfit, fit.system))
 
     def misfit_limit(self, system: OdeSystem, nats: float) -> MisfitLimit:
         """Return the misfit above which a system has a longer description than `nats`."""
@@ -204,7 +205,7 @@ class Score:
 
     def _add_prices(self, misfit: float, system: OdeSystem) -> float:
         """Return the nats of a system with this misfit."""
-        return system_length(misfit, system.programs[self.leading :], 1, self._constants_length(system))
+        return system_length(misfit, system.searched(self.leading), 1, self._constants_length(system))
 
     def _misfit_of(self, system: OdeSystem) -> TrajectoryMisfit:
         """Return the misfit function for systems that have as many fitted numbers as `system`."""
@@ -213,9 +214,9 @@ class Score:
     def _fitted_numbers(self, system: OdeSystem) -> float:
         """Return the number of fitted numbers per measured state: constants (also the temporarily fixed constants) and
         initial states."""
-        programs = system.programs[self.leading :]
-        searched = (program for index, program in enumerate(programs) if index not in self.fixed)
-        constants = max(system.count, sum(len(constant_places(program)) for program in searched))
+        searched = (program for index, program in enumerate(system.searched(self.leading)) if index not in self.fixed)
+        parameters = 0 if system.parts is None else int(np.count_nonzero(system.parts.parameters >= 0))
+        constants = max(system.count, parameters + sum(len(constant_places(program)) for program in searched))
         return (constants + self._initial_values) / len(self.counts)
 
     def _constants_length(self, system: OdeSystem) -> float:

@@ -6,7 +6,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
-from atoll_coordinator.data.recording import Recording
+import numpy as np
+
+from atoll_coordinator.data.recording import FoundMinima, Recording
+from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pools import Law, LawsByGroup, may_be_shown
@@ -20,10 +23,11 @@ from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import variable_program
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
-from atoll_core.data.dataset import Dataset
+from atoll_core.data.dataset import Dataset, FloatArray
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
+from atoll_core.expression.template import EquationTemplate
 from atoll_core.expression.writing.shortest import shortest
 
 _TOLERATED_NOISE: Final = 0.01
@@ -37,7 +41,9 @@ class ModellingTask:
     `settled` are equations that were already fitted to noise-free targets. `spread` computes work in threads or on
     workers. `piece` is the largest number of rows that are simulated without a break. After the `deadline` nothing new
     is tried. `solver` names the solver whose errors were subtracted from the recording. `among_many` are laws that were
-    found during preparation (None: not searched).
+    found during preparation (None: not searched). With the values `parameters` of the parameters of a template, fits
+    start (None: with the template's start values). `minima` tells what fits from many starts found, None: there were
+    none.
     """
 
     dataset: Dataset
@@ -51,6 +57,8 @@ class ModellingTask:
     deadline: Deadline | None = None
     solver: str | None = None
     among_many: LawsByGroup | None = None
+    parameters: FloatArray | None = None
+    minima: FoundMinima | None = None
     _restrictions: dict[str, Restrictions] = field(default_factory=dict, repr=False)
 
     @property
@@ -60,12 +68,24 @@ class ModellingTask:
 
     @cached_property
     def known(self) -> dict[str, Program]:
-        """The equations given by the user."""
+        """The equations given by the user, and the sides of a template in which nothing is searched."""
         return {
             name: equation_candidates.known
             for name, equation_candidates in self.candidates.items()
             if equation_candidates.known is not None
         }
+
+    @cached_property
+    def template(self) -> EquationTemplate | None:
+        """The given equations with parameters and unknown parts; None: there are none."""
+        return template_of(self.config, self.dataset.names)
+
+    @property
+    def parameter_values(self) -> FloatArray:
+        """The values of the parameters of the template with which fits start."""
+        if self.parameters is not None:
+            return self.parameters
+        return np.zeros(0) if self.template is None else self.template.starts
 
     @cached_property
     def rate_law_variables(self) -> frozenset[str]:
@@ -124,7 +144,19 @@ class ModellingTask:
     def measurements(self, variables: Sequence[str], *, held_out: bool = False) -> TrajectoryMeasurements:
         """Return the measurements of a system for these variables."""
         states = [self.recording.states.index(name) for name in variables]
-        return measurements_of(self.recording, states, held_out=held_out, piece=self.piece)
+        columns = [self.recording.states.index(name) for name in self.columns_observed_with(variables)]
+        return measurements_of(self.recording, states, held_out=held_out, piece=self.piece, observed=columns)
+
+    def columns_observed_with(self, variables: Sequence[str]) -> tuple[str, ...]:
+        """Return the measured columns that are computed from the states of a system for these variables: all such
+        columns if the system is whole, else none."""
+        return self.recording.observed if len(variables) == len(self.variables) else ()
+
+    @property
+    def shown_names(self) -> tuple[str, ...]:
+        """Names of the measured columns of the whole system, and then of its hidden states."""
+        hidden = self.recording.hidden
+        return (*(name for name in self.variables if name not in hidden), *self.recording.observed, *hidden)
 
     @property
     def longest(self) -> int:
@@ -137,7 +169,10 @@ class ModellingTask:
         compared."""
         settings = SETTINGS.selection
         rows = min(settings.compared_rows, settings.compared_numbers // max(len(self.variables), 1))
-        return self.measurements(self.variables).thin(rows)
+        whole = self.measurements(self.variables)
+        if whole.hidden:  # pieces in the middle of a trajectory would need unknown initial values
+            return whole.strided(-(-whole.rows // rows))
+        return whole.thin(rows)
 
     @cached_property
     def sizes(self) -> list[float]:
@@ -186,12 +221,17 @@ class ModellingTask:
             error /= longest * max(1.0, measured_rows / measurements.rows) * math.sqrt(measurements.rows)
         tolerance = max(error, _TOLERATED_NOISE * SETTINGS.shooting.exact)
         fixed = [index for index, name in enumerate(variables) if name in self.known]
+        sides = (*variables, *self.columns_observed_with(variables))
+        template = None if self.template is None else self.template.for_equations(sides)
         restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
         restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
         return ModelComparison(
             MultipleShooting(measurements, tolerance, self.deadline, measured_rows, self.spread), self.dataset.names,
             frozenset(fixed), tuple(self.leading(variables)), self.spread,
-            Constraints(restrictions, self.grouped_rows(variables)),
+            Constraints(
+                restrictions, self.grouped_rows(variables), template,
+                np.zeros(0) if template is None else self.parameter_values,
+            ),
         )  # fmt: skip
 
     def restrictions(self, variable: str) -> Restrictions:

@@ -2,7 +2,8 @@
 
 - `multiple_shooting`: the fit of constants and initial states; its docstring explains how the modules work together
 - `measurements`: the recording as arrays for fits: all rows one after another, and the pieces that are simulated
-- `system`: several programs as one system whose constants can be fitted
+- `system`: several programs as one system whose constants can be fitted; `composed_system`: the same for equations that
+  were composed with a template
 - `many_starts`: fits of given forms from many starts, with growing horizons; also for hidden states
 - `integration`: states and sensitivities along segments; `kernels`: compiled parts of integration and of a fit's steps
 - `error_model`: correlated errors of neighbouring rows; `smoothing_noise`: the size of errors of measurement before a

@@ -70,14 +70,13 @@ class StartPoint:
 @dataclass(frozen=True, eq=False)
 class ReachedPoint:
     """Where a fit ended: numbers `values` (Q,), initial states `starts` (G, L), the error model, the mean `squares`
-    (O,) of the residuals, whether the implicit method was used, and the work of the fit."""
+    (O,) of the residuals, and whether the implicit method was used."""
 
     values: FloatArray
     starts: FloatArray
     errors: ErrorModel
     squares: FloatArray
     is_stiff: bool
-    work: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +102,8 @@ class StartsProblem:
             estimators.append(MultipleShooting(part, self.tolerance, measured_rows=measured_rows))
         return estimators
 
-    def fit(self, start: StartPoint) -> ReachedPoint | None:
-        """Return where the fit from one start ends; None if the system cannot be integrated there."""
+    def fit(self, start: StartPoint) -> tuple[ReachedPoint | None, int]:
+        """Return where the fit from one start ends (None if the system cannot be integrated there), and its work."""
         has_prior = self.system.has_prior or not start.is_last
         system, starts = replace(self.system.with_values(start.values), has_prior=has_prior), start.starts
         estimators, steps = self.estimators, _horizon_steps()
@@ -114,15 +113,16 @@ class StartsProblem:
         for estimator in estimators:
             fit = estimator.fit(system, None, steps, starts, self.errors)
             if fit is None:
-                return None
+                break
             system, starts = fit.system, fit.starts[:, : starts.shape[1]]
-        assert fit is not None
         work = sum(estimator.work_of_thread for estimator in estimators) - before
-        return ReachedPoint(system.values, fit.starts, fit.errors, fit.squares, fit.is_stiff, work)
+        if fit is None:
+            return None, work
+        return ReachedPoint(system.values, fit.starts, fit.errors, fit.squares, fit.is_stiff), work
 
 
-_FITS: Final[BatchFunction[StartsProblem, StartPoint, ReachedPoint | None]] = BatchFunction(
-    "trajectory starts", StartsProblem, StartPoint, ReachedPoint | None, StartsProblem.fit
+_FITS: Final[BatchFunction[StartsProblem, StartPoint, tuple[ReachedPoint | None, int]]] = BatchFunction(
+    "trajectory starts", StartsProblem, StartPoint, tuple[ReachedPoint | None, int], StartsProblem.fit
 )
 
 
@@ -196,10 +196,9 @@ def _fit_all(
     problem: StartsProblem, estimator: MultipleShooting, spread: Spread, starts: Sequence[StartPoint]
 ) -> list[ReachedPoint]:
     """Return where the fits end, in the order of `starts`, and count their work; failed fits are left out."""
-    reached = spread.map(_FITS, lambda: problem, starts)
-    points = [point for point in reached if point is not None and np.isfinite(point.squares).all()]
-    estimator.add_work(sum(point.work for point in points))
-    return points
+    ends = [end for end in spread.map(_FITS, lambda: problem, starts) if end is not None]
+    estimator.add_work(sum(work for _, work in ends))
+    return [point for point, _ in ends if point is not None and np.isfinite(point.squares).all()]
 
 
 def _with_point(minima: list[Minimum], point: ReachedPoint, misfit: float, least: float) -> list[Minimum]:

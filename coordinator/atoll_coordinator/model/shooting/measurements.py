@@ -89,6 +89,7 @@ class TrajectoryMeasurements:
         rounding: standard deviations (O,) of the rounding errors of the measured values, 0 if they are not known; None:
             all are 0.
         column_scales: standard deviations (O,) of the measured columns; None: each column is a state.
+        column_course: smoothed values (O, N) of the measured columns; None: each column is a state.
         hidden: indices of the states without measured values whose course is not known before a fit.
         initial: bounds on initial states; None: there are no bounds.
         known_limits: the `limits` of the rows of which these rows are a part; None: they follow from these rows.
@@ -116,6 +117,7 @@ class TrajectoryMeasurements:
     input_error: float = 0.0
     rounding: FloatArray | None = None
     column_scales: FloatArray | None = None
+    column_course: FloatArray | None = None
     hidden: tuple[int, ...] = ()
     initial: InitialRanges | None = None
     known_limits: FloatArray | None = None
@@ -153,6 +155,37 @@ class TrajectoryMeasurements:
     def observed_scales(self) -> FloatArray:
         """Standard deviations (O,) of the measured columns."""
         return self.scales[self.observed] if self.column_scales is None else self.column_scales
+
+    @property
+    def smoothed_columns(self) -> FloatArray:
+        """Smoothed values (O, N) of the measured columns."""
+        return self.smoothed[self.observed] if self.column_course is None else self.column_course
+
+    @property
+    def shown(self) -> Ints:
+        """The indices of the measured columns, among states and computed columns, and then of the hidden states."""
+        return np.array([*self.observed.tolist(), *self.hidden], np.int64)
+
+    def column_of(self, state: int) -> int | None:
+        """Return the measured column (index) of a state; None for a hidden state."""
+        places = np.flatnonzero(self.observed == state)
+        return int(places[0]) if len(places) else None
+
+    def with_all_states(self) -> "TrajectoryMeasurements":
+        """Return the measurements as if each state had a column, for comparisons of simulated states; columns of
+        hidden states have no values."""
+        states = len(self.smoothed)
+        if not self.hidden:
+            return self
+        columns = [self.column_of(state) for state in range(states)]
+        known = [column for column in columns if column is not None]
+        places = [state for state, column in enumerate(columns) if column is not None]
+        measured, weights, noise = np.full_like(self.smoothed, np.nan), np.zeros_like(self.smoothed), np.zeros(states)
+        measured[places], weights[places], noise[places] = self.measured[known], self.weights[known], self.noise[known]
+        return replace(
+            self, measured=measured, weights=weights, noise=noise, observed=np.arange(states), consistency=None,
+            inverse_variances=None, resting=None, rounding=None, column_scales=None, column_course=None, initial=None,
+        )  # fmt: skip
 
     @cached_property
     def limits(self) -> FloatArray:
@@ -282,7 +315,10 @@ class TrajectoryMeasurements:
     def _take_rows(self, rows_by_piece: Sequence[Ints], owners: Sequence[int]) -> "TrajectoryMeasurements":
         rows, lengths = np.concatenate(rows_by_piece), np.array([len(rows) for rows in rows_by_piece])
         ends = np.cumsum(lengths)
-        by_row = ("measured", "weights", "inverse_variances", "smoothed", "inputs", "input_slopes", "resting")
+        by_row = (
+            "measured", "weights", "inverse_variances", "smoothed", "inputs", "input_slopes", "resting",
+            "column_course",
+        )  # fmt: skip
         arrays: dict[str, Any] = {name: getattr(self, name) for name in by_row}
         arrays = {name: None if of is None else np.ascontiguousarray(of[:, rows]) for name, of in arrays.items()}
         return replace(
@@ -311,21 +347,25 @@ def _sizes_of(values: FloatArray) -> FloatArray:
 
 
 def measurements_of(
-    recording: Recording, modelled: Sequence[int], *, held_out: bool = False, piece: int = SETTINGS.shooting.piece
-) -> TrajectoryMeasurements:
+    recording: Recording, modelled: Sequence[int], *, held_out: bool = False, piece: int = SETTINGS.shooting.piece,
+    observed: Sequence[int] = (),
+) -> TrajectoryMeasurements:  # fmt: skip
     """Return the measurements for a system with equations for the `modelled` states (indices).
 
     The smoothed values of the other states become inputs, after the inputs of the recording; rows without smoothed
     values are left out. For order 2, the states are the positions of the modelled states, then their velocities, which
-    are not measured. At most `piece` rows are simulated without a break.
+    are not measured. At most `piece` rows are simulated without a break. The `observed` columns (indices) are computed
+    from the states of the system; they come after the measured states.
 
     Raises:
         ValueError: there are no such trajectories.
     """
     parts = [trajectory for trajectory in recording.trajectories if trajectory.held_out == held_out]
-    others = [index for index in range(len(recording.states)) if index not in modelled]
+    apart = {*modelled, *map(recording.states.index, recording.observed)}
+    others = [index for index in range(len(recording.states)) if index not in apart]
     chosen = list(modelled)
-    measured = _stacked(part.measured[chosen] for part in parts)
+    columns = [index for index in chosen if recording.states[index] not in recording.hidden] + list(observed)
+    measured = _stacked(part.measured[columns] for part in parts)
     positions = _stacked(part.smoothed[chosen] for part in parts)
     states = [positions]
     inputs, slopes = [_stacked(part.inputs for part in parts)], [_stacked(part.input_slopes for part in parts)]
@@ -337,14 +377,20 @@ def measurements_of(
         slopes.append(_stacked(_gradients(part, others) for part in parts))
     smoothed = np.concatenate(states)
     all_variances = estimate_variances(recording)
-    variances = [all_variances[index] for index in chosen]
-    inverse = _inverse_variances(parts, chosen, variances)
-    weights = _stacked(_robustness_weights(part, chosen) for part in parts)
+    variances = [all_variances[index] for index in columns]
+    inverse = _inverse_variances(parts, columns, variances)
+    weights = _stacked(_robustness_weights(part, columns) for part in parts)
     noise = np.array(
-        [recording.smoothing[index].noise * variance.scale for index, variance in zip(chosen, variances, strict=True)]
+        [recording.smoothing[index].noise * variance.scale for index, variance in zip(columns, variances, strict=True)]
     )
     bounds, owners = _pieces([len(part.times) for part in parts], piece)
-    resting = np.concatenate([_resting(part, chosen, recording.order) for part in parts], axis=1)
+    resting = np.concatenate([_resting(part, columns, recording.order) for part in parts], axis=1)
+    resting[len(columns) - len(observed) :] = False
+    hidden = tuple(place for place, index in enumerate(chosen) if index not in columns)
+    scales = np.maximum(smoothed.std(axis=1), 1e-300)
+    scales[list(hidden)] = _sizes_of(smoothed[list(hidden)])
+    computed = range(len(smoothed), len(smoothed) + len(observed))
+    course = _stacked(part.smoothed[columns] for part in parts)
     whole = TrajectoryMeasurements(
         bounds=bounds,
         owners=owners,
@@ -352,25 +398,40 @@ def measurements_of(
         measured=measured,
         weights=np.where(resting, 0.0, weights if inverse is None else weights * inverse),
         smoothed=np.ascontiguousarray(smoothed),
-        observed=np.arange(len(chosen), dtype=np.int64),
+        observed=np.array([*(place for place in range(len(chosen)) if place not in hidden), *computed], np.int64),
         inputs=np.ascontiguousarray(np.concatenate(inputs)),
         input_slopes=np.ascontiguousarray(np.concatenate(slopes)),
-        scales=np.maximum(smoothed.std(axis=1), 1e-300),
+        scales=scales,
         noise=noise,
         offset=np.array(
-            [place for place, index in enumerate(chosen) if recording.states[index] in recording.offsets], np.int64
+            [place for place, index in enumerate(columns) if recording.states[index] in recording.offsets], np.int64
         ),
         variables=_variables(recording, chosen, others),
         names=tuple(part.name for part in parts),
         has_smoothed_inputs=bool(others),
         inverse_variances=inverse,
-        consistency=_consistency(parts, chosen),
+        consistency=_consistency(parts, columns),
         resting=resting if resting.any() else None,
         groups=np.array([recording.groups.index(part.group) for part in parts], np.int64) if recording.groups else None,
         input_error=recording.input_error,
-        rounding=_rounding(recording, parts, chosen, variances),
+        rounding=_rounding(recording, parts, columns, variances),
+        column_scales=course.std(axis=1) if observed else None,
+        column_course=course if observed else None,
+        hidden=hidden,
+        initial=_initial_ranges(recording, parts, chosen),
     )
     return _keep_rows_with_inputs(whole, parts, others)
+
+
+def _initial_ranges(recording: Recording, parts: Sequence[Trajectory], chosen: Sequence[int]) -> InitialRanges | None:
+    """Return the user's bounds on initial states; None if there are none."""
+    known = dict(zip((name for name, *_ in recording.initial), recording.initial, strict=True))
+    names = [recording.states[index] for index in chosen]
+    if not any(name in known for name in names):
+        return None
+    pairs = np.array([known[name][1:] if name in known else (-np.inf, np.inf) for name in names])
+    lower, upper = (np.tile(ends, (len(parts), 1)) for ends in pairs.T)
+    return InitialRanges(np.array([part.times[0] for part in parts]), lower, upper)
 
 
 def _rounding(

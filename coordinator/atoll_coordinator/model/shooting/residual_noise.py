@@ -78,8 +78,8 @@ def count_pieces(measurements: TrajectoryMeasurements) -> FloatArray:
     """
     counts = np.zeros(len(measurements.observed))
     pieces = list(_ranges_without_gaps(measurements))
-    for place, state in enumerate(measurements.observed.tolist()):
-        parts = [np.diff(measurements.smoothed[state, rows]) for rows in pieces]
+    for place, smoothed in enumerate(measurements.smoothed_columns):
+        parts = [np.diff(smoothed[rows]) for rows in pieces]
         rows = float((measurements.weights[place] > 0.0).sum())
         counts[place] = max(rows / _correlation_length(parts), 1.0)
     return counts

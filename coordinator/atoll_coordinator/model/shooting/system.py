@@ -68,6 +68,21 @@ class Sharing:
 
 
 @dataclass(frozen=True, eq=False)
+class SearchedParts:
+    """The searched programs of a system whose equations were composed with a template.
+
+    `slots` (D) are these programs; where nothing is searched, the slot is the whole right-hand side, and its index is
+    in `given`. `nodes` has, for each slot, the node of the tape that holds each of its constants (-1 for other nodes).
+    `parameters` (P,) has the node of each parameter; -1 for a parameter of other equations.
+    """
+
+    slots: tuple[Program, ...]
+    nodes: tuple[Ints, ...]
+    parameters: Ints
+    given: frozenset[int]
+
+
+@dataclass(frozen=True, eq=False)
 class OdeSystem:
     """D equations and M observations on one tape, see `kernels.rates.Tape`; `equations` are their programs (D + M).
 
@@ -77,7 +92,8 @@ class OdeSystem:
     `sharing`, Q may differ from P, and `constants` are the means over the groups. Without a `sharing`, Q is P.
     `outputs` (D,) and `observations` (M,) are the output nodes of the programs. The numbers `is_logarithmic` (Q,) are
     fitted in logarithms; they are not zero. None: there are no such numbers. With `has_prior`, they have the prior
-    distribution that their bounds express, see `penalty`.
+    distribution that their bounds express, see `penalty`. `parts` are the searched programs if the equations were
+    composed with a template; None: the equations are the searched programs.
     """
 
     equations: tuple[Program, ...]
@@ -92,6 +108,7 @@ class OdeSystem:
     lower: FloatArray | None = None
     upper: FloatArray | None = None
     sharing: Sharing | None = None
+    parts: SearchedParts | None = None
     observations: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     is_logarithmic: npt.NDArray[np.bool_] | None = None
     has_prior: bool = False
@@ -290,6 +307,35 @@ class OdeSystem:
         """The equations with the constants of the system; the observations follow."""
         parts = np.split(self.constants, self.firsts[1:])
         return tuple(replace(equation, constants=part) for equation, part in zip(self.equations, parts, strict=True))
+
+    def searched(self, leading: int) -> tuple[Program, ...]:
+        """Return the searched programs with the constants of the system; the first `leading` equations have none."""
+        if self.parts is None:
+            return self.programs[leading:]
+        return tuple(
+            replace(slot, constants=np.where(nodes < 0, slot.constants, self.constants[nodes]))
+            for slot, nodes in zip(self.parts.slots, self.parts.nodes, strict=True)
+        )
+
+    @property
+    def parameter_values(self) -> FloatArray:
+        """The values of the parameters of a template; empty without a template, NaN for parameters of other
+        equations."""
+        if self.parts is None:
+            return np.zeros(0)
+        nodes = self.parts.parameters
+        return np.where(nodes < 0, np.nan, self.constants[nodes])
+
+    @property
+    def searched_numbers(self) -> tuple[Ints, FloatArray]:
+        """The index of the fitted number, and the multiple, of each fitted constant of the searched programs, one
+        program after the other; then of the parameters."""
+        if self.parts is None:
+            return self.columns[0], self.multiples
+        searched = [nodes for index, nodes in enumerate(self.parts.nodes) if index not in self.parts.given]
+        fitted = np.concatenate([*searched, self.parts.parameters])
+        fitted = fitted[(fitted >= 0) & (self.parameters[fitted] >= 0)]
+        return self.columns[0][self.parameters[fitted]], np.ones(len(fitted))
 
     @property
     def observation_programs(self) -> list[Program]:

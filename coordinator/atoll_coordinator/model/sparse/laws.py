@@ -132,7 +132,7 @@ def _spaces(dataset: Dataset, config: JobConfig) -> dict[str, tuple[tuple[int, .
             frozenset(BY_NAME[operator].code for operator in space.operators_for(name)),
         )
         for name in dataset.variables
-        if name not in config.prior.known
+        if name not in config.prior.known and name not in config.prior.equations
     }
 
 
@@ -386,7 +386,8 @@ def screen_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
         return config
     variables_of = dict(space.variables_of)
     for name in dataset.variables:
-        rows = None if name in variables_of or name in config.prior.known else rate_rows(recording, dataset.names, name)
+        is_left = name in variables_of or name in config.prior.known or name in config.prior.equations
+        rows = None if is_left else rate_rows(recording, dataset.names, name)
         kept = () if rows is None else screen_columns(rows, range(len(dataset.names)))
         if kept:
             variables_of[name] = tuple(dataset.names[place] for place in kept)

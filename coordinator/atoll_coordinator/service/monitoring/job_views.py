@@ -12,6 +12,7 @@ from typing import Any, Literal, Protocol, cast
 
 from pydantic import ValidationError
 
+from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import UNTIMED
@@ -319,13 +320,21 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, shown: Mapping[
     """Return the view of a variable; `shown` are the fields about its equation."""
     return VariableView(
         variable=outcome.variable,
-        lhs=prepared.dataset.problem(outcome.variable).target.lhs,
+        lhs=_left_side(prepared, outcome.variable),
         epoch=outcome.epoch,
         point_evaluations=sum(outcome.evaluations.values()),
         finished=outcome.why is not None,
         why=cast(Why | Literal["known"] | None, outcome.why),
         **shown,
     )
+
+
+def _left_side(prepared: Prepared, variable: str) -> str:
+    """Return the left-hand side of an equation; for the unknown part of a given side, ``? in dx/dt``."""
+    lhs = prepared.dataset.problem(variable).target.lhs
+    template = template_of(prepared.config, prepared.dataset.names)
+    unknown = None if template is None else template.unknown_of(variable)
+    return lhs if unknown is None else f"{unknown.label} in {lhs}"
 
 
 def _stored_variable_view(equation: dict[str, Any]) -> VariableView:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
-from atoll_coordinator.model.result.building import VariableOutcome, select_shown_equation
+from atoll_coordinator.model.result.building import KNOWN, VariableOutcome, select_shown_equation
 from atoll_coordinator.result.base import finite
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.tasks.preparing import Prepared
@@ -42,6 +42,9 @@ class ViewFront:
     def _fields(self) -> Mapping[str, Any]:
         """Return the fields of a `VariableView` about the shown equation; none if no equation can be shown."""
         prepared, outcome = self.prepared, self.outcome
+        text = prepared.config.prior.equations.get(outcome.variable)
+        if text is not None and outcome.why == KNOWN:
+            return {"expression": text}  # its parameters are not fitted yet
         shown = select_shown_equation(outcome, None, prepared.dataset, prepared.config)
         if shown is None:
             return {}

@@ -9,7 +9,7 @@ from atoll.api import discoverer
 from atoll.api.discoverer import Discoverer
 from atoll.api.model import Model
 from atoll_core.errors import DataError, UsageError
-from tests.unit.library.model.results import result
+from tests.unit.library.model.results import bioreactor, result
 
 X = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 7.0]])
 
@@ -25,6 +25,13 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, dict[str, Any]]]:
 
     monkeypatch.setattr(discoverer, "discover", discover)
     return calls
+
+
+def test_parameters_of_a_template_have_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(discoverer, "discover", lambda data, **options: Model(bioreactor()))
+    fitted = Discoverer().fit(X[:, :2], np.arange(3.0), feature_names=["X", "S"])
+    assert fitted.parameters_ == {"Y": 0.5}
+    assert fitted.equations(3)[1] == "0.2*(3 - S) - S/(0.6 + 2*S)*X/0.5"
 
 
 def test_lists_are_trajectories_with_inputs_and_derivatives(calls: list[tuple[Any, dict[str, Any]]]) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from tests.unit.library.experiments.made import measured
 from tests.unit.library.experiments.test_comparison import swinging
 from tests.unit.library.model.results import process_result, result
 
+EXAMPLE = Path(__file__).parents[4] / "examples" / "lynx_hare.csv"
 TIMES = np.linspace(0.0, 4.0, 40)
 NOISE = 0.1 * np.random.default_rng(5).standard_normal(40)
 LINE = 1.0 + 0.5 * TIMES + NOISE
@@ -78,6 +80,17 @@ def test_a_state_with_an_offset_includes_it() -> None:
     contents = measured({"x": "-1.0*x"}, [(TIMES, {"x": x + 0.1 * NOISE})], 0.01, config={"data": {"offsets": ["x"]}})
     (part,) = smooth(Result.of(contents)).trajectories
     assert part.x[:, 0] == pytest.approx(x, abs=0.02)
+
+
+def test_a_law_that_blows_up_from_the_measured_first_state_is_smoothed() -> None:
+    """The first measured value of lynx is below the value 4.268, below which they fall without bound."""
+    year, hare, lynx = np.loadtxt(EXAMPLE, delimiter=",", skiprows=1).T
+    law = {"hare": "0.02564*hare*(19.71-lynx)", "lynx": "0.03534*(hare-33.47)*(lynx-4.268)"}
+    start = {"trajectories": [{"name": "1", "start": {"hare": 35.45, "lynx": 6.3}}]}
+    contents = measured(law, [(year, {"hare": hare, "lynx": lynx})], 5.0, simulation=start)
+    (part,) = smooth(Result.of(contents)).trajectories
+    assert part.x[:, 0] == pytest.approx(hare, abs=20.0)
+    assert part.x[0, 1] > 4.0
 
 
 def test_velocities_of_laws_of_second_order_are_states_without_measured_values() -> None:

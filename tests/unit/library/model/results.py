@@ -1,7 +1,12 @@
 """Results as small as a model needs them."""
 
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
+
+from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.template import EquationTemplate, TemplateParameter, read_template
+from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
 
@@ -50,3 +55,70 @@ def process_result(drift: str = "1-x", diffusion: str = "0.25", inputs: tuple[st
     del contents["symbols"]["[x]"]
     ensemble = {"trajectory": "1", "times": [0.0, 0.5], "mean": {"x": [2.0, 1.6]}}
     return contents | {"process": {"step": 0.1, "ensemble": ensemble}}
+
+
+BIOREACTOR: Final = {"X": "?1(S)*X - 0.2*X", "S": "-?1(S)*X/Y + 0.2*(3 - S)"}
+"""Given sides of a bioreactor: ?1 is the growth rate, Y the yield."""
+
+
+def given_entries(
+    sides: dict[str, str], parts: dict[str, str], values: dict[str, float], bounds: dict[str, Any] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Return keys of the equations of a result with given sides, by variable.
+
+    Args:
+        sides: the sides as the user wrote them.
+        parts: the unknown parts by label.
+        values: the values of the parameters.
+        bounds: bounds of parameters by name.
+    """
+    names = tuple(sides)
+    template = read_template(sides, {name: TemplateParameter(name) for name in values}, names)
+    found = {label: from_infix(text, names, merges_constants=False) for label, text in parts.items()}
+    slots = {unknown.home: found[unknown.label] for unknown in template.unknowns}
+    entries = {}
+    for name, text in sides.items():
+        program, called = template.complete(name, slots, np.array([values[one.name] for one in template.parameters]))
+        numbers = program.constants[constant_places(program)].tolist()
+        labels = [template.unknowns[place].label for place in template.unknowns_in(name)]
+        constants = [constant(value, 0.01) for value in numbers]
+        for place in template_literals(template, name, slots):
+            constants[place] = {"value": numbers[place], "std_error": None, "fitted": None, "interval": None}
+        for place, parameter in enumerate(called):
+            constants[place]["bounds"] = (bounds or {}).get(parameter)
+        entries[name] = {
+            "expression": to_infix(program, names),
+            "program": program.to_bytes().hex(),
+            "origin": "front" if template.unknown_of(name) else "known",
+            "constants": constants,
+            "given": {
+                "text": text,
+                "parameters": {parameter: place for place, parameter in enumerate(called) if parameter},
+                "unknowns": [
+                    {"label": label, "expression": parts[label], "program": found[label].to_bytes().hex()}
+                    for label in labels
+                ],
+            },
+        }
+    return entries
+
+
+def template_literals(template: EquationTemplate, name: str, slots: dict[str, Program]) -> list[int]:
+    """Return the places of the numbers of the user's text among the constants of a side."""
+    places = {home: dict.fromkeys(constant_places(slot), 1e-3) for home, slot in slots.items()}
+    marked = {home: with_constants(slot, places[home]) for home, slot in slots.items()}
+    program, called = template.complete(name, marked, np.full(len(template.parameters), 1e-3))
+    values = program.constants[constant_places(program)].tolist()
+    return [place for place, value in enumerate(values) if value != 1e-3 and called[place] is None]
+
+
+def bioreactor(**changes: Any) -> dict[str, Any]:
+    """Return the content of a result.json with the growth rate S/(0.6 + 2 S) as unknown part, and the yield 0.5."""
+    entries = given_entries(BIOREACTOR, {"?1": "S/(0.6 + 2.0*S)"}, {"Y": 0.5}, {"Y": [0.1, 2.0]})
+    return with_given(result(dict.fromkeys(BIOREACTOR, "1"), **changes), entries)
+
+
+def with_given(contents: dict[str, Any], entries: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return a result whose equations have these keys by variable."""
+    equations = [entry | entries[entry["variable"]] for entry in contents["equations"]]
+    return contents | {"equations": equations}

@@ -7,6 +7,7 @@ import pytest
 
 from atoll.web.pictures import MAX_CURVES, MAX_POINTS, progress, some
 from atoll_coordinator.result.result import Result
+from tests.unit.library.model.results import bioreactor
 
 
 def result(islands: int, steps: int) -> Result:
@@ -27,6 +28,17 @@ def test_few_islands_are_drawn_one_by_one() -> None:
     assert equation["convergence"][1]["errors"][0] == 0.5
     assert equation["plateau"] == 9
     assert equation["front"][0]["selected"]
+
+
+def test_a_given_side_is_drawn_with_its_values_and_unknown_parts() -> None:
+    first, second = progress(Result.of(bioreactor()))["equations"]
+    assert second["expression"] == "0.2*(3 - S) - S/(0.6 + 2*S)*X/0.5"
+    assert second["given"][0] == "given: -?1(S)*X/Y + 0.2*(3 - S)"
+    assert [line.partition(" = ")[0] for line in second["given"][1:]] == ["Y", "?1"]
+    assert "<mi>Y</mi>" in second["mathml"]
+    assert second["constants"].count("(") == 2  # the parameter is not listed twice
+    assert [line.partition(" = ")[0] for line in first["given"][1:]] == ["?1"]
+    assert "given" not in progress(result(1, 1))["equations"][0]
 
 
 @pytest.mark.parametrize("islands", [1, MAX_CURVES, MAX_CURVES + 1, 1024])

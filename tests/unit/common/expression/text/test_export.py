@@ -7,7 +7,14 @@ import sympy
 from hypothesis import assume, given
 
 from atoll_core.expression.program import tree_size
-from atoll_core.expression.text.export import left_side_to_latex, left_side_to_mathml, to_latex, to_mathml, to_sympy
+from atoll_core.expression.text.export import (
+    GIVEN_DIGITS,
+    left_side_to_latex,
+    left_side_to_mathml,
+    to_latex,
+    to_mathml,
+    to_sympy,
+)
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix
 from atoll_core.expression.text.parsing import from_infix
 from tests.property.programs import HOSTILE_NAMES, NAMES, programs
@@ -90,5 +97,5 @@ def test_the_mark_of_an_unknown_part_has_a_box() -> None:
 def test_mathml_may_have_the_order_in_which_an_expression_was_written() -> None:
     names = ("x", "y")
     program = from_infix("y*x - 0.12345678*x + 2", names)
-    told = "".join(ElementTree.fromstring(to_mathml(program, names, digits=None)).itertext())
+    told = "".join(ElementTree.fromstring(to_mathml(program, names, digits=GIVEN_DIGITS, is_given=True)).itertext())
     assert told.replace("\u2062", "").replace("\u00b7", "") == "yx-0.12345678x+2"

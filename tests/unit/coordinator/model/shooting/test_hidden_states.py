@@ -254,7 +254,7 @@ def test_a_nerve_is_found_from_most_of_sixteen_starts():
     for share in latin_hypercube(16, 4, 7):
         values = system.lower * (system.upper / system.lower) ** share[:3]
         start = StartPoint(values, np.array([[measurements.measured[0, 0], 4.0 * share[3] - 2.0]]))
-        reached = problem.fit(start)
+        reached, _ = problem.fit(start)
         if reached is not None:
             ends.append(dict(zip(names, reached.values.tolist(), strict=True)))
     right = [end for end in ends if end == pytest.approx({"a": 0.7, "b": 0.8, "tau": 12.5}, rel=1e-3)]
@@ -309,6 +309,13 @@ def test_a_chaotic_system_is_found_from_one_of_three_states():
     expected = {"s": 10.0, "r": 28.0, "b": 8 / 3}
     assert dict(zip(names, found.fit.system.values.tolist(), strict=True)) == pytest.approx(expected, rel=0.02)
     assert np.abs(found.fit.simulated - values).max() < 2.0
+
+
+def test_starts_that_cannot_be_integrated_are_counted_as_work():
+    system, _ = given_system({"x": "k*exp(x**2)"}, ("x",), {"k": (10.0, 1000.0)})
+    estimator = MultipleShooting(measured_columns(drug()[:1], HOURS, ["x"], 0.01), 1e-6)
+    assert fit_from_many_starts(estimator, system) is None
+    assert estimator.work > 0
 
 
 def test_without_bounds_there_is_one_start():

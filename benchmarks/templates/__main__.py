@@ -1,0 +1,82 @@
+"""A known part, an unknown rest, and states that no column measures.
+
+``python -m benchmarks.templates glycolysis --out FILE`` draws the cells of the published benchmark (points by noise,
+five draws each) and prints the table; ``systems`` searches the systems of `benchmarks.templates.systems`, clean and
+with 1 % of noise. A file that exists is gone on with.
+"""
+
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Final
+
+from atoll.terminal.output import say
+from benchmarks.harness.campaign import Answer, Service, attempt, journal_of, work_off
+from benchmarks.harness.command_line import option, program, seeds_of, whole, workers
+from benchmarks.harness.stopwatch import Stopwatch
+from benchmarks.templates import glycolysis, hidden
+from benchmarks.templates.glycolysis import NOISE, POINTS, GlycolysisKey, GlycolysisOutcome
+from benchmarks.templates.hidden import SystemKey, SystemOutcome
+from benchmarks.templates.systems import SYSTEMS
+
+KINDS: Final = ("glycolysis", "systems")
+
+
+def _glycolysis(options: Namespace) -> None:
+    wanted = [
+        GlycolysisKey(points, noise, seed)
+        for points in options.points
+        for noise in options.noise
+        for seed in options.seeds
+    ]
+
+    def do(service: Service, key: GlycolysisKey) -> tuple[GlycolysisOutcome, Answer]:
+        table, config = glycolysis.request_of(key)
+        ended = attempt(service(), key.title, table, config, Stopwatch())
+        return glycolysis.judge(key, ended.result, ended.seconds, ended.failure), ended.result or None
+
+    journal = journal_of("templates", GlycolysisOutcome, options)
+    outcomes = work_off(wanted, journal, do, glycolysis.line, options.workers)
+    say(glycolysis.table_of(outcomes))
+
+
+def _systems(options: Namespace) -> None:
+    wanted = [
+        SystemKey(name, noise, seed)
+        for name in options.systems or SYSTEMS
+        for noise in (0, 1)
+        for seed in options.seeds
+    ]
+
+    def do(service: Service, key: SystemKey) -> tuple[SystemOutcome, Answer]:
+        table, config = hidden.request_of(key)
+        ended = attempt(service(), key.title, table, config, Stopwatch())
+        return hidden.judge(key, ended.result, ended.seconds, ended.failure), ended.result or None
+
+    journal = journal_of("templates", SystemOutcome, options)
+    outcomes = work_off(wanted, journal, do, hidden.line, options.workers)
+    say(hidden.table_of(outcomes))
+
+
+@program(
+    "benchmarks.templates",
+    __doc__,
+    option("kind", choices=KINDS, help="what is searched"),
+    option("--points", type=whole, nargs="+", default=list(POINTS), help="of glycolysis; default: all"),
+    option("--noise", type=whole, nargs="+", default=list(NOISE), help="of glycolysis, in per cent; default: all"),
+    option("--systems", choices=tuple(SYSTEMS), nargs="+", help="default: all"),
+    seeds_of("1-5", "draws, such as 1-5 (1-5)"),
+    workers(),
+    option("--out", "--resume", type=Path, metavar="FILE", help="file of JSON lines, gone on with if it exists"),
+)
+def main(options: Namespace) -> int:
+    """Do what the options ask for."""
+    if options.kind == "glycolysis":
+        _glycolysis(options)
+    else:
+        _systems(options)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

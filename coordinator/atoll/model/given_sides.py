@@ -1,0 +1,311 @@
+"""Right-hand sides that the user gave with parameters and unknown parts: where their constants come from.
+
+A result has each side as one program, the text of the user, and the programs of its unknown parts. This module puts
+the parts into the template again, and so finds for each constant of a side whether it is a number of the text, a
+parameter, or a constant of an unknown part. Letters: D equations, P parameters.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from atoll_coordinator.result.equations import Constant, Equation, GroupEquation, UnknownPart
+from atoll_coordinator.result.result import Result
+from atoll_core.data.dataset import FloatArray, IntArray
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import Program, constant_places, structure, with_constants
+from atoll_core.expression.template import ZERO, Composition, EquationTemplate, Place, TemplateParameter, read_template
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
+
+
+def program_of(equation: Equation | GroupEquation, names: Sequence[str]) -> Program:
+    """Return the program of a right-hand side over variables `names`: from the result, or else parsed from the text."""
+    if equation.program:
+        return Program.from_bytes(bytes.fromhex(equation.program), len(names))
+    return from_infix(equation.expression or "", names)
+
+
+@dataclass(frozen=True)
+class ConstantSource:
+    """The origin of a constant of a side: a parameter by its index, or constant `place` (a node) of the unknown part of
+    the equation `home`. A number of the user's text has neither."""
+
+    parameter: int | None = None
+    home: int | None = None
+    place: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class GivenSides:
+    """The equations (D) of a result of which some sides were given.
+
+    `slots` (D) are the searched programs: unknown parts, and whole sides of equations without a template. `values` (P,)
+    are the values of the parameters.
+    """
+
+    template: EquationTemplate
+    slots: tuple[Program, ...]
+    values: FloatArray
+
+    @classmethod
+    def of(cls, result: Result) -> "Self | None":
+        """Return the given sides of a result; None if no side was given, or if the sides do not fit their parts."""
+        given = {equation.variable: equation.given for equation in result.equations if equation.given is not None}
+        if not given:
+            return None
+        names = result.names
+        programs = [
+            ZERO if equation.expression is None else program_of(equation, names) for equation in result.equations
+        ]
+        template = read_template({name: side.text for name, side in given.items()}, _parameters(result), names)
+        template = replace(template, equations=tuple(equation.variable for equation in result.equations))
+        slots = list(programs)
+        for index, name in enumerate(template.equations):
+            unknown = template.unknown_of(name)
+            if unknown is not None:
+                part = next((one for one in given[name].unknowns if one.label == unknown.label), None)
+                if part is None:
+                    return None
+                slots[index] = _part_program(part.program, part.expression, names)
+        empty = cls(template, tuple(slots), np.zeros(len(template.parameters)))
+        composed = empty.composition.programs
+        if [*map(structure, composed)] != [*map(structure, programs)]:
+            return None
+        return empty.with_values_of(programs)
+
+    @cached_property
+    def composition(self) -> Composition:
+        """The equations, composed of the slots and the parameters."""
+        return self.template.compose(self.slots, self.values)
+
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """The right-hand sides (D)."""
+        return self.composition.programs
+
+    def is_given(self, index: int) -> bool:
+        """Tell whether the side of this equation was given."""
+        return self.template.equations[index] in self.template.sides
+
+    def with_values_of(self, programs: Sequence[Program]) -> Self:
+        """Return the same sides with the constants of `programs` (D), which have the structure of the sides."""
+
+        def value(place: Place) -> float:
+            return float(programs[place[0]].constants[place[1]])
+
+        slots = [
+            with_constants(slot, {node: value(places[0]) for node, places in by_node.items()})
+            for slot, by_node in zip(self.composition.slots, self.composition.places, strict=True)
+        ]
+        return replace(
+            self,
+            slots=tuple(slots),
+            values=np.array([value(places[0]) if places else math.nan for places in self.composition.parameters]),
+        )
+
+    def with_slots(self, slots: Sequence[Program]) -> Self:
+        """Return the same sides with other searched programs."""
+        return replace(self, slots=tuple(slots))
+
+    def with_candidate(self, index: int, unknown: Program, values: Mapping[str, float | None]) -> Self:
+        """Return the sides with another unknown part at home in a side, and with other `values` of parameters by
+        name."""
+        known = [values.get(one.name) for one in self.template.parameters]
+        pairs = zip(self.values.tolist(), known, strict=True)
+        return replace(
+            self,
+            slots=(*self.slots[:index], unknown, *self.slots[index + 1 :]),
+            values=np.array([old if new is None else new for old, new in pairs]),
+        )
+
+    def without_side(self, index: int, program: Program) -> "Self | None":
+        """Return the equations with a searched program instead of the side `index`; None if no given side is left."""
+        template, name = self.template, self.template.equations[index]
+        texts = {other: text for other, text in template.texts.items() if other != name}
+        return self._with_template(texts, template.names, self._by_variable(), {name: program})
+
+    def over(self, names: Sequence[str], equations: Sequence[str]) -> Self:
+        """Return the same equations over other symbols and in another order."""
+        places = [names.index(name) if name in names else -1 for name in self.template.names]
+        slots = {variable: over_variables(slot, places) for variable, slot in self._by_variable().items()}
+        moved = replace(self, template=replace(self.template, equations=tuple(equations)))
+        changed = moved._with_template(self.template.texts, names, slots)
+        assert changed is not None
+        return changed
+
+    def _by_variable(self) -> dict[str, Program]:
+        return dict(zip(self.template.equations, self.slots, strict=True))
+
+    def _with_template(
+        self,
+        texts: Mapping[str, str],
+        names: Sequence[str],
+        slots: Mapping[str, Program],
+        replacements: Mapping[str, Program] = MappingProxyType({}),
+    ) -> "Self | None":
+        """Return the equations with these given sides.
+
+        `slots` are the searched programs by variable, and `replacements` the programs that replace whole sides.
+        """
+        if not texts:
+            return None
+        old, known = self.template, {one.name: one for one in self.template.parameters}
+        used = {one.name for other in texts for one in map(old.parameters.__getitem__, old.parameters_in(other))}
+        template = read_template(texts, {name: one for name, one in known.items() if name in used}, names)
+        template = replace(template, equations=old.equations)
+        values = dict(zip(known, self.values.tolist(), strict=True))
+        parts = {one.label: slots[one.home] for one in old.unknowns}
+        moved = {one.home: parts[one.label] for one in template.unknowns if one.label != "?"}
+        programs = {**slots, **moved, **replacements}
+        return replace(
+            self,
+            template=template,
+            slots=tuple(programs[name] for name in template.equations),
+            values=np.array([values[one.name] for one in template.parameters]),
+        )
+
+    def sources(self, index: int) -> list[ConstantSource]:
+        """Return the origin of each constant of a side, in node order."""
+        known: dict[int, ConstantSource] = {}
+        for parameter, places in enumerate(self.composition.parameters):
+            known |= {node: ConstantSource(parameter) for equation, node in places if equation == index}
+        for home, by_node in enumerate(self.composition.places):
+            if self.template.is_given(self.template.equations[home]):
+                continue
+            for slot_node, places in by_node.items():
+                known |= {node: ConstantSource(None, home, slot_node) for equation, node in places if equation == index}
+        return [known.get(node, ConstantSource()) for node in constant_places(self.programs[index])]
+
+    def explicit_sides(self, variable: str) -> Iterator[tuple[tuple[Program, IntArray], list[int | None]]]:
+        """Yield ways in which the constants of a side may have been fitted: with factors of 1 in its unknown parts as
+        constants, and as it is written.
+
+        Each has the program, the indices of the fitted constants among its constants, and their numbers among the
+        constants of the written side (None: a factor of 1).
+        """
+        index = self.template.equations.index(variable)
+        numbers = {source: number for number, source in enumerate(self.sources(index))}
+        for make in (make_coefficients_explicit, as_written):
+            explicit = [make(slot) for slot in self.slots]
+            sides = self.with_slots([one.program for one in explicit])
+            places, origins = list[int](), list[int | None]()
+            for place, source in enumerate(sides.sources(index)):
+                if source.parameter is None and source.home is None:
+                    continue  # a number of the user's text is not fitted
+                origin: int | None = numbers.get(source)
+                if source.home is not None:
+                    nodes = constant_places(explicit[source.home].program)
+                    before = explicit[source.home].origins[nodes.index(source.place)]
+                    written = None if before is None else constant_places(self.slots[source.home])[before]
+                    origin = None if written is None else numbers[ConstantSource(None, source.home, written)]
+                places.append(place)
+                origins.append(origin)
+            yield (sides.programs[index], np.array(places, np.int64)), origins
+
+    def unknown_parts(self, index: int) -> dict[str, Program]:
+        """Return the unknown parts in the side of an equation, by label."""
+        template = self.template
+        unknowns = [template.unknowns[place] for place in template.unknowns_in(template.equations[index])]
+        return {one.label: self.slots[template.equations.index(one.home)] for one in unknowns}
+
+    def describe(self, equation: Equation, index: int, before: Sequence[Constant] = ()) -> Equation:
+        """Return an equation of a result with the side of this index.
+
+        Its constants have no errors. Parameters have the bounds that they have in `before`, the constants of the side
+        before its unknown parts changed.
+        """
+        given = equation.given
+        assert given is not None
+        program, sources = self.programs[index], self.sources(index)
+        values = program.constants[constant_places(program)].tolist()
+        bounds = {name: before[place].bounds for name, place in given.parameters.items() if place < len(before)}
+        called = [None if one.parameter is None else self.template.parameters[one.parameter].name for one in sources]
+        constants = [
+            Constant(value=value, bounds=bounds.get(name or "")) for value, name in zip(values, called, strict=True)
+        ]
+        side = given.model_copy(
+            update={
+                "parameters": {name: place for place, name in enumerate(called) if name is not None},
+                "unknowns": self.described_parts(index),
+            }
+        )
+        update = {"given": side, "constants": tuple(constants), "complexity": len(program)}
+        update |= {"expression": to_infix(program, self.template.names), "program": program.to_bytes().hex()}
+        return equation.model_copy(update=update)
+
+    def described_parts(self, index: int) -> tuple[UnknownPart, ...]:
+        """Return the unknown parts of a side as a result has them."""
+        names = self.template.names
+        return tuple(
+            UnknownPart(label=label, expression=to_infix(part, names), program=part.to_bytes().hex())
+            for label, part in self.unknown_parts(index).items()
+        )
+
+
+class NamedSide(NamedTuple):
+    """A side as the user wrote it: a program over `names`, which are variables, parameters and labels of unknown parts.
+
+    `parts` are the unknown parts that were found, by the index of their label.
+    """
+
+    program: Program
+    names: tuple[str, ...]
+    parts: Mapping[int, Program]
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """The names without the labels, which come last."""
+        return self.names[: len(self.names) - len(self.parts)]
+
+
+def named_side(equation: Equation, names: Sequence[str]) -> NamedSide | None:
+    """Return the side of an equation as the user wrote it; None if the user did not give it."""
+    given = equation.given
+    if given is None:
+        return None
+    declared = {name: TemplateParameter(name) for name in given.parameters}
+    template = read_template({equation.variable: given.text}, declared, names)
+    before = [*names, *(one.name for one in template.parameters)]
+    found = {part.label: _part_program(part.program, part.expression, names) for part in given.unknowns}
+    parts = {len(before) + place: found[one.label] for place, one in enumerate(template.unknowns)}
+    labels = [one.label for one in template.unknowns]
+    return NamedSide(template.sides[equation.variable], (*before, *labels), parts)
+
+
+def with_parameter_names(equation: Equation, names: Sequence[str]) -> tuple[Program, tuple[str, ...]]:
+    """Return a right-hand side with its parameters as variables, and the names of all variables."""
+    program, given = program_of(equation, names), equation.given
+    if given is None:
+        return program, tuple(names)
+    operators, left, constants = program.operators.copy(), program.left.copy(), constant_places(program)
+    for number, place in enumerate(given.parameters.values()):
+        operators[constants[place]], left[constants[place]] = VARIABLE, len(names) + number
+    return replace(program, operators=operators, left=left), (*names, *given.parameters)
+
+
+def over_variables(program: Program, places: Sequence[int]) -> Program:
+    """Return a program over other variables; `places` has the new index of each variable."""
+    left = [places[index] if code == VARIABLE else index for code, index, _, _ in program.nodes()]
+    return replace(program, left=np.array(left, dtype=np.int16))
+
+
+def _part_program(encoded: str | None, expression: str, names: Sequence[str]) -> Program:
+    return from_infix(expression, names) if encoded is None else Program.from_bytes(bytes.fromhex(encoded), len(names))
+
+
+def _parameters(result: Result) -> Mapping[str, TemplateParameter]:
+    """Return the parameters in given sides of a result, by name, with their bounds."""
+    parameters = {}
+    for equation in result.equations:
+        for name, place in (equation.given.parameters if equation.given is not None else {}).items():
+            low, high = equation.constants[place].bounds or (None, None)
+            ends = -math.inf if low is None else low, math.inf if high is None else high
+            parameters[name] = TemplateParameter(name, *ends)
+    return parameters

@@ -1,0 +1,130 @@
+"""The checks of an equation with a template: its unknown part and its parameters. Pure.
+
+They are made in addition to the checks of `trajectory_checks`. An unknown part must describe more than no unknown part
+and more than a constant. A parameter must be determined by the data, and its best value must lie within its bounds.
+"""
+
+from collections.abc import Sequence
+from typing import ClassVar, Final
+
+import numpy as np
+
+from atoll_coordinator.model.inference.checks import Finding, format_percent
+from atoll_coordinator.model.inference.final_model import FinalModel
+from atoll_coordinator.model.inference.long_run import LongRun
+from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
+from atoll_coordinator.model.refinement import JobKind, Refined
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+
+_LEAST_REACHED: Final = 2
+"""Fewest fits that must end at the best minimum: a minimum that is met once may be one of many."""
+
+
+class TemplateChecks(TrajectoryChecks):
+    """The checks of an equation of a system with a template."""
+
+    kind: ClassVar[JobKind] = "template"
+
+    def __init__(  # noqa: PLR0913, one more than its base class
+        self, final: FinalModel, long_run: LongRun, index: int, shown: Refined, held_out_r2: float | None,
+        equations: Sequence[TrajectoryChecks], errors: FloatArray | None,
+    ) -> None:  # fmt: skip
+        """Set the model and the equation; `errors` are the standard errors of simulated columns, then of hidden states,
+        by row (None: not known)."""
+        super().__init__(final, long_run, index, shown, held_out_r2, equations)
+        self.errors = errors
+
+    def check_hidden_state(self) -> Finding:
+        """Check that the data determine the course of a hidden state."""
+        measurements, most = self.measurements, SETTINGS.inference.part
+        if self.index not in measurements.hidden:
+            return Finding("not applicable", "its state is measured")
+        if self.errors is None:
+            return Finding("not made", "the errors of the hidden state are not known")
+        place = len(measurements.observed) + measurements.hidden.index(self.index)
+        course = self.final.shown_fit.simulated[self.index]
+        share = float(np.mean(self.errors[place] ** 2)) / max(float(np.var(course)), 1e-300)
+        if share <= most:
+            reason = f"errors are {format_percent(share)} of the variance of the hidden state"
+            return Finding("passed", reason, share, most)
+        size = f"{format_percent(share)} of" if share < 1.0 else "larger than"
+        reason = f"the data do not determine the hidden state {self.name} (its errors are {size} its variance)"
+        advice = "give initial values with --initial, parameters as numbers, or bounds"
+        return Finding("failed", reason, share, most, advice=advice)
+
+    def check_unknown_part(self) -> Finding:
+        """Check that the unknown part of the equation describes more than nothing or a constant in its place."""
+        template = self.final.comparison.template
+        unknown = None if template is None else template.unknown_of(self.name)
+        if unknown is None:
+            return Finding("not applicable", "no unknown part is searched in this equation")
+        gain, least = self.final.gain_of_unknown_part(self.index), SETTINGS.inference.chance_nats
+        if gain >= least:
+            reason = f"the unknown part shortens the description by {gain:.3g} nats"
+            return Finding("passed", reason, gain, least)
+        reason = (
+            "the system without the unknown part, or with a constant in its place, describes the data about as well "
+            f"(Δ description length {gain:.2g}; {least} is needed)"
+        )
+        return Finding("failed", reason, gain, least)
+
+    def check_starting_values(self) -> Finding:
+        """Check that the fits from many starts agree on one minimum, so that a better one is unlikely.
+
+        Another minimum contradicts it if it describes the rows about as well, and has a parameter that is outside of
+        its 95 % interval. Parameters that the data do not determine are not counted: `check_constants` reports them.
+        """
+        minima = self.final.task.minima
+        if minima is None:
+            return Finding("not applicable", "the parameters were estimated from derivatives")
+        if minima.reached < _LEAST_REACHED:
+            reason = (
+                f"only one of {minima.starts} fits from different starts reached the best fit: a better one may exist"
+            )
+            return Finding("not made", reason, advice="give narrower bounds with --parameter, or start values")
+        template = self.final.comparison.template
+        known = {
+            name: constant.interval
+            for equation in (self.shown, *(other.shown for other in self.equations))
+            for constant, name in zip(equation.constants, equation.parameters, strict=False)
+            if name is not None and constant.interval is not None and constant.identifiable
+        }
+        for nats, values in minima.rivals:
+            for parameter, value in zip(template.parameters if template else (), values, strict=True):
+                low, high = known.get(parameter.name, (None, None))
+                if low is not None and high is not None and not low <= value <= high:
+                    reason = (
+                        f"another fit describes the rows about as well ({nats:.2g} nats) with {parameter.name} = "
+                        f"{value:.3g}"
+                    )
+                    return Finding("failed", reason, nats, SETTINGS.inference.distinct_nats)
+        return Finding("passed", f"{minima.reached} of {minima.starts} fits from different starts reached the best fit")
+
+    def check_constants(self) -> Finding | None:
+        """Check that the data determine all constants and parameters, and that none lies on a bound."""
+        fitted = [
+            (constant, name)
+            for constant, name in zip(self.shown.constants, self.shown.parameters, strict=False)
+            if constant.fitted is not None
+        ]
+        if not fitted:
+            return Finding("not applicable", "no number of the equation is fitted")
+        for constant, name in fitted:
+            if name is not None and constant.at_bound:
+                reason = f"the best value of the parameter {name} lies beyond its bound {constant.value or 0.0:.3g}"
+                return Finding("failed", reason, advice=f"widen the bounds with --parameter {name}=…")
+        loose = [name for constant, name in fitted if name is not None and not constant.identifiable]
+        if loose:
+            one = len(loose) == 1
+            names = " and ".join(loose)
+            reason = f"the parameter{'' if one else 's'} {names} {'is' if one else 'are'} not determined by the data"
+            return Finding("failed", reason, float(len(loose)), 0.0, advice="give a number for one of them, or bounds")
+        return super().check_constants()
+
+    def check_alternative_equations(self) -> Finding | None:
+        """Check that no other unknown part describes the data about as well."""
+        template = self.final.comparison.template
+        if template is not None and template.is_given(self.name):
+            return Finding("not applicable", "the form of the equation was given")
+        return super().check_alternative_equations()

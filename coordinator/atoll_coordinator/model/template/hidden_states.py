@@ -1,0 +1,219 @@
+"""The course of hidden states: a template is fitted to the measured columns, and its hidden states are recorded. Pure.
+
+How it works. Each unknown part is replaced by a linear function of few variables. The parameters, the coefficients of
+these functions and the initial values are fitted to whole trajectories from many starts. The hidden states of the best
+fit then count as smoothed states: their values and slopes become columns of the dataset and of the recording, so that
+the targets of unknown parts, the search and refining treat them as other states. Only their measured values are
+missing.
+
+Doubtful: the course belongs to the present law. If the unknown part is not nearly linear, the course is wrong, and the
+targets of the search with it. Refining fits the found law again, with the initial values of hidden states.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.data.recording import FoundMinima, Preparation, Recording, Trajectory
+from atoll_coordinator.data.templates import template_of
+from atoll_coordinator.model.batches import Spread
+from atoll_coordinator.model.selection.candidates import CandidateSet
+from atoll_coordinator.model.selection.task import ModellingTask
+from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
+from atoll_coordinator.model.shooting.many_starts import StartsFit, fit_from_many_starts
+from atoll_coordinator.model.sparse.atoms import sum_of
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, FloatArray, IntArray
+from atoll_core.errors import DataError
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import Expression, Program
+from atoll_core.expression.template import ZERO, EquationTemplate
+
+_DIGITS: Final = 12
+"""Digits of the parameters, so that they do not depend on the last bits."""
+_FIRST: Final = 0.01
+"""First value of the coefficients of a function that stands for an unknown part. They are not 0, so that a factor does
+not switch its term off."""
+
+
+def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spread | None = None) -> Preparation:
+    """Return the preparation with the course of the hidden states; the preparation itself if there are none.
+
+    `config` is resolved; `spread` computes fits in threads or on workers.
+
+    Raises:
+        DataError: the system can be simulated from no start.
+    """
+    recording = preparation.recording
+    if recording is None:
+        return preparation
+    recording = replace(recording, initial=_initial_values(config))
+    preparation = replace(preparation, recording=recording)
+    template = template_of(config, preparation.dataset.names)
+    if template is None or not (recording.hidden or recording.observed):
+        return preparation
+    return fit_course(preparation, config, template, spread or Spread()).record(preparation)
+
+
+def _initial_values(config: JobConfig) -> tuple[tuple[str, float, float], ...]:
+    """Return the bounds on initial values; a start value without bounds is a given value."""
+    found = []
+    for name, one in config.prior.initial.items():
+        is_given = one.start is not None and one.lower is None and one.upper is None
+        lower = one.start if is_given else one.lower
+        upper = one.start if is_given else one.upper
+        found.append((name, -np.inf if lower is None else lower, np.inf if upper is None else upper))
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenCourse:
+    """A fit of a template, along all trajectories.
+
+    Attributes:
+        variables: names of the equations (D).
+        states: the states (D, R) at all rows of all trajectories.
+        rates: their derivatives (D, R) by the equations.
+        parameters: values (P,) of the parameters of the template.
+        slots: the linear functions that stand for the unknown parts, by equation.
+        minima: what the fits from many starts found.
+    """
+
+    variables: tuple[str, ...]
+    states: FloatArray
+    rates: FloatArray
+    parameters: tuple[float, ...]
+    slots: Mapping[str, Program]
+    minima: FoundMinima
+
+    def record(self, preparation: Preparation) -> Preparation:
+        """Return the preparation with the hidden states as smoothed states."""
+        recording, dataset = preparation.recording, preparation.dataset
+        assert recording is not None
+        ends = np.cumsum([len(part.times) for part in recording.trajectories])
+        rows_of_parts = np.split(np.arange(int(ends[-1])), ends[:-1])
+        trajectories = tuple(
+            self._with_course(recording, part, rows)
+            for part, rows in zip(recording.trajectories, rows_of_parts, strict=True)
+        )
+        held_out = preparation.held_out
+        return replace(
+            preparation,
+            recording=replace(recording, trajectories=trajectories),
+            dataset=self._fill(dataset, recording),
+            held_out=None if held_out is None else self._fill(held_out, recording),
+            parameters=self.parameters,
+            minima=self.minima,
+        )
+
+    def _with_course(self, recording: Recording, part: Trajectory, rows: IntArray) -> Trajectory:
+        smoothed, slopes = part.smoothed.copy(), part.slopes.copy()
+        for name in recording.hidden:
+            place, own = recording.states.index(name), self.variables.index(name)
+            smoothed[place], slopes[place] = self.states[own, rows], self.rates[own, rows]
+        return replace(part, smoothed=smoothed, slopes=slopes)
+
+    def _fill(self, dataset: Dataset, recording: Recording) -> Dataset:
+        """Return the dataset with the hidden states; until now the number of each row stands for them."""
+        if not recording.hidden:
+            return dataset
+        inputs, targets = dataset.inputs.copy(), list(dataset.targets)
+        places = [dataset.names.index(symbol) for symbol in recording.state_symbols[-len(recording.hidden) :]]
+        rows = inputs[places[0]].astype(np.int64)
+        for name, place in zip(recording.hidden, places, strict=True):
+            own = self.variables.index(name)
+            inputs[place] = self.states[own, rows]
+            index = next((index for index, target in enumerate(targets) if target.variable == name), None)
+            if index is not None:
+                values = self.rates[own, rows]
+                scale = float(values.std()) or 1.0
+                targets[index] = replace(targets[index], values=values, standard_deviation=scale)
+        return replace(dataset, inputs=np.ascontiguousarray(inputs), targets=tuple(targets))
+
+
+def fit_course(preparation: Preparation, config: JobConfig, template: EquationTemplate, spread: Spread) -> HiddenCourse:
+    """Return the fit of a template with hidden states to the trajectories, from many starts; held-out trajectories are
+    simulated with its parameters.
+
+    Raises:
+        DataError: the system can be simulated from no start.
+    """
+    recording, dataset = preparation.recording, preparation.dataset
+    assert recording is not None
+    slots = {unknown.home: linear_part(template, config, unknown.home) for unknown in template.unknowns}
+    programs = [slots.get(name, ZERO) for name in dataset.variables]
+    candidates = {name: CandidateSet(known=program) for name, program in zip(dataset.variables, programs, strict=True)}
+    task = ModellingTask(dataset, recording, config, candidates, spread=spread)
+    task = replace(task, piece=max(len(part.times) for part in recording.trajectories))
+    comparison = task.make_comparison(task.measurements(task.variables), task.variables)
+    system = comparison.system(programs)
+    found = fit_from_many_starts(comparison.estimator, system, config.seed)
+    if found is None:
+        raise DataError(
+            "the given equations with hidden states can be simulated from no start values of their parameters; give "
+            "start values with --parameter and --initial that are nearer to the truth"
+        )
+    fits = {False: found.fit}
+    if any(part.held_out for part in recording.trajectories):
+        other = task.make_comparison(task.measurements(task.variables, held_out=True), task.variables)
+        simulated = other.estimator.fit(found.fit.system.with_fixed_constants(), None, SETTINGS.effort.steps)
+        if simulated is None:
+            raise DataError("the held-out trajectories cannot be simulated by the given equations; leave --holdout out")
+        fits[True] = simulated
+    return _along_trajectories(task, fits, slots, _summarize_minima(found))
+
+
+def _summarize_minima(found: StartsFit) -> FoundMinima:
+    """Return how often the best minimum was reached, and the minima that are almost as good."""
+    best, *others = found.minima
+    rivals = [
+        (
+            minimum.misfit - best.misfit,
+            tuple(found.fit.system.with_values(minimum.point.values).parameter_values.tolist()),
+        )
+        for minimum in others
+        if minimum.misfit - best.misfit < SETTINGS.inference.distinct_nats
+    ]
+    return FoundMinima(found.starts, best.reached, tuple(rivals))
+
+
+def _along_trajectories(
+    task: ModellingTask, fits: Mapping[bool, TrajectoryFit], slots: Mapping[str, Program], minima: FoundMinima
+) -> HiddenCourse:
+    """Return the states and rates of fits at all rows, in the order of the recording's trajectories."""
+    variables, count = task.variables, len(task.variables)
+    states, rates = list[FloatArray](), list[FloatArray]()
+    used = {False: 0, True: 0}
+    for part in task.recording.trajectories:
+        fit, first = fits[part.held_out], used[part.held_out]
+        used[part.held_out] = end = first + len(part.times)
+        measurements = fit.estimator.measurements
+        points = np.concatenate([fit.simulated[:count], measurements.inputs])[:, first:end]
+        points = points[[measurements.variables.index(name) for name in task.dataset.names]]
+        states.append(fit.simulated[:count, first:end])
+        rates.append(np.array([values_of(program, points) for program in fit.system.programs[:count]]))
+    values = fits[False].system.parameter_values
+    parameters = tuple(float(f"{value:.{_DIGITS - 1}e}") for value in values.tolist())
+    found = dict(zip(variables, fits[False].system.searched(0), strict=True))
+    return HiddenCourse(
+        variables, np.concatenate(states, axis=1), np.concatenate(rates, axis=1), parameters,
+        {name: found[name] for name in slots}, minima,
+    )  # fmt: skip
+
+
+def linear_part(template: EquationTemplate, config: JobConfig, equation: str) -> Program:
+    """Return a linear function that stands for the unknown part of an equation: of the variables that the user named
+    for it, else of the equation's own state. It has no constant term: with few rows, each further number makes the
+    minimum flatter."""
+    named = config.space.variables_of.get(equation)
+    symbols = named if named is not None else (_own_symbol(template, equation),)
+    terms: list[Expression] = [(VARIABLE, template.names.index(symbol)) for symbol in symbols]
+    return sum_of(terms, [_FIRST * (place + 1) for place, _ in enumerate(terms)])
+
+
+def _own_symbol(template: EquationTemplate, equation: str) -> str:
+    return equation if equation in template.names else template.names[0]

@@ -1,0 +1,127 @@
+"""Verdicts of jobs with templates and hidden states: what the data do not determine is never good."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.prior_knowledge import resolve_prior
+from atoll_coordinator.data.templates import template_of
+from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.model.template.hidden_states import with_hidden_states
+from atoll_coordinator.model.template.unknown_targets import with_unknown_targets
+from atoll_core.config import DataConfig, JobConfig, ParameterConfig, PriorConfig, SpaceConfig
+from atoll_core.data.table import Table
+from tests.unit.coordinator.model.shooting.made import Known, pools, table
+
+PENDULUM = Known(("theta", "v"), lambda _, z: [z[1], -7.0 * np.sin(z[0]) - 0.3 * z[1]])
+DRUG = Known(("c", "p"), lambda _, z: [-0.8 * z[0] + 0.25 * z[1], 0.5 * z[0] - 0.25 * z[1]])
+TIMES = 0.05 * np.arange(120.0)
+DAYS = 0.2 * np.arange(80.0)
+HIDDEN = DataConfig(hidden=("p",))
+DRUG_SIDES = {"c": "-k*c - a*c + b*p", "p": "a*c - b*p"}
+RATES = {name: ParameterConfig(lower=0.01, upper=10.0) for name in "kab"}
+
+
+def refined(made: Table, sides, parameters=None, *, data=None, initial=None, pool=None, variables_of=None):
+    """Return the refinement of a table by a template; `pool` has what a search might hand on, by equation."""
+    prior = PriorConfig(equations=sides, parameters=parameters or {}, initial=initial or {})
+    space = SpaceConfig(operators=("+", "-", "*"), variables_of=variables_of or {})
+    config = JobConfig(prior=prior, data=data or DataConfig(), space=space)
+    preparation = prepare(made, config)
+    config = resolve_prior(config, preparation.dataset.variables, preparation.dataset.symbols)
+    preparation = with_unknown_targets(with_hidden_states(preparation, config), config)
+    assert template_of(config, preparation.dataset.names) is not None
+    return refine_all(preparation, config, pools(preparation, **(pool or {})))
+
+
+def without(made: Table, *names: str) -> Table:
+    """Return a table without these columns."""
+    kept = [place for place, name in enumerate(made.names) if name not in names]
+    return replace(
+        made, names=tuple(made.names[place] for place in kept), units=("",) * len(kept),
+        columns=np.ascontiguousarray(made.columns[kept]),
+    )  # fmt: skip
+
+
+def grades(refinement):
+    return {name: equation.grade for name, equation in refinement.equations.items()}
+
+
+def check(refinement, name, which):
+    return next(one for one in refinement.equations[name].checks if one.name == which)
+
+
+def test_given_equations_have_their_parameters_and_are_good():
+    made = table(PENDULUM, ([2.0, 0.0],), TIMES, noise=0.01)
+    refinement = refined(
+        made, {"theta": "v", "v": "-g*sin(theta) - c*v"}, {"g": ParameterConfig(lower=1.0, upper=30.0)}
+    )
+    assert grades(refinement) == {"theta": "good", "v": "good"}
+    equation = refinement.equations["v"]
+    found = dict(zip(equation.parameters, equation.constants, strict=True))
+    assert found["g"].interval[0] < 7.0 < found["g"].interval[1]
+    assert found["c"].interval[0] < 0.3 < found["c"].interval[1]
+
+
+def test_an_unknown_part_is_found_and_shown_in_its_side():
+    made = table(PENDULUM, ([2.0, 0.0],), TIMES, noise=0.01)
+    pool = {"v": ("v", "-0.2*v", "theta", "-0.2*v - 0.01*theta")}
+    refinement = refined(made, {"theta": "v", "v": "-g*sin(theta) + ?(v)"}, pool=pool, variables_of={"v": ("v",)})
+    equation = refinement.equations["v"]
+    assert equation.grade == "good"
+    assert list(equation.unknowns) == ["?"]
+    assert equation.parameters.count("g") == 1
+    assert check(refinement, "v", "unknown part").outcome == "passed"
+
+
+@pytest.mark.parametrize(
+    ("sides", "parameters", "which"),
+    [
+        # the parameter and the unknown part may contain the same term
+        ({"theta": "v", "v": "-7*sin(theta) - c*v + ?(v)"}, {}, "constants"),
+        # the best value lies beyond the bound
+        ({"theta": "v", "v": "-g*sin(theta) - 0.3*v"}, {"g": ParameterConfig(lower=8.0, upper=30.0)}, "constants"),
+        # only the ratio is determined
+        ({"theta": "v", "v": "-g/l*sin(theta) - 0.3*v"}, {}, "constants"),
+        # nothing is missing
+        ({"theta": "v", "v": "-7*sin(theta) - 0.3*v + ?"}, {}, "unknown part"),
+        # the form is wrong
+        ({"theta": "v", "v": "-g*theta - c*v"}, {}, "residual size"),
+    ],
+)
+def test_what_the_data_do_not_support_is_never_good(sides, parameters, which):
+    made = table(PENDULUM, ([2.0, 0.0],), TIMES, noise=0.01)
+    pool = {"v": ("0.1*v", "0.01*theta", "0.01*v*v")} if "?" in sides["v"] else {}
+    refinement = refined(made, sides, parameters, pool=pool)
+    assert refinement.equations["v"].grade in ("doubtful", "no model")
+    assert check(refinement, "v", which).outcome == "failed"
+
+
+def test_a_hidden_state_follows_its_true_course():
+    made = without(table(DRUG, ([10.0, 0.0],), DAYS, noise=0.01), "p")
+    initial = {"p": ParameterConfig(start=0.0)}
+    refinement = refined(made, DRUG_SIDES, RATES, data=HIDDEN, initial=initial)
+    assert grades(refinement) == {"c": "good", "p": "good"}
+    simulated = refinement.simulation.trajectories[0]
+    truth = np.interp(simulated.times, DAYS, DRUG.values([10.0, 0.0], DAYS)[1])
+    assert np.allclose(simulated.values["p"], truth, atol=0.03 * truth.max())
+    assert check(refinement, "p", "hidden state").outcome == "passed"
+    assert check(refinement, "c", "starting values").outcome == "passed"
+
+
+def test_a_hidden_state_whose_scale_is_free_is_never_good():
+    made = without(table(DRUG, ([10.0, 0.0],), DAYS, noise=0.01), "p")
+    sides = {"c": "-0.8*c + b*p", "p": "s*c - 0.25*p"}  # only the product of b and s is determined
+    parameters = {name: ParameterConfig(lower=0.01, upper=10.0) for name in "bs"}
+    refinement = refined(made, sides, parameters, data=HIDDEN, initial={"p": ParameterConfig(start=0.0)})
+    assert "good" not in grades(refinement).values()
+    assert check(refinement, "p", "constants").outcome == "failed"
+
+
+def test_equal_seeds_give_equal_bits_with_hidden_states():
+    made = without(table(DRUG, ([10.0, 0.0],), DAYS, noise=0.01), "p")
+    first, second = (refined(made, DRUG_SIDES, RATES, data=HIDDEN) for _ in range(2))
+    for name, equation in first.equations.items():
+        assert equation.program.to_bytes() == second.equations[name].program.to_bytes()
