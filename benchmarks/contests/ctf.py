@@ -174,20 +174,10 @@ def _scored(task: Task, draw: int, laws: Laws) -> list[dict[str, Any]]:
     about: dict[str, Any] = {"pair": task.pair.number, "draw": draw}
     try:
         model, found = laws.of(task.train)
-        predicted, single = predict(model, task)
-        about |= asdict(found)
+        predicted, about = predict(model, task), about | asdict(found)
     except AtollError as error:
-        predicted, single = np.zeros_like(task.truth), np.zeros_like(task.truth)
-        about["failure"] = str(error)
-    return [
-        {
-            **about,
-            "score": name,
-            "value": SCORES[name](task.truth, predicted),
-            "single": SCORES[name](task.truth, single),
-        }
-        for name in task.pair.scores
-    ]
+        predicted, about = np.zeros_like(task.truth), about | {"failure": str(error)}
+    return [about | {"score": name, "value": SCORES[name](task.truth, predicted)} for name in task.pair.scores]
 
 
 def _table(scored: Sequence[Mapping[str, Any]], draws: Sequence[int]) -> str:
