@@ -196,6 +196,23 @@ class PriorConfig(Frozen):
     initial: dict[str, ParameterConfig] = Field(
         default_factory=dict, description="initial values of states: given (`start` without bounds), or their bounds"
     )
+    positive: tuple[str, ...] = Field(default=(), description="equations whose right-hand side is nowhere negative")
+    monotone: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="monotone right-hand sides, such as `increasing in S`, by left-hand side"
+    )
+    limits: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="limits of right-hand sides, such as `S -> 0: 0`, by left-hand side"
+    )
+
+    def shapes_of(self, equation: str) -> tuple[str, ...]:
+        """Return the shapes that are demanded of an equation, or of its unknown part, as texts."""
+        positive = ("positive",) if equation in self.positive else ()
+        return (*positive, *self.monotone.get(equation, ()), *self.limits.get(equation, ()))
+
+    @property
+    def shaped(self) -> tuple[str, ...]:
+        """The equations, or left-hand sides, of which a shape is demanded."""
+        return tuple(dict.fromkeys((*self.positive, *self.monotone, *self.limits)))
 
 
 class EvolutionConfig(Frozen):

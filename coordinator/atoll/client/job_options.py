@@ -206,6 +206,14 @@ def bounds(value: object, field: Field) -> dict[str, tuple[str, ...]]:
     return sides
 
 
+def shapes(value: object, field: Field, *, example: str) -> dict[str, tuple[str, ...]]:
+    """Return one or several shapes by left-hand side."""
+    sides: dict[str, tuple[str, ...]] = {}
+    for side, right in _pairs(value, field, example):
+        sides[side] = (*sides.get(side, ()), *(text(part, field).strip() for part in _several(right)))
+    return sides
+
+
 def parameters(value: object, field: Field) -> dict[str, dict[str, object]]:
     """Return bounds and start values by parameter, from texts such as ``c=1 in 0.1..10``, or from a mapping.
 
@@ -380,6 +388,16 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option(
             "initial", "prior.initial", parameters, "h=0..10",
             "value of a state of given equations at the first row of each trajectory (h=10), or bounds on it",
+            is_repeatable=True,
+        ),
+        Option("positive", "prior.positive", names, "X", "equations, or unknown parts, that are nowhere negative"),
+        Option(
+            "monotone", "prior.monotone", partial(shapes, example="x=increasing in S"), '"x=increasing in S"',
+            "an equation, or its unknown part, that is increasing or decreasing in a variable", is_repeatable=True,
+        ),
+        Option(
+            "limit", "prior.limits", partial(shapes, example="x=S -> 0: 0"), '"x=S -> 0: 0"',
+            "limit of an equation, or of its unknown part, for a value of a variable or inf; 0..2 is a range",
             is_repeatable=True,
         ),
         Option("islands", "evolution.islands", whole, "K", "islands per state variable (default: 8)"),

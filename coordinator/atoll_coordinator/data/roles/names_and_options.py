@@ -61,6 +61,12 @@ _WITHOUT_EQUATIONS: Final = (
     ("per_trajectory", "given equations with constants by trajectory are not possible yet"),
 )
 """Options that exclude equations given with ``--equation``, and why."""
+_WITHOUT_SHAPES: Final = (
+    ("stochastic", "shapes are demanded of equations without noise"),
+    ("group", "shapes with constants by group are not possible yet"),
+    ("per_trajectory", "shapes with constants by trajectory are not possible yet"),
+)
+"""Options that exclude shapes, and why."""
 _COMPATIBLE: Final = ({"inputs", "time"}, {"trajectory", "group"})
 """Roles that one column may have."""
 _WITH_UNIT: Final = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
@@ -164,6 +170,7 @@ def check_options(config: DataConfig) -> None:
 def check_given_equations(config: JobConfig) -> None:
     """Raise UsageError if a job of this kind can have no given equations, or if a parameter has impossible bounds."""
     prior, data = config.prior, config.data
+    _check_shapes(config)
     for name, one in prior.parameters.items():
         lower, upper = (-math.inf if one.lower is None else one.lower), (math.inf if one.upper is None else one.upper)
         if not lower < upper:
@@ -186,6 +193,15 @@ def check_given_equations(config: JobConfig) -> None:
     if config.preset == "paper":
         reason = "the algorithm of the paper has no given equations"
         raise UsageError(f"%s and %s exclude each other; {reason}", Field("equation"), Field("preset", "paper"))
+
+
+def _check_shapes(config: JobConfig) -> None:
+    """Raise UsageError if a job of this kind can demand no shapes."""
+    prior = config.prior
+    for option, reason in _WITHOUT_SHAPES if prior.shaped else ():
+        if getattr(config.data, option) not in (None, False):
+            field = Field("positive" if prior.positive else "monotone" if prior.monotone else "limit")
+            raise UsageError(f"%s and %s exclude each other; {reason}", field, Field(option))
 
 
 def are_units(texts: Sequence[str]) -> bool:

@@ -237,7 +237,9 @@ class ModellingTask:
     def restrictions(self, variable: str) -> Restrictions:
         """Return the restrictions of the equation of `variable`."""
         if variable not in self._restrictions:
-            self._restrictions[variable] = restrictions_of(self.config, variable, self.dataset.names)
+            self._restrictions[variable] = restrictions_of(
+                self.config, variable, self.dataset.names, self.dataset.inputs
+            )
         return self._restrictions[variable]
 
     def grouped_rows(self, variables: Sequence[str]) -> GroupedRows | None:

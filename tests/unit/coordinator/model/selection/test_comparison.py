@@ -302,6 +302,29 @@ def test_batches_of_groups_and_bounds_change_no_bit():
     assert run(Spread(ScatteredBatches(3))) == run(Spread())
 
 
+def test_a_model_that_leaves_a_demanded_shape_is_none_here_and_on_workers():
+    measured = measurements(LOTKA, STARTS, TIMES, noise=0.02)
+    inputs, x = prepared(0.02).inputs, "x"
+    config = JobConfig(prior=PriorConfig(monotone={x: ("increasing in y",)}))
+    constraints = Constraints({0: restrictions_of(config, x, LOTKA.names, inputs)})
+    kept = LOTKA.parsed("x*(1 - 0.5*x)")
+
+    def run(spread: Spread) -> list[bytes]:
+        fitting = compare(LOTKA, measured, constraints=constraints, spread=spread)
+        assert fitting.fit_model([TRUTH, OTHER]) is None
+        near = fitting.fit_model([kept, OTHER])
+        assert near is not None
+        assert fitting.fit_from(near, [TRUTH, OTHER]) is None
+        models = fitting.fit_all([(program, OTHER) for program in (TRUTH, kept, *RIVALS)])
+        assert all(fitting.restrictions(0).has_shapes(model.programs[0]) for model in models)
+        return list(map(bits, models))
+
+    found = run(Spread())
+    assert found
+    assert run(Spread(ScatteredBatches(3))) == found
+    assert compare(LOTKA, measured).fit_model([TRUTH, OTHER]) is not None
+
+
 def test_noise_is_not_exact_and_its_absence_is():
     assert not lotka().score.is_exact(lotka().fit_model([TRUTH, OTHER]))
     comparison = compare(LOTKA, measurements(LOTKA, STARTS, TIMES), 1e-10)
