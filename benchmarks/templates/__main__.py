@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.terminal.output import say
-from benchmarks.harness.campaign import Answer, Service, attempt, journal_of, work_off
+from benchmarks.harness.campaign import Answer, Service, attempt, journal_of, judge_again, work_off
 from benchmarks.harness.command_line import option, program, seeds_of, whole, workers
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.templates import forecasts, glycolysis, hidden
@@ -38,6 +38,8 @@ def _glycolysis(options: Namespace) -> None:
         return glycolysis.judge(key, ended.result, ended.seconds, ended.failure), ended.result or None
 
     journal = journal_of("templates", GlycolysisOutcome, options)
+    if options.judge_again:
+        judge_again(wanted, journal, lambda key, old, answer: glycolysis.judge(key, answer, old.seconds, old.failure))
     outcomes = work_off(wanted, journal, do, glycolysis.line, options.workers)
     say(glycolysis.table_of(outcomes))
 
@@ -91,6 +93,7 @@ def _forecasts(options: Namespace) -> None:
     option("--data", type=Path, metavar="DIR", help="of tanks: folder of cascaded_tanks_train.csv"),
     seeds_of("1-5", "draws, such as 1-5 (1-5)"),
     workers(),
+    option("--judge-again", action="store_true", help="judge what the file holds of glycolysis by the present rules"),
     option("--out", "--resume", type=Path, metavar="FILE", help="file of JSON lines, gone on with if it exists"),
 )
 def main(options: Namespace) -> int:
