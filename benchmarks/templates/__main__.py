@@ -62,7 +62,7 @@ def _systems(options: Namespace) -> None:
 
 def _forecasts(options: Namespace) -> None:
     is_of_tanks = options.kind == "tanks"
-    systems = forecasts.TANK_WAYS if is_of_tanks else forecasts.ONE_COLUMN
+    systems = [one for one in (forecasts.TANK_WAYS if is_of_tanks else forecasts.ONE_COLUMN) if one in options.cases]
     wanted = [
         ForecastKey(system, noise, seed)
         for system in systems
@@ -88,6 +88,14 @@ def _forecasts(options: Namespace) -> None:
     option("--points", type=whole, nargs="+", default=list(POINTS), help="of glycolysis; default: all"),
     option("--noise", type=whole, nargs="+", default=list(NOISE), help="of glycolysis, in per cent; default: all"),
     option("--systems", choices=tuple(SYSTEMS), nargs="+", help="default: all"),
+    option(
+        "--cases",
+        choices=(*forecasts.ONE_COLUMN, *forecasts.TANK_WAYS),
+        nargs="+",
+        metavar="NAME",
+        default=[*forecasts.ONE_COLUMN, *forecasts.TANK_WAYS],
+        help="of one-column and tanks; default: all",
+    ),
     option("--data", type=Path, metavar="DIR", help="of tanks: folder of cascaded_tanks_train.csv"),
     seeds_of("1-5", "draws, such as 1-5 (1-5)"),
     workers(),
