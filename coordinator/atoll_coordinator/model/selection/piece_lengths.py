@@ -22,20 +22,25 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
 
 
-def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
-    """Return the best system of these candidates and their neighbourhood; None if no system can be simulated."""
+def search_in_pieces(
+    task: ModellingTask, lists: Sequence[Sequence[Program]], known: Sequence[Program] | None = None
+) -> SelectedModel | None:
+    """Return the best system of these candidates and their neighbourhood; None if no system can be simulated.
+
+    `known` is a system that was found before, see `fit_jointly`.
+    """
     if not all(lists):
         return None
     first = [programs[0] for programs in lists]
     if task.is_nearly_clean:
-        selection = search_jointly(choose_piece_length(task, first), lists)
+        selection = search_jointly(choose_piece_length(task, first), lists, known=known)
         if selection is None or selection.comparison.score.is_exact(selection.model):
             return selection
         return fit_without_solver_errors(task, selection) or selection
     longest, tasks = None, _tasks_by_piece_length(task)
     for index, here in enumerate(tasks):
         fits_shorter = partial(_fits_in_shorter_pieces, tasks[index + 1 :])
-        selection = search_jointly(here, lists, is_hopeless=fits_shorter)
+        selection = search_jointly(here, lists, is_hopeless=fits_shorter, known=known)
         if selection is None:
             continue
         longest = longest or selection

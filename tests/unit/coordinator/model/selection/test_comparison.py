@@ -598,3 +598,14 @@ def test_a_system_outside_of_the_best_in_short_segments_is_found_if_these_cannot
     found = find_starting_system(Failing(estimator, DECAY.names, short=short, except_for=left), [[*best[:4], last]])
     assert found is not None
     assert structure(found.programs[0]) == structure(last if not short else best[0])
+
+
+def test_a_system_that_was_found_before_is_a_starting_system() -> None:
+    law = DECAY.parsed("-0.5*x")
+    estimator = MultipleShooting(measurements(DECAY, [[1.0], [2.0]], 0.2 * np.arange(60.0)), 1e-6)
+    comparison, others = ModelComparison(estimator, DECAY.names), [[DECAY.parsed("0.1 - 0.2*x*x*x")]]
+    without, found = find_starting_system(comparison, others), find_starting_system(comparison, others, known=[law])
+    assert without is not None
+    assert found is not None
+    assert structure(found.programs[0]) == structure(law)
+    assert found.nats < without.nats
