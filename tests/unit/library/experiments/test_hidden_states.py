@@ -7,9 +7,12 @@ from atoll import Model
 from atoll.experiments.comparison import compare
 from atoll.experiments.designs import DesignRequest
 from atoll.experiments.fits import EquationSetFit, constants_of, fit_displayed, measured_of
+from atoll.experiments.forecast import ForecastRequest, forecast
 from atoll.experiments.identifiability import identify
+from atoll.experiments.smoothing import smooth
 from atoll.experiments.suggestion import suggest
 from atoll_coordinator.result.result import Result
+from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
 from tests.unit.library.experiments.made import RATES, VOLUME, drug_course, two_compartments
 
@@ -101,3 +104,50 @@ def test_a_result_without_fitted_observations_is_refused_in_a_sentence() -> None
     contents = two_compartments() | {"observations": []}
     with pytest.raises(UsageError, match="no fitted observation"):
         measured_of(Result.of(contents))
+
+
+def test_hidden_states_are_smoothed_with_bands_that_contain_their_true_course(result: Result) -> None:
+    smoothed = smooth(result)
+    assert smoothed.states == ("c", "p", "y")
+    (part,) = smoothed.trajectories
+    assert part.is_like_noise
+    assert not part.joins
+    states = drug_course(part.t)
+    truth = np.array([*states, states[0] / VOLUME]).T
+    assert part.x[0].tolist()[:2] == [10.0, 0.0]
+    assert part.stderr[0].tolist()[:2] == [0.0, 0.0]  # given initial values
+    within = (part.lower <= truth + 1e-9) & (truth - 1e-9 <= part.upper)
+    assert within.mean() > 0.8
+    np.testing.assert_allclose(part.x, truth, atol=0.15)
+    assert [*part.measured] == ["y"]
+    np.testing.assert_allclose(part.x[:, 2], part.x[:, 0] / smoothed_volume(result), rtol=1e-9)
+    columns = smoothed.columns()
+    assert "y_measured" in columns
+    assert "c_measured" not in columns
+    assert "c_lower" in columns
+
+
+def smoothed_volume(result: Result) -> float:
+    return float(fit_displayed(measured_of(result), result).values[3])
+
+
+def test_forecasts_of_hidden_states_begin_at_the_last_row(result: Result) -> None:
+    times = np.linspace(0.5, 8.0, 40)
+    y = drug_course(times)[0] / VOLUME + np.random.default_rng(5).normal(0.0, NOISE, len(times))
+    table = Table(
+        ("t", "y"), ("", ""), np.array([times, y]), (0,), ("d.csv",), np.zeros(40, np.int64), np.arange(2, 42)
+    )
+    for data in (None, table):
+        found = forecast(result, ForecastRequest(6.0, step=1.0, draws=200), data)
+        assert found.states == ("c", "p", "y")
+        assert found.t[0] == (20.0 if data is None else 8.0)
+        states = drug_course(np.append(0.5, found.t))[:, 1:]
+        for name, truth in zip(found.states, [*states, states[0] / VOLUME], strict=True):
+            np.testing.assert_allclose(found[name], truth, rtol=0.1, atol=0.05)
+            lower, upper = found.band(name)
+            assert (lower < upper).all()
+            assert ((lower - 0.03 <= truth) & (truth <= upper + 0.03)).all()
+        assert [*found.measured] == [*found.noise] == ["y"]
+        volumes = found.draws[..., 0] / found.draws[..., 2]
+        assert np.ptp(volumes, axis=1).max() < 1e-9  # each draw has one volume
+        assert np.ptp(volumes[:, 0]) > 1e-3
