@@ -101,7 +101,7 @@ def with_unknown_summand(system: CorpusSystem, seed: int) -> tuple[str, dict[str
     mark replaces a summand that is drawn, too."""
     rng = np.random.default_rng([seed, 7])
     truths = {state: _summands(text) for state, text in system.truths.items()}
-    state = str(rng.choice([state for state, summands in truths.items() if len(summands) > 1]))
+    state = str(rng.choice([state for state, summands in truths.items() if len(summands) > 1] or list(truths)))
     place = int(rng.integers(len(truths[state])))
     given = dict(system.truths)
     given[state] = " ".join("+ ?" if index == place else summand for index, summand in enumerate(truths[state]))

@@ -2,7 +2,8 @@
 
 ``python -m benchmarks.templates glycolysis --out FILE`` draws the cells of the published benchmark (points by noise,
 five draws each) and prints the table; ``systems`` searches the systems of `benchmarks.templates.systems`, clean and
-with 1 % of noise. A file that exists is gone on with.
+with 1 % of noise; ``one-column`` and ``tanks`` forecast with a hidden state, see `benchmarks.templates.forecasts`. A
+file that exists is gone on with.
 """
 
 import sys
@@ -14,12 +15,13 @@ from atoll.terminal.output import say
 from benchmarks.harness.campaign import Answer, Service, attempt, journal_of, work_off
 from benchmarks.harness.command_line import option, program, seeds_of, whole, workers
 from benchmarks.harness.stopwatch import Stopwatch
-from benchmarks.templates import glycolysis, hidden
+from benchmarks.templates import forecasts, glycolysis, hidden
+from benchmarks.templates.forecasts import ForecastKey, ForecastOutcome
 from benchmarks.templates.glycolysis import NOISE, POINTS, GlycolysisKey, GlycolysisOutcome
 from benchmarks.templates.hidden import SystemKey, SystemOutcome
 from benchmarks.templates.systems import SYSTEMS
 
-KINDS: Final = ("glycolysis", "systems")
+KINDS: Final = ("glycolysis", "systems", "one-column", "tanks")
 
 
 def _glycolysis(options: Namespace) -> None:
@@ -58,6 +60,27 @@ def _systems(options: Namespace) -> None:
     say(hidden.table_of(outcomes))
 
 
+def _forecasts(options: Namespace) -> None:
+    is_of_tanks = options.kind == "tanks"
+    systems = forecasts.TANK_WAYS if is_of_tanks else forecasts.ONE_COLUMN
+    wanted = [
+        ForecastKey(system, noise, seed)
+        for system in systems
+        for noise in ((0,) if is_of_tanks else (0, 1))
+        for seed in options.seeds
+    ]
+
+    def do(service: Service, key: ForecastKey) -> tuple[ForecastOutcome, Answer]:
+        case = forecasts.case_of(key, options.data)
+        table, config = forecasts.request_of(key, case)
+        ended = attempt(service(), key.title, table, config, Stopwatch())
+        return forecasts.judge(key, case, ended.result, ended.seconds, ended.failure), ended.result or None
+
+    journal = journal_of("templates", ForecastOutcome, options)
+    outcomes = work_off(wanted, journal, do, forecasts.line, options.workers)
+    say(forecasts.table_of(outcomes))
+
+
 @program(
     "benchmarks.templates",
     __doc__,
@@ -65,6 +88,7 @@ def _systems(options: Namespace) -> None:
     option("--points", type=whole, nargs="+", default=list(POINTS), help="of glycolysis; default: all"),
     option("--noise", type=whole, nargs="+", default=list(NOISE), help="of glycolysis, in per cent; default: all"),
     option("--systems", choices=tuple(SYSTEMS), nargs="+", help="default: all"),
+    option("--data", type=Path, metavar="DIR", help="of tanks: folder of cascaded_tanks_train.csv"),
     seeds_of("1-5", "draws, such as 1-5 (1-5)"),
     workers(),
     option("--out", "--resume", type=Path, metavar="FILE", help="file of JSON lines, gone on with if it exists"),
@@ -73,6 +97,8 @@ def main(options: Namespace) -> int:
     """Do what the options ask for."""
     if options.kind == "glycolysis":
         _glycolysis(options)
+    elif options.kind in ("one-column", "tanks"):
+        _forecasts(options)
     else:
         _systems(options)
     return 0

@@ -98,12 +98,12 @@ def request_of(key: GlycolysisKey) -> tuple[Table, JobConfig]:
         equations=dict(GIVEN),
         parameters={name: ParameterConfig(lower=low, upper=high) for name, (low, high) in BOUNDS.items()},
         initial={name: ParameterConfig(start=value) for name, value in zip(STATES, START, strict=True)},
+        limits={"A3": ("A3 -> 0: 0",)},  # what is not there is not degraded
     )
     hidden = tuple(name for name in STATES if name not in ("N2", "A3"))
     config = configured(key.seed)
     data = DataConfig(hidden=hidden)
-    space = config.space.model_copy(update={"required_of": {"A3": ("A3",)}})  # what is degraded is A3
-    return table, config.model_copy(update={"prior": prior, "data": data, "space": space})
+    return table, config.model_copy(update={"prior": prior, "data": data})
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,8 @@ def judge(key: GlycolysisKey, result: Mapping[str, Any], seconds: float, failure
     oscillates, frequency, amplitude = _foretold(texts)
     unknowns = (of_a3.get("given") or {}).get("unknowns") or [{}]
     rest = unknowns[0].get("expression")
-    factor, is_covered = _factor(rest, of_a3.get("constants") or ())
+    implied = [one for one in of_a3.get("implied") or () if one.get("of") == "A3"]
+    factor, is_covered = _factor(rest, of_a3.get("constants") or (), implied)
     return GlycolysisOutcome(
         key, oscillates, frequency, amplitude, rest, factor, is_covered, of_a3.get("verdict"), seconds, failure
     )
@@ -179,9 +180,13 @@ def _period(times: FloatArray, values: FloatArray) -> float | None:
     return float((times[rises[-1]] - times[rises[0]]) / (len(rises) - 1))
 
 
-def _factor(rest: str | None, constants: Any) -> tuple[float | None, bool | None]:
-    """Return the factor k of a rest k*A3, and whether its interval holds the truth; None if the rest has another
-    form."""
+def _factor(
+    rest: str | None, constants: Sequence[Mapping[str, Any]], implied: Sequence[Mapping[str, Any]]
+) -> tuple[float | None, bool | None]:
+    """Return the factor k of a rest k*A3, and whether its interval holds the truth; None if the rest has another form.
+
+    `implied` are factors of one that are not written.
+    """
     values = np.array([0.5, 1.0, 2.0])
     if rest is None:
         return None, None

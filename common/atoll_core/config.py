@@ -115,13 +115,21 @@ class DataConfig(Frozen):
     sheet: str | None = Field(
         default=None, description="sheet of an Excel workbook (default: the first sheet with a table)"
     )
-    hidden: tuple[str, ...] = Field(default=(), description="states of the given equations that no column measures")
+    hidden: tuple[str, ...] = Field(
+        default=(),
+        description="states of the given equations that no column measures; without given equations, their number",
+    )
     observe: dict[str, str] = Field(
         default_factory=dict, description="columns that are no states, each as an expression of states and parameters"
     )
     missing_values: tuple[float, ...] = Field(
         default=(), description="numbers that stand for missing values, which are dropped, such as -9999"
     )
+
+    @property
+    def hidden_count(self) -> int | None:
+        """The number of hidden states if `hidden` is a number; None if it names the states."""
+        return int(self.hidden[0]) if len(self.hidden) == 1 and self.hidden[0].isdecimal() else None
 
 
 class SpaceConfig(Frozen):
@@ -196,6 +204,23 @@ class PriorConfig(Frozen):
     initial: dict[str, ParameterConfig] = Field(
         default_factory=dict, description="initial values of states: given (`start` without bounds), or their bounds"
     )
+    positive: tuple[str, ...] = Field(default=(), description="equations whose right-hand side is nowhere negative")
+    monotone: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="monotone right-hand sides, such as `increasing in S`, by left-hand side"
+    )
+    limits: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="limits of right-hand sides, such as `S -> 0: 0`, by left-hand side"
+    )
+
+    def shapes_of(self, equation: str) -> tuple[str, ...]:
+        """Return the shapes that are demanded of an equation, or of its unknown part, as texts."""
+        positive = ("positive",) if equation in self.positive else ()
+        return (*positive, *self.monotone.get(equation, ()), *self.limits.get(equation, ()))
+
+    @property
+    def shaped(self) -> tuple[str, ...]:
+        """The equations, or left-hand sides, of which a shape is demanded."""
+        return tuple(dict.fromkeys((*self.positive, *self.monotone, *self.limits)))
 
 
 class EvolutionConfig(Frozen):

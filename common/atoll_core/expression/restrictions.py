@@ -21,6 +21,7 @@ from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.expression.program import Program, constant_places, structure, variables_of, with_constants
+from atoll_core.expression.shapes import Shapes, read_shapes, shape_points
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.writing.expansion import Role, Shape, expand_program, inner_numbers, shape_of, terms_of
 from atoll_core.expression.writing.sums_of_products import ONE, UndefinedError
@@ -259,15 +260,18 @@ def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Se
 @dataclass(frozen=True, eq=False)
 class Restrictions:
     """The conditions on one equation. `bounds` are the bounds on its constants; None: there are no bounds. `required`
-    are the indices of the variables that it must contain."""
+    are the indices of the variables that it must contain. It must have the `shapes` at the points (V, G); None: nothing
+    is demanded of its shape."""
 
     bounds: EquationBounds | None = None
     required: frozenset[int] = frozenset()
+    shapes: Shapes | None = None
+    points: FloatArray | None = None
 
     @property
     def are_none(self) -> bool:
         """Whether there are no restrictions, so that every program satisfies them."""
-        return self.bounds is None and not self.required
+        return self.bounds is None and not self.required and self.shapes is None
 
     def admitted(self, program: Program) -> Program | None:
         """Return `program` laid out for a fit within the bounds. None if the program is not allowed."""
@@ -277,7 +281,15 @@ class Restrictions:
 
     def are_kept(self, program: Program) -> bool:
         """Tell whether a program with its present constants satisfies all restrictions."""
-        return self.has_required(program) and (self.bounds is None or self.bounds.are_kept(program))
+        return (
+            self.has_required(program)
+            and (self.bounds is None or self.bounds.are_kept(program))
+            and self.has_shapes(program)
+        )
+
+    def has_shapes(self, program: Program) -> bool:
+        """Tell whether a program with its present constants has the demanded shapes."""
+        return self.shapes is None or self.points is None or self.shapes.are_kept(program, self.points)
 
     def ranges(self, program: Program, fixed: Collection[int] = ()) -> FloatArray:
         """Return the smallest and the largest values (2, K) of the constants of an admitted program. They are infinite
@@ -298,7 +310,26 @@ class Restrictions:
 NONE = Restrictions()
 
 
-def restrictions_of(config: JobConfig, variable: str, names: Sequence[str]) -> Restrictions:
-    """Return the restrictions of the equation of `variable`, which may use the variables of these symbols."""
+def restrictions_of(
+    config: JobConfig, variable: str, names: Sequence[str], inputs: FloatArray | None = None
+) -> Restrictions:
+    """Return the restrictions of the equation of `variable`, which may use the variables of these symbols.
+
+    Shapes are tested at the rows `inputs` (V, R) and between them; None: they are not tested.
+    """
     required = frozenset(map(names.index, config.space.required_of.get(variable, ())))
-    return Restrictions(equation_bounds(config.prior.bounds, variable, names), required)
+    bounds = equation_bounds(config.prior.bounds, variable, names)
+    shapes = None if inputs is None else equation_shapes(config.prior.shapes_of(variable), names)
+    if shapes is None or inputs is None:
+        return Restrictions(bounds, required)
+    return Restrictions(bounds, required, shapes, shape_points(inputs))
+
+
+def equation_shapes(texts: Sequence[str], names: Sequence[str]) -> Shapes | None:
+    """Return the shapes of these valid texts; None if there are none. A shape has no effect if its variable is not
+    among the `names` that the equation may use."""
+    shapes = Shapes()
+    for text in texts:
+        with suppress(UsageError):
+            shapes = shapes.with_all(read_shapes([text], names, "a shape"))
+    return None if shapes.are_none else shapes

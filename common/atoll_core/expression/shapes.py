@@ -1,8 +1,8 @@
 """Shapes that an expression must have: positive, monotone in a variable, or with a limit. Pure.
 
 A shape is read from a short text: ``positive``, ``increasing in S``, ``decreasing in S``, ``S -> 0: 0``, ``S -> inf:
-0..2``. `Shapes.fit` tests an expression with its constants at points within and around the measured region. The test is
-numerical: an expression may leave its shape between these points.
+0..2``. `Shapes.are_kept` tests an expression with its constants at measured rows and at points between them
+(`shape_points`). The test is numerical: an expression may leave its shape between these points.
 
 Letters: V variables, R points.
 """
@@ -28,6 +28,9 @@ _LIMIT: Final = re.compile(
     rf"(?P<name>\S+)\s*->\s*(?P<at>{_NUMBER}|[-+]?inf)\s*:\s*(?P<low>{_NUMBER})(?:\s*\.\.\s*(?P<high>{_NUMBER}))?"
 )
 FORMS: Final = "positive, increasing in S, decreasing in S, S -> 0: 0 or S -> inf: 0..2"
+_MOST_ROWS: Final = 128
+"""Most measured rows at which shapes are tested; there are as many points between them."""
+_PRIMES: Final = (1, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53)
 _FAR: Final = 1e6
 """A variable that tends to infinity is tested at this multiple of its largest measured value."""
 _TOLERANCE: Final = 1e-3
@@ -53,7 +56,18 @@ class Shapes:
     monotone: tuple[tuple[int, int], ...] = ()
     limits: tuple[Limit, ...] = ()
 
-    def fit(self, program: Program, points: FloatArray) -> bool:
+    @property
+    def are_none(self) -> bool:
+        """Whether every expression has these shapes."""
+        return not (self.is_positive or self.monotone or self.limits)
+
+    def with_all(self, other: "Shapes") -> "Shapes":
+        """Return the shapes of both."""
+        return Shapes(
+            self.is_positive or other.is_positive, (*self.monotone, *other.monotone), (*self.limits, *other.limits)
+        )
+
+    def are_kept(self, program: Program, points: FloatArray) -> bool:
         """Tell whether `program` has these shapes at the points (V, R); points without a finite value do not count."""
         values = values_of(program, points)
         is_finite = np.isfinite(values)
@@ -80,6 +94,19 @@ class Shapes:
         if not np.isfinite(values).all():
             return False
         return bool(values.min() >= limit.low - allowed and values.max() <= limit.high + allowed)
+
+
+def shape_points(inputs: FloatArray) -> FloatArray:
+    """Return measured rows of `inputs` (V, R), and as many points whose variables come from different rows (V, G).
+
+    So the points fill the box of the measured values, also where no row was measured. No random numbers are drawn.
+    """
+    rows = inputs.shape[1]
+    known = inputs[:, np.arange(min(rows, _MOST_ROWS)) * rows // max(min(rows, _MOST_ROWS), 1)]
+    count = known.shape[1]
+    places = [(np.arange(count) * _PRIMES[v % len(_PRIMES)] + v) % max(count, 1) for v, _ in enumerate(known)]
+    between = np.stack([row[place] for row, place in zip(known, places, strict=True)]) if places else known
+    return np.ascontiguousarray(np.concatenate([known, between], axis=1))
 
 
 def read_shapes(texts: Sequence[str], names: Sequence[str], option: str) -> Shapes:

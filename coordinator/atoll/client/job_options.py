@@ -113,6 +113,14 @@ def names(value: object, field: Field, noun: str = "column") -> tuple[str, ...]:
     return parts
 
 
+def hidden_states(value: object, field: Field) -> tuple[str, ...]:
+    """Return the names of hidden states, or their number as the only text."""
+    found = names(value, field, "state")
+    if len(found) > 1 and any(part.isdecimal() for part in found):
+        raise UsageError("%s must be names of states or one number, but %r was given", field, value)
+    return found
+
+
 def epochs(value: object, field: Field) -> tuple[int | None, dict[str, int] | None]:
     """Return the epochs for all equations and by variable, from ``50``, ``x=20,y=12``, both, or a mapping."""
     if isinstance(value, Mapping):
@@ -203,6 +211,14 @@ def bounds(value: object, field: Field) -> dict[str, tuple[str, ...]]:
         if not bound or (colon and not side):
             raise UsageError("%s must be of the form c > 0, or x: x*y < 0, but %r was given", field, line)
         sides[side or _ALL] = (*sides.get(side or _ALL, ()), bound)
+    return sides
+
+
+def shapes(value: object, field: Field, *, example: str) -> dict[str, tuple[str, ...]]:
+    """Return one or several shapes by left-hand side."""
+    sides: dict[str, tuple[str, ...]] = {}
+    for side, right in _pairs(value, field, example):
+        sides[side] = (*sides.get(side, ()), *(text(part, field).strip() for part in _several(right)))
     return sides
 
 
@@ -308,7 +324,10 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("only", "data.only", names, "x", "search only these equations; they may use all states"),
         Option("offsets", "data.offsets", names, "x", "states with an unknown offset, fitted for each trajectory"),
         Option("step", "data.step", number, "0.1", "time between rows, if no column has times"),
-        Option("hidden", "data.hidden", names, "h", "states of given equations that no column measures"),
+        Option(
+            "hidden", "data.hidden", hidden_states, "h",
+            "states of given equations that no column measures; without equations, their number",
+        ),
         Option(
             "observe", "data.observe", partial(by_equation, example="y=a*h + b", noun="the column"), "y=a*h + b",
             "a column that is no state, as an expression of states and parameters", is_repeatable=True,
@@ -380,6 +399,16 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option(
             "initial", "prior.initial", parameters, "h=0..10",
             "value of a state of given equations at the first row of each trajectory (h=10), or bounds on it",
+            is_repeatable=True,
+        ),
+        Option("positive", "prior.positive", names, "X", "equations, or unknown parts, that are nowhere negative"),
+        Option(
+            "monotone", "prior.monotone", partial(shapes, example="x=increasing in S"), '"x=increasing in S"',
+            "an equation, or its unknown part, that is increasing or decreasing in a variable", is_repeatable=True,
+        ),
+        Option(
+            "limit", "prior.limits", partial(shapes, example="x=S -> 0: 0"), '"x=S -> 0: 0"',
+            "limit of an equation, or of its unknown part, for a value of a variable or inf; 0..2 is a range",
             is_repeatable=True,
         ),
         Option("islands", "evolution.islands", whole, "K", "islands per state variable (default: 8)"),

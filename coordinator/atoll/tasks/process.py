@@ -269,6 +269,8 @@ _MODULES: Final = {
     **dict.fromkeys(("trials", "improvements", "outcomes"), "atoll.experiments.suggestion"),
     "cycles": "atoll.analysis.limit_cycles",
     "dynamics": "atoll.analysis.analyse",
+    "trajectory starts": "atoll_coordinator.model.shooting.many_starts",
+    "hidden courses": "atoll_coordinator.model.hidden.alternation",
 }
 _OTHERS: Final = "atoll_coordinator.model.pipeline"
 """Modules that add to the table of batch functions: by function, and the module of all others."""

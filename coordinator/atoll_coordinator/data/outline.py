@@ -213,6 +213,7 @@ def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> s
     lines += [f"guess: {side(name)} = {text}" for name, texts in prior.guesses.items() for text in texts]
     lines += [f"required: {side(name)} has {', '.join(names)}" for name, names in resolved.space.required_of.items()]
     lines += [f"bounds: {side(name)}: {'; '.join(texts)}" for name, texts in prior.bounds.items()]
+    lines += [f"shape: {side(name)}: {'; '.join(prior.shapes_of(name))}" for name in prior.shaped]
     lines += [f"warning: {finding.sentence}" for finding in examination.findings if has_warnings]
     return "\n".join(lines)
 

@@ -23,6 +23,7 @@ from atoll_core.expression.operation_list import placed_text
 from atoll_core.expression.operators import BY_NAME, VARIABLE
 from atoll_core.expression.program import Program, tree_size
 from atoll_core.expression.restrictions import ALL_EQUATIONS, parse_bound
+from atoll_core.expression.shapes import read_shapes
 from atoll_core.expression.simplification import complexity, simplify_program
 from atoll_core.expression.template import EquationTemplate
 from atoll_core.expression.text.infix import PRINTABLE_SIZE
@@ -128,7 +129,8 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
     given = sides.single("--known", config.prior.known) | sides.single("--equation", config.prior.equations)
     equations = tuple(name for name in names if not only or name in only or name in given)
     resolved = resolve_prior(config, equations, symbols)
-    check_hidden_states(template_of(resolved, tuple(symbols.values())), roles, symbols)
+    if not config.data.hidden_count:
+        check_hidden_states(template_of(resolved, tuple(symbols.values())), roles, symbols)
     return resolved, equations
 
 
@@ -165,18 +167,16 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     given = [name for name in equations if template is not None and template.is_given(name)]
     sought = [name for name in variables if name not in known and name not in given]
     bounds = _resolved_bounds(config.prior.bounds, sides, sought)
-    for option, by_variable in (
-        ("--guess", guesses),
-        ("--operators", space.operators_of),
-        ("--allow", space.variables_of),
-        ("--require", space.required_of),
-        ("--bound", bounds),
-    ):
-        for name in by_variable:
-            if name in known:
-                raise UsageError(f"{option} names '{name}', whose equation is known; leave one of the two out")
-            if name in given and template is not None:
-                raise UsageError(f"{option} names '{name}', {_why_not_searched(template, name)}")
+    shapes = _resolved_shapes(config.prior, sides, template)
+    by_option = {
+        "--guess": guesses,
+        "--operators": space.operators_of,
+        "--allow": space.variables_of,
+        "--require": space.required_of,
+        "--bound": bounds,
+        **shapes,
+    }
+    _check_searched(by_option, known, given, template)
     for name, needed in space.required_of.items():
         usable = [names[column] for column in space.columns_for(name, names)]
         excluded = next((symbol for symbol in needed if symbol not in usable), None)
@@ -185,6 +185,7 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
                 f"--require wants {excluded} in the equation of '{name}', but --allow lets it use "
                 f"{', '.join(usable)} only; change one of the two"
             )
+    _check_shapes(shapes, space, names)
     prior = PriorConfig(
         guesses=guesses,
         known=known,
@@ -192,6 +193,9 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
         equations=equations,
         parameters=config.prior.parameters,
         initial=config.prior.initial,
+        positive=tuple(shapes["--positive"]),
+        monotone=shapes["--monotone"],
+        limits=shapes["--limit"],
     )
     resolved = config.model_copy(update={"prior": prior, "space": space})
     for name, texts in guesses.items():
@@ -259,6 +263,47 @@ def _variables_of_unknowns(
                 f"{written}; leave one of the two out"
             )
     return variables
+
+
+def _resolved_shapes(
+    prior: PriorConfig, sides: LeftSides, template: EquationTemplate | None
+) -> dict[str, dict[str, tuple[str, ...]]]:
+    """Return the shapes by option and variable. An unknown part may be named by its label, if only one has it."""
+    unknowns = () if template is None else template.unknowns
+    labels = [one.label for one in unknowns]
+    unique = {one.label: one.home for one in unknowns if labels.count(one.label) == 1}
+    by_option: dict[str, Mapping[str, tuple[str, ...]]] = {
+        "--positive": dict.fromkeys(prior.positive, ("positive",)),
+        "--monotone": prior.monotone,
+        "--limit": prior.limits,
+    }
+    return {
+        option: _texts(sides, option, {unique.get(side, side): texts for side, texts in by_side.items()})
+        for option, by_side in by_option.items()
+    }
+
+
+def _check_shapes(
+    shapes: Mapping[str, Mapping[str, tuple[str, ...]]], space: SpaceConfig, names: Sequence[str]
+) -> None:
+    """Refuse shapes that cannot be read, or that name a variable which their equation may not use."""
+    for option, by_variable in shapes.items():
+        for name, texts in by_variable.items():
+            usable = [names[column] for column in space.columns_for(name, names)]
+            read_shapes(texts, usable, f"{option} for '{name}'")
+
+
+def _check_searched(
+    by_option: Mapping[str, Mapping[str, object]], known: Mapping[str, str], given: Sequence[str],
+    template: EquationTemplate | None,
+) -> None:  # fmt: skip
+    """Refuse options for equations that are not searched: `known` ones, and the `given` ones of a template."""
+    for option, by_variable in by_option.items():
+        for name in by_variable:
+            if name in known:
+                raise UsageError(f"{option} names '{name}', whose equation is known; leave one of the two out")
+            if name in given and template is not None:
+                raise UsageError(f"{option} names '{name}', {_why_not_searched(template, name)}")
 
 
 def _why_not_searched(template: EquationTemplate, equation: str) -> str:

@@ -5,13 +5,14 @@ states recorded here. Pure data. Letters: R rows of one trajectory, S states, U 
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from atoll_core.data.dataset import Dataset, FloatArray
+from atoll_core.expression.program import Program
 
 Method = Literal["interpolation", "loess", "robust loess", "hidden"]
 InputKind = Literal["smooth", "shape-preserving", "held"]
@@ -237,6 +238,7 @@ class Preparation:
     weight is too small for the search, which gives all its rows equal weight. `counted` None: the rows of `dataset`;
     `weights` None: all are 1. `source` is the table; None: not known. `parameters` are the parameters of the job's
     template as the derivatives determine them, or a fit from many starts (`minima`); fits start with them.
+    `parts` are the programs that stood for unknown parts in this fit, by equation.
     """
 
     dataset: Dataset
@@ -248,6 +250,7 @@ class Preparation:
     counted: Dataset | None = None
     parameters: tuple[float, ...] = ()
     minima: "FoundMinima | None" = None
+    parts: Mapping[str, Program] = field(default_factory=dict)
 
 
 def by_group(preparation: Preparation) -> Iterator[Preparation]:

@@ -12,6 +12,7 @@
 - `regression`: the equation of one variable fitted to its target
 - `sparse`: laws of one variable as sparse sums of products, by regression alone
 - `template`: first estimates of the parameters of given equations, and the targets of their unknown parts
+- `hidden`: the course of hidden states without given equations, by proposals and laws in turns
 - `shooting`: a system of equations fitted to the measured trajectories
 - `selection`: which equations together are the model, and their closest alternatives
 - `inference`: the errors of constants, simulations, checks of residuals, the verdict

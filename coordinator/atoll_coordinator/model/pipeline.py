@@ -115,6 +115,8 @@ def _refine(
     batches: Batches | None,
 ) -> Refinement:  # fmt: skip
     candidates = collect_candidates(preparation.dataset, config, pools)
+    for name, program in preparation.parts.items():
+        candidates[name] = replace(candidates[name], simulated=program)
     if preparation.process is not None:
         choice = ProcessChoice(preparation.dataset, preparation.process, config, candidates, deadline)
         chosen = choice.choose()

@@ -217,6 +217,13 @@ class Observation(Part):
     given: GivenSide | None = Field(default=None, description="the expression as the user wrote it")
 
 
+class DemandedShape(Part):
+    """A shape that was demanded of an equation, or of its unknown part."""
+
+    shape: Text = Field(description="`positive`, `increasing in S` or `S -> 0: 0`")
+    kept: Flag = Field(description="whether the equation has this shape at the measured rows and between them")
+
+
 class Equation(Part):
     """One displayed equation, and how it was found; `expression` is null if no equation was found."""
 
@@ -259,6 +266,9 @@ class Equation(Part):
         description="end of search: `target`, `law`, `stagnation`, `max-epochs`, `max-time`, `cancelled` or `known`",
     )
     bounds: tuple[Bound, ...] = Field(default=(), description="bounds from `--bound`")
+    shapes: tuple[DemandedShape, ...] = Field(
+        default=(), description="shapes from `--positive`, `--monotone` and `--limit`, missing without one"
+    )
     derivative_floor: Number = Field(
         default=None, description="uncertainty of the derivative, on the scale of `normalized_error`"
     )

@@ -31,7 +31,7 @@ from atoll_core.errors import UsageError
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 _RARE: Final = ("group", "command", "observations", "hidden")
 """Keys that only some results have: models of one group, and results written by a command."""
-_RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups", "given")
+_RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups", "given", "shapes")
 _RARE_OF_CANDIDATES: Final = ("unknown", "parameters")
 
 

@@ -110,6 +110,7 @@ def prepare_job(
     """Return the prepared job and the bytes of its dataset; raises the errors of `prepare_table`."""
     from atoll_coordinator.model.batches import spreading
     from atoll_coordinator.model.deadline import Deadline
+    from atoll_coordinator.model.hidden.alternation import with_proposed_states
     from atoll_coordinator.model.result.known_equations import known_entries, warn_of_missing_values
     from atoll_coordinator.model.sparse.laws import (  # loads kernels
         find_laws_among_many,
@@ -126,6 +127,10 @@ def prepare_job(
         with spreading(batches, batches.threads if batches else 1, Deadline()) as spread:
             preparation = with_hidden_states(preparation, given, spread)
         preparation = with_unknown_targets(preparation, given)
+    of_hidden: LawsByGroup | None = None
+    if config.data.hidden_count:
+        with spreading(batches, batches.threads if batches else 1, Deadline()) as spread:
+            preparation, of_hidden = with_proposed_states(preparation, resolve(config, preparation.dataset), spread)
     data = dataset_to_bytes(preparation.dataset)
     blob = hashlib.sha256(data).hexdigest()
     resolved = screen_variables(preparation, resolve(config, preparation.dataset))
@@ -133,6 +138,6 @@ def prepare_job(
     preparation = warn_of_missing_values(preparation, resolved)
     resolved = with_units(resolved, preparation.source)
     with spreading(batches, batches.threads if batches else 1, Deadline()) as spread:
-        laws = find_laws_among_many(preparation, resolved, spread)
+        laws = of_hidden or find_laws_among_many(preparation, resolved, spread)
         settled = settled_variables(preparation, resolved, laws, spread)
     return Prepared(preparation, resolved, blob, len(data), known, settled, laws), data

@@ -147,11 +147,12 @@ def restrained(program: Program, restrictions: Restrictions, scratch: Scratch, r
         return None
     fitted = _fitted(restrictions.bounds.clipped(admitted), restrictions.bounds, scratch, refit)
     if not np.any(fitted.constants[constant_places(fitted)] == 0.0):
-        return fitted
+        return fitted if restrictions.has_shapes(fitted) else None
     shorter = restrictions.admitted(collected(fitted))  # without terms whose coefficients have become zero
     if shorter is None:
         return None
-    return _fitted(restrictions.bounds.clipped(shorter), restrictions.bounds, scratch, refit)
+    fitted = _fitted(restrictions.bounds.clipped(shorter), restrictions.bounds, scratch, refit)
+    return fitted if restrictions.has_shapes(fitted) else None
 
 
 def _fitted(program: Program, bounds: EquationBounds, scratch: Scratch, refit: Refit) -> Program:

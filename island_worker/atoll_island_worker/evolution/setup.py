@@ -66,7 +66,7 @@ class EquationSetup:
             names = tuple(problem.names[column] for column in self.columns)
             problem = Problem(names, np.ascontiguousarray(problem.inputs[list(self.columns)]), problem.target)
         self.names = problem.names
-        self.restrictions = restrictions_of(config, self.variable, problem.names)
+        self.restrictions = restrictions_of(config, self.variable, problem.names, problem.inputs)
         self.deviation = problem.target.standard_deviation
         self.target = target_error(config, problem.target) * self.deviation
         self.space = _space(problem, config)

@@ -334,7 +334,7 @@ function asTexts(name, value) {
   return Object.entries(value).flatMap(([side, right]) => {
     if (name === "bound") return right.map((bound) => (side === "*" ? bound : `${side}: ${bound}`));
     if (name === "parameter") return [`${side}${parameterText(right)}`];
-    return name === "guess" ? right.map((guess) => `${side}=${guess}`) : [`${side}=${[right].flat().join(",")}`];
+    return ["guess", "monotone", "limit"].includes(name) ? right.map((one) => `${side}=${one}`) : [`${side}=${[right].flat().join(",")}`];
   });
 }
 /** Returns start value and bounds of a parameter as its option has them, such as =1 in 0.1..10. */

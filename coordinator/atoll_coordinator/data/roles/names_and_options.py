@@ -44,6 +44,9 @@ _EXCLUSIONS: Final = (
     ("hidden", "stochastic", "the likelihood of a step needs all states"),
     ("hidden", "order", "write the velocities as states of their own"),
     ("hidden", "group per_trajectory", "constants by group need all states measured"),
+    ("hidden_count", "offsets", "neither the offsets nor the hidden state would be determined"),
+    ("hidden_count", "only", "the course of a hidden state follows from the equations of all states"),
+    ("hidden_count", "observe", "name the hidden states, and give their equations with --equation"),
     ("observe", "target derivatives stochastic", "columns are computed from states along trajectories"),
     ("observe", "order", "write the velocities as states of their own"),
     ("observe", "group per_trajectory", "constants by group need all states measured"),
@@ -61,6 +64,12 @@ _WITHOUT_EQUATIONS: Final = (
     ("per_trajectory", "given equations with constants by trajectory are not possible yet"),
 )
 """Options that exclude equations given with ``--equation``, and why."""
+_WITHOUT_SHAPES: Final = (
+    ("stochastic", "shapes are demanded of equations without noise"),
+    ("group", "shapes with constants by group are not possible yet"),
+    ("per_trajectory", "shapes with constants by trajectory are not possible yet"),
+)
+"""Options that exclude shapes, and why."""
 _COMPATIBLE: Final = ({"inputs", "time"}, {"trajectory", "group"})
 """Roles that one column may have."""
 _WITH_UNIT: Final = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
@@ -142,7 +151,8 @@ def check_options(config: DataConfig) -> None:
     for name, others, reason in _EXCLUSIONS:
         for other in others.split():
             if is_set(name) and is_set(other):
-                fields = (Field(option, 2 if option == "order" else None) for option in (name, other))
+                option = "hidden" if name == "hidden_count" else name
+                fields = (Field(option, 2 if option == "order" else None) for option in (option, other))
                 raise UsageError(f"%s and %s exclude each other; {reason}", *fields)
     if config.derivatives is not None and config.states is not None and len(config.derivatives) != len(config.states):
         counts = f"{len(config.states)} states and {len(config.derivatives)} derivatives"
@@ -164,6 +174,7 @@ def check_options(config: DataConfig) -> None:
 def check_given_equations(config: JobConfig) -> None:
     """Raise UsageError if a job of this kind can have no given equations, or if a parameter has impossible bounds."""
     prior, data = config.prior, config.data
+    _check_shapes(config)
     for name, one in prior.parameters.items():
         lower, upper = (-math.inf if one.lower is None else one.lower), (math.inf if one.upper is None else one.upper)
         if not lower < upper:
@@ -174,6 +185,7 @@ def check_given_equations(config: JobConfig) -> None:
         if one.by_group and data.group is None and not data.per_trajectory:
             groups = (Field("parameter"), Field("group"), Field("per_trajectory"))
             raise UsageError(f"%s {name} differs between groups, but there are none; add %s or %s", *groups)
+    _check_number_of_hidden_states(config)
     if not prior.equations:
         if prior.parameters:
             name = next(iter(prior.parameters))
@@ -186,6 +198,30 @@ def check_given_equations(config: JobConfig) -> None:
     if config.preset == "paper":
         reason = "the algorithm of the paper has no given equations"
         raise UsageError(f"%s and %s exclude each other; {reason}", Field("equation"), Field("preset", "paper"))
+
+
+def _check_number_of_hidden_states(config: JobConfig) -> None:
+    """Raise UsageError if hidden states are given by number, but equations are given, too."""
+    prior = config.prior
+    if config.data.hidden_count is None:
+        return
+    others = {"equation": prior.equations, "known": prior.known, "initial": prior.initial}
+    for name, given in others.items():
+        if given:
+            advice = 'name the hidden states and give their equations with --equation "dh/dt=…"'
+            raise UsageError(f"%s as a number and %s exclude each other; {advice}", Field("hidden"), Field(name))
+    if config.preset == "paper":
+        reason = "the algorithm of the paper has no hidden states"
+        raise UsageError(f"%s and %s exclude each other; {reason}", Field("hidden"), Field("preset", "paper"))
+
+
+def _check_shapes(config: JobConfig) -> None:
+    """Raise UsageError if a job of this kind can demand no shapes."""
+    prior = config.prior
+    for option, reason in _WITHOUT_SHAPES if prior.shaped else ():
+        if getattr(config.data, option) not in (None, False):
+            field = Field("positive" if prior.positive else "monotone" if prior.monotone else "limit")
+            raise UsageError(f"%s and %s exclude each other; {reason}", field, Field(option))
 
 
 def are_units(texts: Sequence[str]) -> bool:

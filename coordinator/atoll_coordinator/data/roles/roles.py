@@ -158,9 +158,18 @@ def assign_roles_by_name(names: Sequence[str], config: DataConfig, trajectory: s
         config.group,
         config.per_trajectory,
         config.hold,
-        config.hidden,
+        name_hidden_states(config.hidden_count, names) if config.hidden_count else config.hidden,
         tuple(name for name in states if name in config.observe),
     )
+
+
+def name_hidden_states(count: int, columns: Sequence[str]) -> tuple[str, ...]:
+    """Return names of hidden states that no column has: h, or h1, h2 and so on."""
+    for letter in ("h", "hidden", *(f"hidden_{number}" for number in range(len(columns)))):
+        names = (letter,) if count == 1 else tuple(f"{letter}{number + 1}" for number in range(count))
+        if not {name.casefold() for name in names} & {name.casefold() for name in columns}:
+            return names
+    raise AssertionError("there are more names than columns")
 
 
 def _check_known(name: str, table: Table, *, may_be_text: bool = False) -> None:
@@ -199,7 +208,9 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
 
 def _check_hidden_states(roles: Roles, config: DataConfig, columns: Sequence[str]) -> None:
     """Raise UsageError if a hidden state has a column, or if an observed column is no state column."""
-    for name in config.hidden:
+    if config.hidden_count == 0:
+        raise UsageError("--hidden gives the number 0; leave it out if every state is measured")
+    for name in roles.hidden:
         if name in columns:
             raise UsageError(f"--hidden names '{name}', which is a column; a hidden state has none, so remove it")
         if not _is_symbol(name):

@@ -255,6 +255,7 @@ class FittedEquations:
         simple = self.round_equations(ERROR_DIGITS[-1]).programs if numbers else ()
         if (
             not simple
+            or not self._have_shapes(simple)
             or misfit_increase(simple) > self.estimates.misfit_increase(numbers) + SETTINGS.inference.distinct_nats
         ):
             return tuple(self.programs)
@@ -280,11 +281,18 @@ class FittedEquations:
             first += len(places)
             values = [_decimal_product(*pair) for pair in zip(by, rounded[numbers].tolist(), strict=True)]
             moved = with_constants(program, dict(zip(places, values, strict=True)))
-            programs.append(moved if restrictions.bounds is None else restrictions.bounds.clipped(moved))
+            moved = moved if restrictions.bounds is None else restrictions.bounds.clipped(moved)
+            programs.append(moved if restrictions.has_shapes(moved) else program)
             simple.append(tuple(_scale_number(near[k], multiple) for k, multiple in zip(numbers, by, strict=True)))
             together.append(_scale_joint_numbers(self.estimates.joint_simple_numbers(numbers), by))
         parameters = rounded[columns[first:]] if len(columns) > first else None
         return RoundedEquations(tuple(programs), tuple(simple), tuple(together), parameters)
+
+    def _have_shapes(self, programs: Sequence[Program]) -> bool:
+        """Tell whether all equations have their demanded shapes."""
+        return all(
+            restrictions.has_shapes(program) for program, restrictions in zip(programs, self.restrictions, strict=True)
+        )
 
     @property
     def _parameters(self) -> list[int]:

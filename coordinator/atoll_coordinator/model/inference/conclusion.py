@@ -89,7 +89,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         r2 = held_out_r2[final.columns[index]]
         equation = _describe_equation(final, index, constants[index], by_group[index], r2, prediction)
         given = final, long_run, index, equation, r2, compared
-        is_plain = final.comparison.template is None
+        is_plain = final.comparison.template is None and not task.recording.hidden
         compared.append(TrajectoryChecks(*given) if is_plain else TemplateChecks(*given, spread))
     equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
     recording, quantile = preparation.recording, student_quantile_95(errors.degrees_of_freedom)
@@ -117,6 +117,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         (
             *piece_remarks(task, is_tested_in_whole=long_run.fits is True),
             *_warn_of_poles(final),
+            *_explain_coordinates(final),
             *warn_of_random_walk(recording, task.shown_names[: len(measurements.observed)], simulated),
         ),
         chaos,
@@ -125,6 +126,19 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         covariance=covariances[0] if (system.columns == system.columns[0]).all() else None,
         by_group=dict(zip(task.recording.groups, covariances, strict=False)),
     )
+
+
+def _explain_coordinates(final: FinalModel) -> tuple[str, ...]:
+    """Return a sentence on what hidden states without given equations mean; nothing if there are none."""
+    hidden = final.task.recording.hidden
+    if not hidden or final.comparison.template is not None:
+        return ()
+    names, one = " and ".join(hidden), len(hidden) == 1
+    return (
+        f"No column measures {names}. {'It is' if one else 'They are'} determined only up to a change of coordinates: "
+        f"any invertible function of {names} would describe the columns as well, with other equations. Scale and "
+        "origin here are those of the shortest equations.",
+    )  # fmt: skip
 
 
 def _held_out_r2(final: FinalModel, held_out_fit: TrajectoryFit | None) -> Sequence[float | None]:

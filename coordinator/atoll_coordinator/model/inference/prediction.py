@@ -72,8 +72,7 @@ def compare_predictions(
         is_near: whether initial states are near measured states. This is for attractors: parts of the box around an
             attractor lie outside of its basin.
     """
-    other_states = _OtherInitialStates(measurements, tolerance, is_near=is_near)
-    own = other_states.simulate_model(model)
+    other_states, own, horizon = _simulate_to_horizon(measurements, model, tolerance, is_near=is_near)
     followed = [place for place, course in enumerate(own) if not isinstance(course, str)]
     unfinished = sum(isinstance(course, str) and course == "out of steps" for course in own)
     states = range(len(measurements.observed))
@@ -82,7 +81,6 @@ def compare_predictions(
             starts=len(own), followed=0, unfinished=unfinished, probability=0.0, novelty=math.inf, is_disputed=False
         )
         return [nothing for _ in states]
-    horizon = other_states.horizon(model, own)
     courses = [course[:, :horizon] for course in own if not isinstance(course, str)]
     misses, misses_of_data = _Disagreement(len(states)), _Disagreement(len(states))
 
@@ -127,6 +125,8 @@ _DRAWN: Final = -1
 """The group of the draws."""
 _MOST_DRAWS: Final = SETTINGS.effort.beam**2
 """Most draws of the constants: with this number, a share of 0.95 has a standard error of 0.02."""
+_FEWEST_ROWS: Final = 8
+"""Fewest rows of a simulation that are compared."""
 _STRIDE: Final = 4
 """Every fourth simulated row is compared with the measured rows."""
 
@@ -136,19 +136,41 @@ Course = FloatArray | Unsimulated
 """The simulated values (O, N) of the measured states, or the reason why the simulation failed."""
 
 
+def _simulate_to_horizon(
+    measurements: TrajectoryMeasurements, model: OdeSystem, tolerance: float, *, is_near: bool
+) -> tuple["_OtherInitialStates", list[Course], int]:
+    """Return initial states, the model's simulations from them, and the number of rows that can be predicted.
+
+    Of a long chaotic trajectory, chaos may end predictions within the first rows of such a simulation. Then shorter
+    simulations with as many rows are compared, until their rows are as close as the measured rows.
+    """
+    share = 1.0
+    while True:
+        other_states = _OtherInitialStates(measurements, tolerance, is_near=is_near, share=share)
+        own = other_states.simulate_model(model)
+        horizon = other_states.horizon(model, own)
+        share *= 2.0 * horizon / other_states.rows
+        is_too_short = share * other_states.longest < other_states.rows * measurements.step
+        if horizon > _FEWEST_ROWS or is_too_short or len(measurements.inputs):
+            return other_states, own, horizon
+
+
 class _OtherInitialStates:
-    """Simulates systems from initial states between measured states, for the duration of the longest trajectory.
+    """Simulates systems from initial states between measured states, for a `share` of the duration of the longest
+    trajectory.
 
     If measured trajectories end at a limit of the measured range, as in growth, other trajectories may leave the range
     on this side. Such a simulation is shortened. The measured state nearest to its initial state determines the length:
     the simulation has as many rows as were measured after this state.
     """
 
-    def __init__(self, measurements: TrajectoryMeasurements, tolerance: float, *, is_near: bool) -> None:
+    def __init__(
+        self, measurements: TrajectoryMeasurements, tolerance: float, *, is_near: bool, share: float = 1.0
+    ) -> None:
         self._measurements = measurements
         low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
         self._low, self._width = low, np.maximum(high - low, 1e-300)
-        self._estimators = _estimators(measurements, tolerance)
+        self._estimators = _estimators(measurements, tolerance, share)
         self._is_near = is_near
         self._rows: dict[int, int] = {}
         """Number of rows of shortened simulations, by initial state."""
@@ -196,6 +218,16 @@ class _OtherInitialStates:
         shift = SETTINGS.common.negligible * measurements.scales
         return np.asarray(remove_conserved_directions(shift[None], measurements.smoothed, noise)[0])
 
+    @property
+    def rows(self) -> int:
+        """The largest number of rows of a simulation."""
+        return max(estimator.measurements.rows for estimator in self._estimators)
+
+    @property
+    def longest(self) -> float:
+        """The duration of the longest trajectory."""
+        return _longest(self._measurements)[0]
+
     def simulate_model(self, model: OdeSystem) -> list[Course]:
         """Return the model's simulations from all initial states. The numbers of their rows are stored, for simulations
         of other systems."""
@@ -222,9 +254,8 @@ class _OtherInitialStates:
             for own_course, moved_course in others
             if not isinstance(own_course, str) and not isinstance(moved_course, str)
         ]
-        rows = max(estimator.measurements.rows for estimator in self._estimators)
-        least = 1.0 - SETTINGS.inference.part
-        while rows > 8 and not all(
+        rows, least = self.rows, 1.0 - SETTINGS.inference.part
+        while rows > _FEWEST_ROWS and not all(
             (_r2([own_course[:, :rows]], [moved_course[:, :rows]]) > least).all() for own_course, moved_course in pairs
         ):
             rows //= 2
@@ -301,11 +332,11 @@ class _OtherInitialStates:
         return np.flatnonzero(np.append(owners[1:] != owners[:-1], True))
 
 
-def _estimators(measurements: TrajectoryMeasurements, tolerance: float) -> list[MultipleShooting]:
+def _estimators(measurements: TrajectoryMeasurements, tolerance: float, share: float) -> list[MultipleShooting]:
     """Return the estimators that simulate systems; initial states use them in turn.
 
-    Without inputs, a simulation lasts as long as the longest trajectory. With inputs, it follows one of a few measured
-    trajectories, for at most `RowSettings.most` rows.
+    Without inputs, a simulation lasts for a `share` of the longest trajectory. With inputs, it follows one of a few
+    measured trajectories, for at most `RowSettings.most` rows.
     """
     lengths = np.bincount(measurements.owners_of_rows)
     owners = np.flatnonzero(lengths)
@@ -318,12 +349,18 @@ def _estimators(measurements: TrajectoryMeasurements, tolerance: float) -> list[
         return [
             MultipleShooting(_join_pieces(measurements.part([owner]), owner), tolerance) for owner in owners.tolist()
         ]
-    length, rows = max(
+    length, rows = _longest(measurements)
+    times = np.linspace(0.0, share * length, SETTINGS.shooting.lengths[-1])
+    return [make_simulator(measurements, times, tolerance, rows, owner) for owner in owners.tolist()]
+
+
+def _longest(measurements: TrajectoryMeasurements) -> tuple[float, int]:
+    """Return the duration and the number of rows of the longest trajectory."""
+    lengths = np.bincount(measurements.owners_of_rows)
+    return max(
         (float(np.ptp(measurements.times[measurements.owners_of_rows == owner])), int(lengths[owner]))
         for owner in np.flatnonzero(lengths).tolist()
     )
-    times = np.linspace(0.0, length, SETTINGS.shooting.lengths[-1])
-    return [make_simulator(measurements, times, tolerance, rows, owner) for owner in owners.tolist()]
 
 
 def _join_pieces(measurements: TrajectoryMeasurements, owner: int) -> TrajectoryMeasurements:

@@ -16,13 +16,14 @@ from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.refinement import JobKind, Refined
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import variables_of
 
 _LEAST_REACHED: Final = 2
 """Fewest fits that must end at the best minimum: a minimum that is met once may be one of many."""
 
 
 class TemplateChecks(TrajectoryChecks):
-    """The checks of an equation of a system with a template."""
+    """The checks of an equation of a system with a template or with hidden states."""
 
     kind: ClassVar[JobKind] = "template"
 
@@ -52,6 +53,23 @@ class TemplateChecks(TrajectoryChecks):
         reason = f"the data do not determine the hidden state {self.name} (its errors are {size} its variance)"
         advice = "give initial values with --initial, parameters as numbers, or bounds"
         return Finding("failed", reason, share, most, advice=advice)
+
+    def check_coordinates(self) -> Finding:
+        """Check that the equation does not depend on the coordinates of a hidden state, for which no equation is given.
+
+        Any invertible function of the hidden state describes the measured columns as well, with other equations.
+        """
+        recording = self.final.task.recording
+        if self.final.comparison.template is not None or not recording.hidden:
+            return Finding("not applicable", "all states are measured, or their equations are given")
+        names = self.final.task.dataset.names
+        used = {names[index] for index in variables_of(self.shown.program)} | {self.name}
+        symbols = dict(zip(recording.states, recording.state_symbols, strict=True))
+        free = [name for name in recording.hidden if name in used or symbols[name] in used]
+        if not free:
+            return Finding("passed", "the equation has no hidden state")
+        reason = f"the data determine {' and '.join(free)} only up to a change of coordinates"
+        return Finding("failed", reason, float(len(free)), 0.0)
 
     def check_unknown_part(self) -> Finding:
         """Check that the unknown part of the equation describes more than nothing or a constant in its place."""

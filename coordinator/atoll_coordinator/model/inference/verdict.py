@@ -98,6 +98,9 @@ RULES: Final[Sequence[Rule]] = (
     Rule("odds against chance", "Δ log-likelihood over no equation", "5.3", _FITTED, is_exactness=True),
     Rule("precision of constants", "standard error over estimate", "1e-3", _FITTED, is_exactness=True),
     Rule("digits of constants", "digits of constants and values", "as many", _TARGET, is_exactness=True),
+    Rule(
+        "coordinates", "states that are determined up to a change of coordinates", "none", _TEMPLATE, is_exactness=True
+    ),
     Rule("other laws", "odds of other equations", "1/200", _SIMULATED, is_exactness=True),
 )
 

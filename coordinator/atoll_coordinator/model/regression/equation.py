@@ -119,7 +119,7 @@ def refine_equation(
     variable = problem.target.variable
     operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
     allowed = config.space.columns_for(variable, problem.names)
-    restrictions = restrictions_of(config, variable, problem.names)
+    restrictions = restrictions_of(config, variable, problem.names, problem.inputs)
     counted = WeightedRows(problem) if counted is None else counted
     spread = counted.subsample(SETTINGS.rows.most)
     least_squares = LeastSquares(spread.problem, spread.weights, restrictions)

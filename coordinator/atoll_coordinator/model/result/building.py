@@ -42,6 +42,7 @@ from atoll_coordinator.result.equations import (
     Candidate,
     Constant,
     Convergence,
+    DemandedShape,
     Equation,
     Estimate,
     GivenSide,
@@ -60,7 +61,8 @@ from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, FloatArray, Target
 from atoll_core.data.notes import notes_of
 from atoll_core.expression.program import Program, constant_places, structure, tree_size
-from atoll_core.expression.restrictions import restrictions_of
+from atoll_core.expression.restrictions import equation_shapes, restrictions_of
+from atoll_core.expression.shapes import shape_points
 from atoll_core.expression.template import ZERO
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix
 from atoll_core.expression.writing.shortest import points_of, shortest_at
@@ -269,6 +271,9 @@ def _describe_equation(
         equation = equation.replaced(generation=entry.epoch * config.migration.generations + entry.generation)
     normalized, names, estimate = target.normalized(shown.error), dataset.names, Estimate.model_fields
     bounds = restrictions_of(config, target.variable, names).bounds
+    shapes = _describe_shapes(config, dataset, target.variable, shown)
+    if verdict is not None and shapes:
+        equation = equation.replaced(reason=f"{verdict.reason} {_demand(shapes, config, target.variable)}")
     return equation.replaced(
         expression=to_infix(shown.program, names),
         program=shown.program.to_bytes().hex(),
@@ -302,6 +307,7 @@ def _describe_equation(
             Bound(bound=one.bound.text, values=tuple(map(finite, one.values)), active=one.is_active)
             for one in (() if bounds is None else bounds.governed(shown.program))
         ),
+        shapes=shapes,
         prediction=shown.prediction,
         candidates=_list_candidates(shown.alternatives, names),
     )
@@ -413,6 +419,27 @@ def _complete_sides(
             units=None,  # the units found are those of the unknown part
         )
     return completed
+
+
+def _describe_shapes(config: JobConfig, dataset: Dataset, variable: str, shown: Refined) -> tuple[DemandedShape, ...]:
+    """Return the shapes that the user demanded of an equation or of its unknown part; empty without a demand."""
+    template = template_of(config, dataset.names)
+    unknown = None if template is None else template.unknown_of(variable)
+    program = shown.program if unknown is None else shown.unknowns.get(unknown.label, shown.program)
+    points = shape_points(dataset.inputs)
+    return tuple(
+        DemandedShape(shape=text, kept=shapes is None or shapes.are_kept(program, points))
+        for text in config.prior.shapes_of(variable)
+        for shapes in (equation_shapes([text], dataset.names),)
+    )
+
+
+def _demand(shapes: Sequence[DemandedShape], config: JobConfig, variable: str) -> str:
+    """Return the sentence of a verdict that names the demanded shapes."""
+    owner = "the unknown part" if variable in config.prior.equations else "this equation"
+    texts = "; ".join(one.shape for one in shapes)
+    left = ", ".join(one.shape for one in shapes if not one.kept)
+    return f"The shape of {owner} was demanded, not found: {texts}{f' (not kept: {left})' if left else ''}."
 
 
 def _describe_given(text: str | None, shown: Refined, names: Sequence[str]) -> GivenSide | None:

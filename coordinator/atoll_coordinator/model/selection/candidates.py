@@ -15,6 +15,8 @@ from functools import cached_property
 from itertools import compress
 from typing import Final
 
+import numpy as np
+
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.pools import FrontMember, Origin, Pools, decode_members
@@ -24,6 +26,7 @@ from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
+from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.restrictions import Restrictions
 from atoll_core.expression.writing.shortest import collected, shortened, shortest
@@ -34,13 +37,15 @@ class CandidateSet:
     """The candidate programs for one variable's equation, by origin.
 
     `front` and `runners_up` are the programs that the search has passed to refining. `guesses` are the user's programs,
-    with which the search begins. `known` is an equation that the user has fixed.
+    with which the search begins. `known` is an equation that the user has fixed. `simulated` is a program with which
+    the whole system was simulated before, since hidden states need a course: refining begins with it.
     """
 
     front: tuple[FrontMember, ...] = ()
     runners_up: tuple[Program, ...] = ()
     guesses: tuple[Program, ...] = ()
     known: Program | None = None
+    simulated: Program | None = None
 
     @property
     def programs(self) -> list[Program]:
@@ -176,6 +181,9 @@ class RankedCandidates:
         starts = [(program, effort.steps if is_fitted else 0) for program in new.values()]
         fitted = comparison.spread.map(_STARTS, lambda: _least_squares(rows), starts, _STARTS_OF_A_BATCH, lambda: rows)
         started = [program for programs in fitted for program in programs or ()]
+        if not comparison.is_complete:
+            self._started = sorted([*self._started, *started], key=self._nats_on_rows)[: effort.kept]
+            return
         steps, (short, longer, _) = effort.brief_steps, SETTINGS.shooting.lengths
         models = comparison.fit_all([(program,) for program in started], steps, (short,))
         models = models[: effort.kept]
@@ -183,6 +191,14 @@ class RankedCandidates:
         models = comparison.fit_all([(program,) for program in chosen.values()], steps, (longer,))
         self._models = comparison.distinct_models(sorted([*self._models, *models], key=lambda model: model.nats), 0)
         self._started += started
+
+    def _nats_on_rows(self, program: Program) -> float:
+        """Return the length of the description of the target by a program. It ranks programs of an equation that has
+        an unknown part of another equation, too, so that it cannot be simulated alone."""
+        target = self._problem.target
+        residuals = values_of(program, self._problem.inputs) - target.values
+        square = max(math.fsum((residuals * residuals).tolist()) / len(residuals), np.finfo(np.float64).tiny)
+        return 0.5 * len(residuals) * math.log(square) + self._whole.score.length(program)
 
     def _shorten(self, programs: Iterable[Program], most: float) -> list[Program | None]:
         """Return programs in a short form; None for programs of `most` nats or more. Often the price of the constants

@@ -198,6 +198,16 @@ class ModelComparison:
         return self.constraints.template
 
     @property
+    def is_complete(self) -> bool:
+        """Whether the equations have no unknown part of an equation that is not compared here."""
+        template = self.template
+        return template is None or all(
+            template.unknowns[place].home in template.equations
+            for name in template.equations
+            for place in template.unknowns_in(name)
+        )
+
+    @property
     def held(self) -> frozenset[int]:
         """The equations, by index, whose constants are given, too, and not fitted."""
         template = self.template
@@ -452,7 +462,7 @@ class ModelComparison:
         fit = fit_in_stages(self.estimator, self.system(admitted), lengths, steps)
         if fit is not None and self.score.errors is not None:
             fit = self.score.refit_with_errors(fit, self.score.errors)
-        return None if fit is None else self.score_fit(fit)
+        return None if fit is None else self._if_shaped(self.score_fit(fit))
 
     def fit_from(
         self, near: FittedModel, programs: Sequence[Program], steps: int = SETTINGS.effort.steps,
@@ -481,7 +491,14 @@ class ModelComparison:
         system = self.system(admitted, near=near.system, shared=shared, parameters=near.parameters)
         most = self.score.misfit_limit(system, limit) if limit < math.inf else None
         fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff, limit=most)
-        return None if fit is None else self.score_fit(fit)
+        return None if fit is None else self._if_shaped(self.score_fit(fit))
+
+    def _if_shaped(self, model: FittedModel) -> FittedModel | None:
+        """Return the model; None if one of its programs does not have its demanded shapes."""
+        if not self.constraints.restrictions:
+            return model
+        pairs = enumerate(model.programs)
+        return model if all(self.restrictions(index).has_shapes(program) for index, program in pairs) else None
 
     def fit_replacement(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
         """Return `near` with another program for one equation, see `fit_from`."""

@@ -31,7 +31,7 @@ from atoll_core.expression.writing.expansion import expand_program
 
 def fit_jointly(
     task: ModellingTask, lists: Sequence[Sequence[Program]], start: Sequence[Program] | None = None, *,
-    are_laws: bool = False,
+    are_laws: bool = False, known: Sequence[Program] | None = None,
 ) -> SelectedModel | None:  # fmt: skip
     """Return the best system of these candidates; None if no system can be simulated.
 
@@ -41,9 +41,10 @@ def fit_jointly(
         start: programs of the first system; None: the best of a few combinations.
         are_laws: whether all candidates are laws. Then no further terms are searched, because such a term could
             describe errors of coarse integration steps.
+        known: a system that was found before; it is the first system if it is better than the few combinations.
     """
     comparison = task.comparison
-    best = find_starting_system(comparison, lists) if start is None else comparison.fit_model(start)
+    best = find_starting_system(comparison, lists, known=known) if start is None else comparison.fit_model(start)
     if best is None:
         return None
     if not are_laws:
@@ -58,13 +59,14 @@ def search_jointly(
     lists: Sequence[Sequence[Program]],
     start: Sequence[Program] | None = None,
     is_hopeless: Callable[[SelectedModel], bool] = lambda _: False,
+    known: Sequence[Program] | None = None,
 ) -> SelectedModel | None:
     """Return the best system of these candidates and their neighbourhood, see `fit_jointly`.
 
     If `is_hopeless` returns True for the best system of the candidates, the neighbourhood of this system is not
     searched.
     """
-    selection = fit_jointly(task, lists, start)
+    selection = fit_jointly(task, lists, start, known=known)
     if selection is None:
         return None
     comparison, best = selection.comparison, selection.model
@@ -94,14 +96,16 @@ def _treat_as_noise_free(
 
 
 def find_starting_system(
-    comparison: ModelComparison, lists: Sequence[Sequence[Program]], fitted: set[bytes] | None = None
-) -> FittedModel | None:
+    comparison: ModelComparison, lists: Sequence[Sequence[Program]], fitted: set[bytes] | None = None, *,
+    known: Sequence[Program] | None = None,
+) -> FittedModel | None:  # fmt: skip
     """Return the best of a few systems made of the first programs of the lists; None if no system can be simulated.
 
     All systems are fitted with few steps first, and only the best of them with more steps. If rows are nearly without
     noise, short segments suffice for the first fits. Noise hides the differences between systems in short segments. If
     none of the best can be fitted with more steps, all systems are.
-    Systems whose key is in `fitted` are not fitted again; the keys of the other systems are added to it.
+    Systems whose key is in `fitted` are not fitted again; the keys of the other systems are added to it. A `known`
+    system is always fitted with more steps.
     """
     first = [programs[0] for programs in lists]
     systems = [first] + [
@@ -123,6 +127,8 @@ def find_starting_system(
         is_clean = comparison.score.errors is None and noise.max() < SETTINGS.selection.least_noise
         steps, lengths = (effort.steps, STAGES[:1]) if is_clean else (effort.brief_steps, STAGES)
         finalists = [model.programs for model in comparison.fit_all(systems, steps, lengths)[: effort.rounds[1][1]]]
+    if known is not None and list(known) not in map(list, finalists):
+        finalists = [*finalists, known]
     models = comparison.fit_all(finalists)
     if len(finalists) < len(systems) and not models:  # the best ones cannot be simulated any further
         models = comparison.fit_all(systems)

@@ -206,7 +206,8 @@ def search(choice: Choice) -> Choice:
     """Search for the best system among all candidates and their neighbourhood."""
     pool = choice.pool
     assert pool is not None, "candidates were proposed"
-    selection = search_in_pieces(choice.task.with_comparison(pool.comparison), pool.lists)
+    known = None if pool.best is None else pool.best.programs
+    selection = search_in_pieces(choice.task.with_comparison(pool.comparison), pool.lists, known)
     return replace(choice, selection=selection, is_searched=True)
 
 

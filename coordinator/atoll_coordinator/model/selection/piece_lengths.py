@@ -22,20 +22,25 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
 
 
-def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
-    """Return the best system of these candidates and their neighbourhood; None if no system can be simulated."""
+def search_in_pieces(
+    task: ModellingTask, lists: Sequence[Sequence[Program]], known: Sequence[Program] | None = None
+) -> SelectedModel | None:
+    """Return the best system of these candidates and their neighbourhood; None if no system can be simulated.
+
+    `known` is a system that was found before, see `fit_jointly`.
+    """
     if not all(lists):
         return None
     first = [programs[0] for programs in lists]
     if task.is_nearly_clean:
-        selection = search_jointly(choose_piece_length(task, first), lists)
+        selection = search_jointly(choose_piece_length(task, first), lists, known=known)
         if selection is None or selection.comparison.score.is_exact(selection.model):
             return selection
         return fit_without_solver_errors(task, selection) or selection
     longest, tasks = None, _tasks_by_piece_length(task)
     for index, here in enumerate(tasks):
         fits_shorter = partial(_fits_in_shorter_pieces, tasks[index + 1 :])
-        selection = search_jointly(here, lists, is_hopeless=fits_shorter)
+        selection = search_jointly(here, lists, is_hopeless=fits_shorter, known=known)
         if selection is None:
             continue
         longest = longest or selection
@@ -66,7 +71,8 @@ def fit_without_solver_errors(
 
 def with_longest_pieces(task: ModellingTask) -> ModellingTask:
     """Return the task with the longest pieces that are ever fitted, for nearly noise-free data; else unchanged."""
-    return replace(task, piece=SETTINGS.shooting.piece) if task.is_nearly_clean else task
+    is_whole = bool(task.recording.hidden)
+    return replace(task, piece=SETTINGS.shooting.piece) if task.is_nearly_clean and not is_whole else task
 
 
 def refit_on_all_rows(selection: SelectedModel) -> SelectedModel | None:
@@ -161,6 +167,8 @@ def _fit_task(
 def _tasks_by_piece_length(task: ModellingTask) -> list[ModellingTask]:
     """Return the task with its own piece length, and with shorter piece lengths. A shorter piece has at most half of
     the rows of the longest trajectory."""
+    if task.recording.hidden:
+        return [task]
     most = min(task.piece, task.longest)
     return [task, *(replace(task, piece=rows) for rows in reversed(SETTINGS.shooting.lengths[1:]) if 2 * rows <= most)]
 
@@ -173,6 +181,8 @@ def choose_piece_length(task: ModellingTask, programs: Sequence[Program]) -> Mod
     errors; each number of this initial state costs 1/2 ln N. In a whole trajectory, terms that are not in the law would
     describe the accumulated errors.
     """
+    if task.recording.hidden:
+        return task
     lengths: dict[int, float] = {}
     tasks = {task.piece: task}
     for piece in (task.piece, *reversed(SETTINGS.shooting.lengths)):

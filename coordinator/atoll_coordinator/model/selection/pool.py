@@ -67,7 +67,9 @@ class CandidatePool:
         most = math.inf if self.best is None else self.comparison.score.length_limit(self.best, equation)
         ranked = self._ranked[name]
         ranked.add(propose(task, name, most), most)
-        admitted = map(task.restrictions(name).admitted, ranked.programs)
+        first = task.candidates[name].simulated
+        programs = ranked.programs if first is None else [first, *ranked.programs]
+        admitted = map(task.restrictions(name).admitted, programs)
         self.lists[equation] = [one for one in admitted if one is not None and task.may_be_shown(one)]
 
     @property
@@ -111,5 +113,9 @@ def _programs_of_search(task: ModellingTask, name: str) -> list[Program]:
 
 
 def _rank_alone(task: ModellingTask, name: str, whole: ModelComparison) -> RankedCandidates:
-    measurements = task.measurements([name]).thin(SETTINGS.selection.compared_rows)
+    measurements = task.measurements([name])
+    if measurements.hidden:  # its estimated course is as uncertain as the measured states
+        noise = max(smoothing.relative_noise for smoothing in task.recording.smoothing)
+        measurements = measurements.with_measured_course(noise)
+    measurements = measurements.thin(SETTINGS.selection.compared_rows)
     return RankedCandidates(task.make_comparison(measurements, [name]), task.dataset.problem(name), whole)

@@ -80,7 +80,7 @@ def fit_laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
     ]
     if not all(lists):
         return None
-    short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))
+    short = task.in_pieces(SETTINGS.shooting.lengths[-1])
     start = find_starting_system(short.comparison, lists)
     if start is None:
         return None
@@ -108,7 +108,7 @@ def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -
     If there are so few rows that all stages can run on whole trajectories, a system is returned only if its residuals
     are integration errors; only rows without noise can have such a system.
     """
-    short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))
+    short = task.in_pieces(SETTINGS.shooting.lengths[-1])
     start = _fit_first(short, lists)
     if start is None:
         return None
@@ -118,7 +118,7 @@ def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -
     is_small = _count_rows(task) <= SETTINGS.selection.compared_rows and rows >= task.longest and not are_lawful
     if is_small and not task.is_nearly_clean:
         return None
-    task = replace(task, piece=min(task.piece, rows))
+    task = task.in_pieces(rows)
     if task.is_nearly_clean:
         task = choose_piece_length(task, start.model.programs)
     selection = fit_jointly(task, lists, start.model.programs, are_laws=True)

@@ -158,6 +158,14 @@ class ModellingTask:
         hidden = self.recording.hidden
         return (*(name for name in self.variables if name not in hidden), *self.recording.observed, *hidden)
 
+    def in_pieces(self, rows: int) -> "ModellingTask":
+        """Return the task with pieces of at most this many rows.
+
+        With hidden states, the task keeps its pieces: in the middle of a trajectory, the values of hidden states are
+        unknown, and with a number of its own for each piece almost any law would fit.
+        """
+        return self if self.recording.hidden else replace(self, piece=min(self.piece, rows))
+
     @property
     def longest(self) -> int:
         """The number of rows of the longest trajectory that is not held out."""
@@ -169,10 +177,7 @@ class ModellingTask:
         compared."""
         settings = SETTINGS.selection
         rows = min(settings.compared_rows, settings.compared_numbers // max(len(self.variables), 1))
-        whole = self.measurements(self.variables)
-        if whole.hidden:  # pieces in the middle of a trajectory would need unknown initial values
-            return whole.strided(-(-whole.rows // rows))
-        return whole.thin(rows)
+        return self.measurements(self.variables).thin(rows)
 
     @cached_property
     def sizes(self) -> list[float]:
@@ -237,7 +242,9 @@ class ModellingTask:
     def restrictions(self, variable: str) -> Restrictions:
         """Return the restrictions of the equation of `variable`."""
         if variable not in self._restrictions:
-            self._restrictions[variable] = restrictions_of(self.config, variable, self.dataset.names)
+            self._restrictions[variable] = restrictions_of(
+                self.config, variable, self.dataset.names, self.dataset.inputs
+            )
         return self._restrictions[variable]
 
     def grouped_rows(self, variables: Sequence[str]) -> GroupedRows | None:

@@ -273,14 +273,26 @@ class TrajectoryMeasurements:
         scales[hidden] = _sizes_of(course[hidden])
         return replace(self, smoothed=smoothed, scales=scales)
 
+    def with_measured_course(self, relative_noise: float) -> "TrajectoryMeasurements":
+        """Return the measurements as if the smoothed states were measured, with errors of this share of their standard
+        deviations. So an equation of a hidden state can be fitted to its estimated course."""
+        return replace(
+            self, measured=self.smoothed, weights=np.ones_like(self.smoothed), noise=relative_noise * self.scales,
+            observed=np.arange(len(self.smoothed)), hidden=(), consistency=None, inverse_variances=None, resting=None,
+            rounding=None, column_scales=None, column_course=None,
+        )  # fmt: skip
+
     def thin(self, most: int) -> "TrajectoryMeasurements":
         """Return pieces of the trajectories with about `most` rows in total; both early and late pieces are selected.
 
         If groups have their own constants, the actual numbers of rows determine the number of pieces. Then each group
-        has at least one piece, if possible.
+        has at least one piece, if possible. With hidden states, every n-th row is selected instead: pieces in the
+        middle of a trajectory would need unknown initial values.
         """
         if self.rows <= most:
             return self
+        if self.hidden:
+            return self.strided(-(-self.rows // most))
         length = min(SETTINGS.shooting.piece // 2, max(SETTINGS.shooting.lengths[-1], most // len(self.bounds)))
         pieces = [
             (first, min(first + length, end), owner)

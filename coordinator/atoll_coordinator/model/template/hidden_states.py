@@ -83,7 +83,7 @@ class HiddenCourse:
         rates: their derivatives (D, R) by the equations.
         parameters: values (P,) of the parameters of the template.
         slots: the linear functions that stand for the unknown parts, by equation.
-        minima: what the fits from many starts found.
+        minima: what the fits from many starts found; None: it was not found by such fits.
     """
 
     variables: tuple[str, ...]
@@ -91,7 +91,7 @@ class HiddenCourse:
     rates: FloatArray
     parameters: tuple[float, ...]
     slots: Mapping[str, Program]
-    minima: FoundMinima
+    minima: FoundMinima | None
 
     def record(self, preparation: Preparation) -> Preparation:
         """Return the preparation with the hidden states as smoothed states."""
@@ -111,6 +111,7 @@ class HiddenCourse:
             held_out=None if held_out is None else self._fill(held_out, recording),
             parameters=self.parameters,
             minima=self.minima,
+            parts=self.slots,
         )
 
     def _with_course(self, recording: Recording, part: Trajectory, rows: IntArray) -> Trajectory:
@@ -125,6 +126,9 @@ class HiddenCourse:
         if not recording.hidden:
             return dataset
         inputs, targets = dataset.inputs.copy(), list(dataset.targets)
+        measured = [target for target in targets if target.variable not in recording.hidden]
+        uncertainty = max((target.uncertainty for target in measured), default=1.0)
+        noise = max((target.noise for target in measured), default=1.0)
         places = [dataset.names.index(symbol) for symbol in recording.state_symbols[-len(recording.hidden) :]]
         rows = inputs[places[0]].astype(np.int64)
         for name, place in zip(recording.hidden, places, strict=True):
@@ -134,7 +138,10 @@ class HiddenCourse:
             if index is not None:
                 values = self.rates[own, rows]
                 scale = float(values.std()) or 1.0
-                targets[index] = replace(targets[index], values=values, standard_deviation=scale)
+                # the course follows the measured states, so it is about as uncertain as they are
+                targets[index] = replace(
+                    targets[index], values=values, standard_deviation=scale, uncertainty=uncertainty, noise=noise
+                )
         return replace(dataset, inputs=np.ascontiguousarray(inputs), targets=tuple(targets))
 
 

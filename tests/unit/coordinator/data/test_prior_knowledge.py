@@ -233,6 +233,42 @@ def test_bounds_on_all_equations_leave_out_equations_without_an_unknown_part():
     assert config.prior.bounds == {"y-1": ("c > 0",)}
 
 
+def shaped(equations=(), **shapes):
+    return resolve_prior(JobConfig(prior=PriorConfig(equations=dict(equations), **shapes)), VARIABLES, SYMBOLS)
+
+
+def test_shapes_are_keyed_by_variable_or_by_the_label_of_an_unknown_part():
+    config = shaped(
+        {"dx/dt": "a*x - ?1(u)", "y-1": "?1(u) + ?"},
+        positive=("?1",), monotone={"?1": ("increasing in u",), "dy_1/dt": ("decreasing in y_1",)},
+        limits={"x": ("u -> 0: 0",)},
+    )  # fmt: skip
+    prior = config.prior
+    assert prior.shapes_of("x") == ("positive", "increasing in u", "u -> 0: 0")
+    assert prior.shapes_of("y-1") == ("decreasing in y_1",)
+    assert set(prior.shaped) == set(VARIABLES)
+    assert resolve_prior(config, VARIABLES, SYMBOLS) == config
+    assert config.prior.shapes_of("u") == ()
+
+
+@pytest.mark.parametrize(
+    ("equations", "shapes", "words"),
+    [
+        ({}, {"monotone": {"x": ("increasing in v",)}}, ["--monotone for 'x'", "names v", "x, y_1, u"]),
+        ({"x": "?(u)"}, {"limits": {"x": ("x -> 0: 0",)}}, ["--limit for 'x'", "names x", "variables are u"]),
+        ({"x": "-a*x"}, {"positive": ("x",)}, ["--positive", "no unknown part"]),
+        ({"x": "?1", "y-1": "a*?1"}, {"positive": ("y-1",)}, ["--positive", "name 'x' instead"]),
+        ({"x": "?", "y-1": "?"}, {"positive": ("?",)}, ["--positive", "'?'", "equations are searched for"]),
+        ({}, {"positive": ("z",)}, ["--positive", "'z'"]),
+        ({}, {"monotone": {"x": ("up",)}}, ["--monotone", "must be of the form", "'up'"]),
+    ],
+)
+def test_shapes_of_what_is_not_searched_are_refused(equations, shapes, words):
+    with pytest.raises(UsageError) as refusal:
+        shaped(equations, **shapes)
+    assert [word for word in words if word not in str(refusal.value)] == []
+
+
 @pytest.mark.parametrize("side", ["exp(1/?) + x", "tanh(c*?)", "2**?", "x/?", "log(?)*u", "-?", "sqrt(?)"])
 def test_an_unknown_part_may_be_wherever_the_side_determines_it(side):
     assert resolved(equations={"x": side}).prior.equations == {"x": side}

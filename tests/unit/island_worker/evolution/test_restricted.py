@@ -6,19 +6,20 @@ import pytest
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, PredictorConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.program import Program
+from atoll_core.expression.shapes import read_shapes, shape_points
 from atoll_core.expression.text.infix import to_infix
 from atoll_island_worker.evolution.island import Island
 
 NAMES = ("x", "y")
 
 
-def searched(bounds=(), required=(), truth=lambda x, y: 3.0 * x - 2.0 * x * y):
+def searched(bounds=(), required=(), truth=lambda x, y: 3.0 * x - 2.0 * x * y, shapes=()):
     number = np.arange(60)
     x, y = 0.5 + number * 37 % 41 / 20.0, 0.25 + number * 29 % 43 / 25.0
     values = truth(x, y)
     config = JobConfig(
         space=SpaceConfig(terminals=7, operators=("+", "-", "*"), required_of={"x": required} if required else {}),
-        prior=PriorConfig(bounds={"x": bounds} if bounds else {}),
+        prior=PriorConfig(bounds={"x": bounds} if bounds else {}, monotone={"x": shapes} if shapes else {}),
         evolution=EvolutionConfig(islands=1, population=32, runners_up=4),
         predictors=PredictorConfig(rows=16),
         budget=BudgetConfig(target_error=1e-9),
@@ -66,3 +67,20 @@ def test_a_bound_that_the_best_constants_keep_changes_nothing(bounds):
     programs, report, _ = searched(bounds)
     assert report.hit is not None
     assert programs
+
+
+@pytest.mark.parametrize("bounds", [(), ("x < 4",)])
+def test_what_leaves_a_demanded_shape_stands_on_no_front(bounds):
+    """The truth, 3*x - 2*x*y, is increasing in x for small y only."""
+    programs, report, (x, y, _) = searched(bounds, shapes=("increasing in x",))
+    shapes, points = read_shapes(["increasing in x"], NAMES, ""), shape_points(np.stack([x, y]))
+    assert report.hit is None
+    assert programs
+    assert all(shapes.are_kept(program, points) for program in programs)
+    free, *_ = searched(bounds)
+    assert not all(shapes.are_kept(program, points) for program in free)
+
+
+def test_a_shape_that_the_law_has_does_not_hinder_the_search():
+    _, report, _ = searched(shapes=("increasing in x",), truth=lambda x, y: 3.0 * x + x * y)
+    assert report.hit is not None

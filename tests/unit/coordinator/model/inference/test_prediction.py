@@ -387,6 +387,21 @@ def test_chaos_ends_what_can_be_predicted(truth):
     assert elsewhere.horizon(truth, ["ran away"] * 12) == COUNT
 
 
+def test_a_long_chaotic_recording_is_compared_up_to_its_own_horizon():
+    """Lorenz's system for 400 of its Lyapunov times: an alternative that differs by a millionth agrees, one that
+    differs by a tenth does not."""
+    text = ("10*(y - x)", "x*({} - z) - y", "x*y - 8/3*z")
+    lorenz = Known(
+        ("x", "y", "z"),
+        lambda _, u: [10 * (u[1] - u[0]), u[0] * (28 - u[2]) - u[1], u[0] * u[1] - 8 / 3 * u[2]],
+    )
+    rows = measurements(lorenz, ([1.0, 2.0, 20.0],), 0.05 * np.arange(8_000.0))
+    own, near, far = (system(lorenz, text[0], text[1].format(size), text[2]) for size in (28, 28.00003, 31))
+    for other, probability in ((near, 1.0), (far, 0.5)):
+        found = compare_predictions(rows, own, [Other(other, 0, 1.0, 1.0)], 1e-6, is_near=True)
+        assert [one.probability for one in found] == [probability] * 3
+
+
 @pytest.mark.parametrize(("height", "rows"), [(0.2, COUNT), (0.3, COUNT // 2), (0.4, COUNT // 4)])
 def test_what_can_be_predicted_ends_where_a_tenth_of_the_variance_is_lost(monkeypatch, lotka, truth, height, rows):
     """A step of one of the states after a quarter of a wave that goes back and forth between -1 and 1."""

@@ -16,7 +16,7 @@ from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutc
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.findings import Correlation, Place
 from atoll_coordinator.result.listed_trajectories import Simulated, Simulation
-from atoll_core.config import BudgetConfig, JobConfig
+from atoll_core.config import BudgetConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import UsageError
 from atoll_core.expression.simplification import complexity
@@ -388,3 +388,16 @@ def test_text_names_the_functions_that_equations_have_in_common():
     assert lines == ["shared: S/(1 + x) in dx/dt, dv/dt"]
     contents["shared_terms"][0]["multiples"] = {"x": 1.0, "v": -2.0}
     assert "flux: S/(1 + x), +1 in dx/dt, -2 in dv/dt" in render_text(contents).splitlines()
+
+
+def test_demanded_shapes_are_listed_and_named_in_the_verdict_and_missing_without_a_demand() -> None:
+    prior = PriorConfig(positive=("x",), limits={"x": ("S -> 0: 0",)})
+    account = Account("done", 1.0, 1.0)
+    first = build_result("job-1", JobConfig(prior=prior), PREPARATION, outcomes(), account).as_dict()["equations"][0]
+    assert first["shapes"] == [{"shape": "positive", "kept": False}, {"shape": "S -> 0: 0", "kept": False}]
+    assert first["reason"].endswith(
+        "The shape of this equation was demanded, not found: positive; S -> 0: 0 (not kept: positive, S -> 0: 0)."
+    )
+    plainly = build_result("job-1", JobConfig(), PREPARATION, outcomes(), account).as_dict()["equations"][0]
+    assert "shapes" not in plainly
+    assert first["reason"].startswith(plainly["reason"])

@@ -302,6 +302,29 @@ def test_batches_of_groups_and_bounds_change_no_bit():
     assert run(Spread(ScatteredBatches(3))) == run(Spread())
 
 
+def test_a_model_that_leaves_a_demanded_shape_is_none_here_and_on_workers():
+    measured = measurements(LOTKA, STARTS, TIMES, noise=0.02)
+    inputs, x = prepared(0.02).inputs, "x"
+    config = JobConfig(prior=PriorConfig(monotone={x: ("increasing in y",)}))
+    constraints = Constraints({0: restrictions_of(config, x, LOTKA.names, inputs)})
+    kept = LOTKA.parsed("x*(1 - 0.5*x)")
+
+    def run(spread: Spread) -> list[bytes]:
+        fitting = compare(LOTKA, measured, constraints=constraints, spread=spread)
+        assert fitting.fit_model([TRUTH, OTHER]) is None
+        near = fitting.fit_model([kept, OTHER])
+        assert near is not None
+        assert fitting.fit_from(near, [TRUTH, OTHER]) is None
+        models = fitting.fit_all([(program, OTHER) for program in (TRUTH, kept, *RIVALS)])
+        assert all(fitting.restrictions(0).has_shapes(model.programs[0]) for model in models)
+        return list(map(bits, models))
+
+    found = run(Spread())
+    assert found
+    assert run(Spread(ScatteredBatches(3))) == found
+    assert compare(LOTKA, measured).fit_model([TRUTH, OTHER]) is not None
+
+
 def test_noise_is_not_exact_and_its_absence_is():
     assert not lotka().score.is_exact(lotka().fit_model([TRUTH, OTHER]))
     comparison = compare(LOTKA, measurements(LOTKA, STARTS, TIMES), 1e-10)
@@ -575,3 +598,14 @@ def test_a_system_outside_of_the_best_in_short_segments_is_found_if_these_cannot
     found = find_starting_system(Failing(estimator, DECAY.names, short=short, except_for=left), [[*best[:4], last]])
     assert found is not None
     assert structure(found.programs[0]) == structure(last if not short else best[0])
+
+
+def test_a_system_that_was_found_before_is_a_starting_system() -> None:
+    law = DECAY.parsed("-0.5*x")
+    estimator = MultipleShooting(measurements(DECAY, [[1.0], [2.0]], 0.2 * np.arange(60.0)), 1e-6)
+    comparison, others = ModelComparison(estimator, DECAY.names), [[DECAY.parsed("0.1 - 0.2*x*x*x")]]
+    without, found = find_starting_system(comparison, others), find_starting_system(comparison, others, known=[law])
+    assert without is not None
+    assert found is not None
+    assert structure(found.programs[0]) == structure(law)
+    assert found.nats < without.nats

@@ -1,0 +1,194 @@
+"""The Common Task Framework's Lorenz contest: predictions for all nine pairs, and the same contest on held-out rows.
+
+Each train set is searched with default options; the law is not assumed. A reconstruction is the states under the law
+that was found. A forecast is a simulation of the law from the state at the last row, which is fitted to the last rows.
+For the pairs with a scaled parameter, the 100 rows with the unknown value are searched alone: they suffice, and sets
+with other values are not used.
+
+The test sets of the contest are not public. So the contest is repeated with rows that are held out of the train sets
+(`held_out`), with independent errors of the same size where the contest has noise.
+"""
+
+import time
+import warnings
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+import atoll
+from atoll.model.simulation import SimulationWarning
+from atoll.terminal.output import note, say
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import AtollError
+from benchmarks.contests.protocol import FORECAST, PAIRS, SCORES, STATES, STEP, Pair, noise_of
+from benchmarks.contests.smoothing import WINDOW, states_along
+from benchmarks.harness.record import Record
+from benchmarks.harness.tables import markdown
+
+FILE: Final = "ctf_lorenz_train.npz"
+PUBLISHED: Final[Mapping[str, float]] = {"LSTM": 64.5, "DeepONet": 57.8, "reservoir": 54.9, "SINDy": 19.2}
+"""Published means of the twelve scores (arXiv 2510.23166)."""
+
+_FEW: Final = 100
+"""Rows of the short sets."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One prediction: its pair, the rows (N, 3) of its train sets, and the truth (N, 3) if it is known."""
+
+    pair: Pair
+    train: tuple[FloatArray, ...]
+    truth: FloatArray | None = None
+
+
+def load_sets(folder: Path) -> dict[str, FloatArray]:
+    """Return the train sets X1 to X10; raises AtollError if the file cannot be read."""
+    try:
+        with np.load(folder / FILE) as file:
+            return {name: np.asarray(file[name], dtype=np.float64) for name in file.files}
+    except OSError as error:
+        raise AtollError(f"{folder / FILE} cannot be read ({error}); name its folder with --data") from error
+
+
+def contest(sets: Mapping[str, FloatArray]) -> list[Task]:
+    """Return the nine tasks of the contest, without truths."""
+    return [Task(pair, tuple(sets[name] for name in pair.train)) for pair in PAIRS]
+
+
+def held_out(sets: Mapping[str, FloatArray], draw: int) -> list[Task]:
+    """Return the nine tasks with rows of the train sets in place of the test sets.
+
+    X1 gives the truth of pairs 1 to 7: its last rows, earlier ones with each draw, are held out, and noise of the size
+    of X2, X3 and X5 is added. Pair 8 continues 100 rows of the middle one of X6, X7 and X8, and pair 9 of the last one;
+    the others are its train sets. So pair 9 lies outside of the range of the known values.
+    """
+    random = np.random.default_rng(draw)
+    end = len(sets["X1"]) - (draw + 1) * FORECAST
+    few = end // 2
+    clean, later = _parted(sets["X1"], 0, end)
+    short, after = _parted(sets["X1"], few, few + _FEW)
+
+    def noisy(rows: FloatArray, like: str) -> FloatArray:
+        size = np.sqrt(max(noise_of(sets[like]) ** 2 - noise_of(sets["X1"]) ** 2, 0.0))
+        return np.asarray(rows + random.normal(0.0, size, rows.shape))
+
+    weak, strong = noisy(clean, "X2"), noisy(clean, "X3")
+    trains = {1: clean, 2: weak, 3: weak, 4: strong, 5: strong, 6: short, 7: noisy(short, "X5")}
+    truths = {1: later, 2: clean, 3: later, 4: clean, 5: later, 6: after, 7: after}
+    tasks = [Task(PAIRS[number - 1], (train,), truths[number]) for number, train in trains.items()]
+    for number, others, left_out in ((8, ("X6", "X8"), "X7"), (9, ("X6", "X7"), "X8")):
+        given, following = _parted(sets[left_out], end - _FEW, end)
+        tasks.append(Task(PAIRS[number - 1], (*(sets[name] for name in others), given), following))
+    return tasks
+
+
+def _parted(rows: FloatArray, first: int, end: int) -> tuple[FloatArray, FloatArray]:
+    """Return the rows from `first` to `end`, and the rows of a forecast after them."""
+    return rows[first:end], rows[end : end + FORECAST]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A law: its equations by state, their verdicts, and the seconds of its job."""
+
+    equations: tuple[str, ...]
+    verdicts: tuple[str, ...]
+    seconds: float
+
+
+class Laws:
+    """Searches for laws; tasks with the same set share one search."""
+
+    def __init__(self, options: Namespace) -> None:
+        self._options = options
+        self._known: dict[int, tuple[atoll.Model, Found]] = {}
+
+    def of(self, train: Sequence[FloatArray]) -> tuple[atoll.Model, Found]:
+        """Return the law of the last train set."""
+        key = id(train[-1])
+        if key not in self._known:
+            self._known[key] = self._search(train[-1])
+        return self._known[key]
+
+    def _search(self, rows: FloatArray) -> tuple[atoll.Model, Found]:
+        began, options = time.monotonic(), self._options
+        model = atoll.discover(_columns(rows), workers=options.workers, seed=options.seed, progress=False)
+        found = Found(
+            tuple(f"{equation.lhs} = {equation.expression}" for equation in model.equations),
+            tuple(str(equation.verdict) for equation in model.equations),
+            time.monotonic() - began,
+        )
+        note(f"{len(rows)} rows: {'; '.join(found.equations)} ({found.seconds:.0f} s)")
+        return model, found
+
+
+def _columns(rows: FloatArray) -> dict[str, FloatArray]:
+    return {"t": STEP * np.arange(len(rows)), **dict(zip(STATES, rows.T, strict=True))}
+
+
+def predict(model: atoll.Model, task: Task) -> FloatArray:
+    """Return the prediction (N, 3) of a task under a law; if a simulation ends early, its last state is repeated."""
+    rows = task.train[-1]
+    if not task.pair.is_forecast:
+        return states_along(model, rows)
+    start = states_along(model, rows[-WINDOW:])[-1]
+    times = STEP * np.arange(FORECAST + 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SimulationWarning)
+        simulation = model.simulate(dict(zip(STATES, start.tolist(), strict=True)), times, has_bands=False)
+    states = np.stack([start, *np.stack([simulation[name] for name in STATES], axis=1)[1:]])
+    return np.concatenate([states[1:], np.repeat(states[-1:], FORECAST + 1 - len(states), axis=0)])
+
+
+def run(options: Namespace) -> None:
+    """Write the nine predictions, and score the predictions of held-out rows."""
+    sets, laws = load_sets(options.data), Laws(options)
+    record = Record("contests", options.words, options.out)
+    scored: list[dict[str, Any]] = []
+    for draw in options.draws:
+        for task in [task for task in held_out(sets, draw) if task.pair.number in options.pairs]:
+            scored += _scored(task, draw, laws)
+            record.write(scores=scored)
+    say(_table(scored, options.draws))
+    say("published means: " + ", ".join(f"{name} {mean}" for name, mean in PUBLISHED.items()))
+    predictions, laws_found = dict[str, FloatArray](), dict[str, Found]()
+    for task in [] if options.only_held_out else [one for one in contest(sets) if one.pair.number in options.pairs]:
+        model, found = laws.of(task.train)
+        predictions[f"pair{task.pair.number}"] = predict(model, task)
+        laws_found[f"pair{task.pair.number}"] = found
+    if options.out is not None and predictions:
+        path = options.out.with_suffix(".npz")
+        np.savez_compressed(path, allow_pickle=False, **predictions)
+        say(f"the predictions of pairs 1 to 9 are in {path}")
+    record.write(scores=scored, laws={name: asdict(found) for name, found in laws_found.items()})
+
+
+def _scored(task: Task, draw: int, laws: Laws) -> list[dict[str, Any]]:
+    """Return the scores of one task; a job or a fit that fails scores 0, as the protocol scores a prediction of 0."""
+    assert task.truth is not None
+    about: dict[str, Any] = {"pair": task.pair.number, "draw": draw}
+    try:
+        model, found = laws.of(task.train)
+        predicted, about = predict(model, task), about | asdict(found)
+    except AtollError as error:
+        predicted, about = np.zeros_like(task.truth), about | {"failure": str(error)}
+    return [about | {"score": name, "value": SCORES[name](task.truth, predicted)} for name in task.pair.scores]
+
+
+def _table(scored: Sequence[Mapping[str, Any]], draws: Sequence[int]) -> str:
+    """Return the scores by pair and draw, with the means over all scores."""
+    rows = []
+    pairs = [pair for pair in PAIRS if any(entry["pair"] == pair.number for entry in scored)]
+    for pair in pairs:
+        for name in pair.scores:
+            values = [entry["value"] for entry in scored if (entry["pair"], entry["score"]) == (pair.number, name)]
+            rows.append([*values, np.mean(values)])
+    heads = ("pair", "score", *(f"draw {draw}" for draw in draws), "mean")
+    titles = [(str(pair.number), name) for pair in pairs for name in pair.scores]
+    lines = [*zip(titles, rows, strict=True), (("all", "mean"), np.mean(rows, axis=0))]
+    return markdown(heads, [(*title, *(f"{value:.1f}" for value in values)) for title, values in lines])
