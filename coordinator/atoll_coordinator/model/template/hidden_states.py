@@ -51,7 +51,7 @@ def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spre
     recording = preparation.recording
     if recording is None:
         return preparation
-    recording = replace(recording, initial=_initial_values(config))
+    recording = replace(recording, initial=initial_values(config))
     preparation = replace(preparation, recording=recording)
     template = template_of(config, preparation.dataset.names)
     if template is None or not (recording.hidden or recording.observed):
@@ -59,8 +59,11 @@ def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spre
     return fit_course(preparation, config, template, spread or Spread()).record(preparation)
 
 
-def _initial_values(config: JobConfig) -> tuple[tuple[str, float, float], ...]:
-    """Return the bounds on initial values; a start value without bounds is a given value."""
+def initial_values(config: JobConfig) -> tuple[tuple[str, float, float], ...]:
+    """Return the bounds on initial values: name of the state, lower and upper bound.
+
+    A start value without bounds is a given value: both bounds.
+    """
     found = []
     for name, one in config.prior.initial.items():
         is_given = one.start is not None and one.lower is None and one.upper is None
