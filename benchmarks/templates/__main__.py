@@ -2,12 +2,13 @@
 
 ``python -m benchmarks.templates glycolysis --out FILE`` draws the cells of the published benchmark (points by noise,
 five draws each) and prints the table; ``systems`` searches the systems of `benchmarks.templates.systems`, clean and
-with 1 % of noise; ``one-column`` and ``tanks`` forecast with a hidden state, see `benchmarks.templates.forecasts`. A
-file that exists is gone on with.
+with 1 % of noise; ``one-column``, ``tanks`` and ``emps`` forecast with a hidden state, see
+`benchmarks.templates.forecasts`. A file that exists is gone on with.
 """
 
 import sys
 from argparse import Namespace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -21,7 +22,15 @@ from benchmarks.templates.glycolysis import NOISE, POINTS, GlycolysisKey, Glycol
 from benchmarks.templates.hidden import SystemKey, SystemOutcome
 from benchmarks.templates.systems import SYSTEMS
 
-KINDS: Final = ("glycolysis", "systems", "one-column", "tanks")
+KINDS: Final = ("glycolysis", "systems", "one-column", "tanks", "emps")
+
+
+_SYSTEMS: Final[Mapping[str, Sequence[str]]] = {
+    "one-column": tuple(forecasts.ONE_COLUMN),
+    "tanks": forecasts.TANK_WAYS,
+    "emps": forecasts.EMPS_WAYS,
+}
+"""Forecasts by kind."""
 
 
 def _glycolysis(options: Namespace) -> None:
@@ -63,12 +72,11 @@ def _systems(options: Namespace) -> None:
 
 
 def _forecasts(options: Namespace) -> None:
-    is_of_tanks = options.kind == "tanks"
-    systems = forecasts.TANK_WAYS if is_of_tanks else forecasts.ONE_COLUMN
+    systems = [one for one in _SYSTEMS[options.kind] if one in (options.cases or _SYSTEMS[options.kind])]
     wanted = [
         ForecastKey(system, noise, seed)
         for system in systems
-        for noise in ((0,) if is_of_tanks else (0, 1))
+        for noise in ((0, 1) if options.kind == "one-column" else (0,))
         for seed in options.seeds
     ]
 
@@ -90,7 +98,8 @@ def _forecasts(options: Namespace) -> None:
     option("--points", type=whole, nargs="+", default=list(POINTS), help="of glycolysis; default: all"),
     option("--noise", type=whole, nargs="+", default=list(NOISE), help="of glycolysis, in per cent; default: all"),
     option("--systems", choices=tuple(SYSTEMS), nargs="+", help="default: all"),
-    option("--data", type=Path, metavar="DIR", help="of tanks: folder of cascaded_tanks_train.csv"),
+    option("--cases", nargs="+", metavar="NAME", help="some of the jobs of one-column, tanks or emps; default: all"),
+    option("--data", type=Path, metavar="DIR", help="folder of cascaded_tanks_train.csv, emps_train.csv"),
     seeds_of("1-5", "draws, such as 1-5 (1-5)"),
     workers(),
     option("--judge-again", action="store_true", help="judge what the file holds of glycolysis by the present rules"),
@@ -100,7 +109,7 @@ def main(options: Namespace) -> int:
     """Do what the options ask for."""
     if options.kind == "glycolysis":
         _glycolysis(options)
-    elif options.kind in ("one-column", "tanks"):
+    elif options.kind in _SYSTEMS:
         _forecasts(options)
     else:
         _systems(options)

@@ -3,8 +3,12 @@
 ``one column``: a damped oscillator, the van der Pol oscillator and the Lotka-Volterra equations, of which one column is
 given, searched with ``--hidden 1``. ``tanks``: cascaded tanks (Schoukens & Noël 2016, nonlinearbenchmark.org): the
 voltage of a pump is given, and the level of the lower tank is measured; of the 1,024 rows of the file for estimation
-the first 768 are given. They are searched with ``--hidden 1``, and with a template of two tanks whose outflows are
-unknown. A forecast begins at the simulated state of the last given row and uses no measured state after it.
+the first 768 are given. They are searched with ``--hidden 1``, and with templates of two tanks: with unknown outflows,
+with an unknown lower tank, and with square roots as outflows, where only numbers are fitted. ``emps``: an
+electro-mechanical positioning system (Janot, Gautier & Brunot 2019, nonlinearbenchmark.org): the force signal is given
+and the position is measured; the friction is unknown, and the velocity is a hidden state. Of the 4,969 rows of the file
+the first 3,726 are given. A forecast begins at the simulated state of the last given row and uses no measured state
+after it.
 """
 
 import csv
@@ -29,7 +33,20 @@ _GIVEN: Final = 0.75
 _FULL: Final = 10.0
 """Volts of the sensor at a full tank; higher forecasts count as full."""
 TANKS: Final = "cascaded_tanks_train.csv"
-TANK_WAYS: Final = ("--hidden 1", "template")
+BY_NUMBER: Final = "--hidden 1"
+TANK_TEMPLATES: Final[Mapping[str, tuple[Mapping[str, str], Mapping[str, tuple[float, float]]]]] = {
+    "template": ({"h": "k*u - ?1(h)", "y": "?1(h) - ?2(y)"}, {"k": (0.005, 1.0)}),
+    "template, lower tank unknown": ({"h": "k*u - ?1(h)", "y": "?2(h,u,y)"}, {"k": (0.005, 1.0)}),
+    "square roots given": (
+        {"h": "k*u - a*sqrt(h)", "y": "a*sqrt(h) - b*sqrt(y - c)"},
+        {"k": (0.005, 1.0), "a": (0.005, 1.0), "b": (0.005, 1.0), "c": (-5.0, 2.5)},
+    ),
+}
+"""Ways to search the tanks with given equations: their sides, and the bounds of their parameters."""
+TANK_WAYS: Final = (BY_NUMBER, *TANK_TEMPLATES)
+EMPS: Final = "emps_train.csv"
+EMPS_WAYS: Final = ("emps", "emps, + - * / abs tanh")
+"""The drive with the default operators, and with those that friction may need."""
 ONE_COLUMN: Final[Mapping[str, tuple[Mapping[str, str], tuple[float, ...], float, int]]] = {
     "damped oscillator": ({"x": "v", "v": "-4*x - 0.3*v"}, (1.0, 0.0), 12.0, 300),
     "van der Pol": ({"x": "v", "v": "1.2*(1 - x*x)*v - x"}, (0.5, 0.0), 26.0, 520),
@@ -55,12 +72,14 @@ class ForecastKey:
 @dataclass(frozen=True, eq=False)
 class Case:
     """All rows of one system: `times` (n,), the `measured` column (n,), the `truth` (n,) that forecasts are compared
-    with, and the inputs (n,) by name. The first `given` rows are searched."""
+    with, and the inputs (n,) by name. The first `given` rows are searched. The measured `column` is at most `most`."""
 
     times: FloatArray
     measured: FloatArray
     truth: FloatArray
     inputs: Mapping[str, FloatArray]
+    column: str = "x"
+    most: float = np.inf
 
     @property
     def given(self) -> int:
@@ -79,29 +98,43 @@ def case_of(key: ForecastKey, data: Path | None) -> Case:
         truth = states[:, 0]
         errors = np.random.default_rng([key.noise, key.seed]).standard_normal(rows)
         return Case(times, truth + 0.01 * key.noise * truth.std() * errors, truth, {})
+    file_name, column, most = (EMPS, "q", np.inf) if key.system in EMPS_WAYS else (TANKS, "y", _FULL)
     if data is None:
-        raise UsageError(f"give the folder of {TANKS} with --data")
-    with (data / TANKS).open(encoding="utf-8") as file:
+        raise UsageError(f"give the folder of {file_name} with --data")
+    with (data / file_name).open(encoding="utf-8") as file:
         rows_of_file = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
-    columns = {name: np.array([row[name] for row in rows_of_file]) for name in ("t", "u", "y")}
-    return Case(columns["t"], columns["y"], columns["y"], {"u": columns["u"]})
+    columns = {name: np.array([row[name] for row in rows_of_file]) for name in ("t", "u", column)}
+    return Case(columns["t"], columns[column], columns[column], {"u": columns["u"]}, column, most)
 
 
 def request_of(key: ForecastKey, case: Case) -> tuple[Table, JobConfig]:
     """Return the table of one job and its configuration."""
-    name = "y" if case.inputs else "x"
-    columns = {"t": case.times, **case.inputs, name: case.measured}
+    columns = {"t": case.times, **case.inputs, case.column: case.measured}
     table = table_of_columns({column: values[: case.given] for column, values in columns.items()}, f"{key.system}.csv")
     inputs = tuple(case.inputs)
-    if key.system != "template":
+    if key.system in EMPS_WAYS:
+        return table, _with_known_part(key, inputs)
+    if key.system not in TANK_TEMPLATES:
         return table, configured(key.seed, {"hidden": ("1",), "inputs": inputs})
     config = configured(key.seed, operators=("+", "-", "*", "/", "sqrt"))
+    sides, bounds = TANK_TEMPLATES[key.system]
     prior = PriorConfig(
-        equations={"h": "k*u - ?1(h)", "y": "?1(h) - ?2(y)"},
-        parameters={"k": ParameterConfig(lower=0.005, upper=1.0)},
+        equations=dict(sides),
+        parameters={name: ParameterConfig(lower=lower, upper=upper) for name, (lower, upper) in bounds.items()},
         initial={"h": ParameterConfig(lower=0.0, upper=20.0)},
     )
     return table, config.model_copy(update={"prior": prior, "data": DataConfig(hidden=("h",), inputs=inputs)})
+
+
+def _with_known_part(key: ForecastKey, inputs: tuple[str, ...]) -> JobConfig:
+    """Return the job of the drive: the force signal accelerates it, and the rest depends on the velocity."""
+    config = configured(key.seed, operators=key.system.split(" ")[1:] or None)
+    prior = PriorConfig(
+        equations={"q": "v", "v": "a*u + ?(v)"},
+        parameters={"a": ParameterConfig(lower=0.1, upper=10.0)},
+        initial={"v": ParameterConfig(lower=-2.0, upper=2.0)},
+    )
+    return config.model_copy(update={"prior": prior, "data": DataConfig(hidden=("v",), inputs=inputs)})
 
 
 @dataclass(frozen=True)
@@ -145,7 +178,7 @@ def _forecast(case: Case, result: Mapping[str, Any], equations: Mapping[str, str
     times = case.times[case.given :]
     values = np.zeros(len(times))
     before, state = float(last["times"][-1]), np.array(start)
-    measured = states.index("y" if inputs else "x")
+    measured = states.index(case.column)
     for place, time in enumerate(times.tolist()):
         here = [(float(np.interp(before, case.times, one)), float(np.interp(time, case.times, one)))
                 for one in case.inputs.values()]  # fmt: skip
@@ -161,7 +194,7 @@ def _forecast(case: Case, result: Mapping[str, Any], equations: Mapping[str, str
         except (DivergedError, ArithmeticError, ValueError):
             return None
         before, values[place] = time, state[measured]
-    return np.minimum(values, _FULL) if inputs else values
+    return np.minimum(values, case.most)
 
 
 def _advance(rates: Any, state: FloatArray, begin: float, end: float, steps: int = 8) -> FloatArray:

@@ -49,6 +49,7 @@ NOT_RUN = {
     r"docker |ATOLL_PUBLISH=.* docker ": "needs Docker: make deploy-rehearsal STEPS=compose",
     r"kubectl ": "needs Kubernetes: make deploy-rehearsal STEPS=kubernetes",
     r"srun ": "needs Slurm: make deploy-rehearsal STEPS=slurm",
+    r"coordinator run position.csv": "of data that the page lacks: tests/unit/coordinator/model/hidden",
     r"coordinator compare ": "needs results with candidates: tests/unit/library/cli/verbs/test_results.py",
     r"sbatch ": "needs Slurm: make deploy-rehearsal STEPS=slurm",
     r"python3 -m venv |pip ": "installs from the network: make test-wheel",

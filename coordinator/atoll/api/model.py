@@ -132,7 +132,7 @@ class Model(ModelCore):
 
         Args:
             x0: the initial state, by name or in order, angles in radians. None: the initial state of the first measured
-                trajectory; its inputs are used unless `u` is given.
+                trajectory; its inputs are used unless `u` is given. Hidden states have given or fitted initial values.
             t: ascending times; `x0` is the state at the first time. A number is the last time; the simulation then
                 begins at the first measured time. None: the times of the first trajectory.
             u: inputs by name: numbers, arrays (N,) at the times `t`, or functions of time; or an array (N, U), or a
@@ -154,7 +154,7 @@ class Model(ModelCore):
             process_of(model)
             if parameters:
                 raise UsageError("paths are drawn with the constants of the model; leave out parameters")
-        field, times, start = model.field, times_of(model, t), start_of(model, x0)
+        field, observed, times, start = model.field, model.observed, times_of(model, t), start_of(model, x0)
         inputs = inputs_along(model, u, times, recorded_inputs(model) if x0 is None else {})
         remark = "" if x0 is None else _outside_range(model, start, None if u is None else inputs, float(times[0]))
         if remark:
@@ -162,12 +162,17 @@ class Model(ModelCore):
         if paths is not None:
             return ensemble_of(model, start, times, inputs, (paths, seed))
         if parameters:
+            values = {name: number(value, f"the parameter {name}") for name, value in parameters.items()}
+            of_equations = field.named_parameters
+            observed = observed.with_values(values)
             field = field.with_values(
-                {name: number(value, f"the parameter {name}") for name, value in parameters.items()}
+                {name: value for name, value in values.items() if name in of_equations or name not in observed.nodes}
             )
         errors = model.joint_errors if has_bands and not parameters else None
         bands = None if errors is None else (errors, quantile(LEVEL, model.degrees_of_freedom))
-        simulation = replace(simulate(field, start, times, inputs, bands), time=model.time, remark=remark)
+        simulation = replace(
+            simulate(field, start, times, inputs, bands, observed=observed), time=model.time, remark=remark
+        )
         if len(simulation.t) < len(times):
             warnings.warn(simulation.message, EarlyEndWarning, stacklevel=2)
         return simulation
@@ -249,9 +254,12 @@ class Model(ModelCore):
             both = [stack_columns([column(part, target), self.predict(part)]) for part in parts]
             return _r2(*np.concatenate(both, axis=1))
         columns = self._result.columns_by_symbol
-        states = [name for name in self.states if all(has(part, columns[name]) for part in parts)]
+        columns = columns | {name: name for name in self.observed.programs}
+        states = [
+            name for name in (*self.states, *self.observed.programs) if all(has(part, columns[name]) for part in parts)
+        ]
         if not states:
-            names = ", ".join(columns[name] for name in self.states)
+            names = ", ".join(columns[name] for name in (*self.states, *self.observed.programs))
             raise UsageError(f"the data have none of the columns {names} in every part; give a measured state")
         simulated, measured = [], []
         for part in parts:

@@ -184,7 +184,8 @@ def _from_start(
     """Return the simulation from the fitted initial state; None if it differs from the listed rows."""
     columns = [model.result.columns_by_symbol[state] for state in model.states]
     start = np.array([(part.start or {}).get(column) for column in columns], dtype=np.float64)
-    places = [columns.index(state) for state in known.states if state in columns]
+    every = [*columns, *model.observed.programs]
+    places = [every.index(state) for state in known.states if state in every]
     if not np.isfinite(start).all() or len(places) < len(known.states):
         return None
     offsets = np.array([part.offsets.get(state) or 0.0 for state in known.states])[:, None]
@@ -194,10 +195,10 @@ def _from_start(
         after = np.clip(np.searchsorted(known.times, even), 1, len(known.times) - 1)
         gaps = np.minimum(np.abs(even - known.times[after - 1]), np.abs(even - known.times[after]))
         grid = np.union1d(known.times, even[gaps > 1e-9 * (last - first)])
-        simulation = simulate(model.field, start, grid, inputs)
+        simulation = simulate(model.field, start, grid, inputs, observed=model.observed)
         if len(simulation.t) < len(grid):
             return None
-        values = simulation.x.T[places] + offsets
+        values = np.array([*simulation.x.T, *(one.values for one in simulation.observed.values())])[places] + offsets
         at_rows = values[:, np.searchsorted(grid, known.times)]
         if (np.abs(at_rows - known.values) > _AGREEMENT * known.sizes).any():
             return None

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
 from atoll.export.formats import latex_lines
-from atoll.model.equations import unit_text
+from atoll.model.equations import observation_text, unit_text
 from atoll.model.given_sides import NamedSide, named_side
 from atoll.terminal.output import table
 from atoll_core.errors import UsageError
@@ -32,6 +32,7 @@ def summary(model: "ModelCore") -> str:
         lines.append(str(equation))
         if equation.verdict is not None:
             lines.append(f"    {equation.verdict}: {equation.reason}")
+    lines += [observation_text(one, model.result.names) for one in model.result.observations]
     lines += filter(None, [model.remark])
     if model.params:
         lines += ["", table(_HEADS, map(_cells, model.params.values()))]

@@ -44,7 +44,7 @@ def plot_fit(model: "ModelCore", axes: object = None) -> Axes:
                 bounds = (values_of_curve(side[state]) for side in (drawn.lower, drawn.upper))
                 at.fill_between(times, *bounds, color=color, alpha=0.3)
             at.plot(times, values_of_curve(drawn.values[state]), color=color, label=part.name)
-            if part.measured:
+            if state in part.measured:
                 at.plot(part.times, values_of_curve(part.measured[state]), ".", color=color, markersize=3)
     if len(parts) > 1:
         each[0].legend(loc="best")
@@ -76,7 +76,7 @@ def plot_residuals(model: "ModelCore", axes: object = None) -> Axes:
     parts = [part for part in _trajectories(model) if part.values and part.measured]
     if not parts:
         raise UsageError("the result has no rows with measured and simulated values, so there are no residuals to plot")
-    states = list(parts[0].values or {})
+    states = [state for state in parts[0].values or {} if state in parts[0].measured]
     each = _axes_over_time(model, states, axes)
     for at, state in zip(each, states, strict=True):
         for number, part in enumerate(parts):

@@ -124,7 +124,7 @@ def half_akaike(misfit: float, count: int, numbers: float) -> float:
 
 
 def _half_akaike(fitted: EquationSetFit) -> float:
-    count = len(fitted.values) + fitted.fit.starts.size
+    count = len(fitted.values) + fitted.fitted_starts
     return half_akaike(fitted.misfit, count, float(fitted.measured.independent.sum()))
 
 

@@ -13,7 +13,15 @@ from typing import Final
 import numpy as np
 
 from atoll.experiments.alternatives import half_akaike, weigh_pair
-from atoll.experiments.fits import EquationSet, EquationSetFit, equations_of, fit_displayed, fit_equations, measured_of
+from atoll.experiments.fits import (
+    EquationSet,
+    EquationSetFit,
+    equations_of,
+    fit_displayed,
+    fit_equations,
+    measured_of,
+    starts_of,
+)
 from atoll.experiments.suggestion import equations_text, which_of_two
 from atoll.model.core import ModelCore
 from atoll.model.equations import Parameter
@@ -142,7 +150,8 @@ def compare(
         model.require_one_group()
     sides = [[equation.lhs for equation in model.equations] for model in models]
     on = _regressions if models[0].is_regression else _dynamics
-    if sorted(sides[0]) != sorted(sides[1]) or models[0].is_regression != models[1].is_regression:
+    has_columns = any(result.hidden or result.observations for result in (first, second))
+    if has_columns or sorted(sides[0]) != sorted(sides[1]) or models[0].is_regression != models[1].is_regression:
         columns = [_observed_columns(model) for model in models]
         if not columns[0] or columns[0] != columns[1]:
             left, right = (", ".join(lhs) for lhs in sides)
@@ -240,7 +249,13 @@ def _observed_columns(model: ModelCore) -> frozenset[str]:
     """Return the measured columns with an equation; none unless the model is a law of trajectories."""
     if model.result.columns.kind != "dynamics":
         return frozenset()
-    return frozenset(equation.variable for equation in model.result.equations)
+    return frozenset(_measured_columns(model.result))
+
+
+def _measured_columns(result: Result) -> tuple[str, ...]:
+    """Return the measured columns that a law of trajectories predicts."""
+    states = (equation.variable for equation in result.equations if equation.variable not in result.hidden)
+    return (*states, *(one.column for one in result.observations))
 
 
 def _observed(holder: Result, other: Result, letter: str, table: Table | None) -> DataComparison:
@@ -253,14 +268,14 @@ def _observed(holder: Result, other: Result, letter: str, table: Table | None) -
     there = other.model_copy(update={"data": holder.data, "smoothing": holder.smoothing, "noise": holder.noise})
     measured = measured_of(there, table).with_piece(displayed.measured.longest)
     measured = replace(measured, rows=displayed.measured.rows, source=displayed.measured.source)
-    fitted = fit_equations(measured, equations_of(other))
+    fitted = fit_equations(measured, equations_of(other), starts_of(other, measured) if other.hidden else None)
     if fitted is None:
         raise UsageError(
             "one model cannot be simulated along the data of the other model; compare them on different data"
         )
     nats, longer = weigh_pair(displayed, fitted)
     source = displayed.measured.source.replace("the result", letter)
-    columns = tuple(equation.variable for equation in holder.equations)
+    columns = _measured_columns(holder)
     return DataComparison(source, (_side(holder, displayed), _side(other, fitted)), nats, longer, columns)
 
 
@@ -279,7 +294,8 @@ def _require_columns(holder: Result, other: Result) -> None:
 
 def _side(result: Result, fitted: EquationSetFit) -> ComparedModel:
     measurements = fitted.measured.measurements
-    observed = [measurements.variables[place] for place in measurements.observed.tolist()]
+    names = (*measurements.variables[: len(measurements.scales)], *fitted.measured.recording.observed)
+    observed = [names[place] for place in measurements.observed.tolist()]
     shares = np.sqrt(fitted.fit.squares) / measurements.observed_scales
     residuals = dict(zip(observed, shares.tolist(), strict=True))
     return ComparedModel(fitted.texts(result), len(fitted.values), residuals)

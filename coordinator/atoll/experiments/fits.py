@@ -27,9 +27,11 @@ from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.composed_system import composed_system
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, bounded_covariance
+from atoll_coordinator.model.shooting.many_starts import fit_from_many_starts
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import OdeSystem, system_of, variable_program
+from atoll_coordinator.model.template.hidden_states import initial_values
 from atoll_coordinator.result.base import Curve
 from atoll_coordinator.result.equations import Constant, Equation
 from atoll_coordinator.result.findings import Errors, Noise
@@ -65,6 +67,11 @@ class FitData:
     source: str
 
     @property
+    def observed(self) -> list[int]:
+        """The measured columns (indices) that are computed from states."""
+        return [self.recording.states.index(name) for name in self.recording.observed]
+
+    @property
     def share(self) -> FloatArray:
         """The number of independent rows divided by the number of rows in a fit, (O,)."""
         return np.asarray(self.independent / np.maximum(self.measurements.weights.sum(axis=1), 1.0))
@@ -75,8 +82,19 @@ class FitData:
         return int(np.diff(self.measurements.bounds, axis=1).max())
 
     def with_piece(self, piece: int) -> "FitData":
-        """Return the same trajectories, with at most `piece` rows simulated from one initial state."""
-        return replace(self, measurements=measurements_of(self.recording, self.modelled, piece=piece))
+        """Return the same trajectories, with at most `piece` rows simulated from one initial state.
+
+        With hidden states, trajectories are always whole: the initial values of later pieces would not be known.
+        """
+        if self.measurements.hidden:
+            return self
+        measurements = measurements_of(self.recording, self.modelled, piece=piece, observed=self.observed)
+        return replace(self, measurements=measurements)
+
+
+def columns_of(recording: Recording, equations: Sequence[str]) -> tuple[str, ...]:
+    """Return the measured columns (O) of a system with these equations: states, then columns computed from states."""
+    return (*(name for name in equations if name not in recording.hidden), *recording.observed)
 
 
 def measured_of(result: Result, table: Table | None = None) -> FitData:
@@ -90,10 +108,14 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
     if kind != "dynamics":
         name = _OTHER_KINDS.get(str(kind), "a model of an unknown kind")
         raise UsageError(f"the result is {name}; only models of measured trajectories can be fitted again")
-    hidden = config_of(result).data.hidden
-    if hidden:
-        raise UsageError(f"the model has the hidden states {', '.join(hidden)}; such models are not fitted again yet")
+    if config_of(result).data.observe and not result.observations:
+        raise UsageError(
+            "the result has no fitted observation, because its equations were not refined; run the job again "
+            "with more time"
+        )
     recording = _listed_recording(result) if table is None else _prepare_recording(result, table)
+    if recording.hidden:
+        recording = replace(_with_simulated_course(recording, result), initial=initial_values(config_of(result)))
     rows = kept = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
     source = "the given data"
     if table is None:
@@ -110,11 +132,14 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
         )
     names = [str(equation.variable) for equation in result.equations]
     modelled = [recording.states.index(name) for name in names]
-    errors = [result.noise.get(name, Noise()).errors or Errors() for name in names]
+    errors = [result.noise.get(name, Noise()).errors or Errors() for name in columns_of(recording, names)]
     share = kept / max(rows, 1)
     pieces = [known.piece for known in errors if known.piece]
     piece = max(_FEWEST_ROWS, int(min(pieces) * share)) if pieces else SETTINGS.shooting.piece
-    measurements = measurements_of(recording, modelled, piece=piece)
+    if recording.hidden:
+        piece = max(len(trajectory.times) for trajectory in recording.trajectories)
+    observed = [recording.states.index(name) for name in recording.observed]
+    measurements = measurements_of(recording, modelled, piece=piece, observed=observed)
     independent = measurements.weights.sum(axis=1)
     if table is None:  # measured rows that the result does not list count as well
         independent = independent / max(share, 1e-300)
@@ -147,7 +172,7 @@ def _listed_recording(result: Result) -> Recording:
             "the result has no measurements", python="give them as data", command="give the data file with --data"
         )
     columns, symbols = result.columns, result.symbols
-    states, inputs = columns.states, columns.inputs
+    states, inputs = (*columns.states, *result.hidden), columns.inputs
     smoothing = []
     for name in states:
         noise = result.noise.get(name, Noise())
@@ -156,7 +181,7 @@ def _listed_recording(result: Result) -> Recording:
     smoothed = {part.name: part for part in result.smoothed}
     return Recording(
         states,
-        tuple(symbols[name] for name in states),
+        tuple(symbols.get(name, name) for name in states),
         tuple(symbols[name] for name in columns.velocities),
         inputs,
         tuple(symbols[name] for name in inputs),
@@ -165,14 +190,34 @@ def _listed_recording(result: Result) -> Recording:
         tuple(smoothing),
         tuple(_trajectory(part, smoothed.get(part.name), states, inputs) for part in result.recorded),
         tuple(config_of(result).data.offsets),
+        hidden=result.hidden,
+        observed=tuple(one.column for one in result.observations),
     )
+
+
+def _with_simulated_course(recording: Recording, result: Result) -> Recording:
+    """Return the recording with the simulations of a result as the smoothed values of its hidden states."""
+    simulated, parts = {part.name: part for part in result.simulated}, list[Trajectory]()
+    for part in recording.trajectories:
+        smoothed, slopes, found = part.smoothed.copy(), part.slopes.copy(), simulated.get(part.name)
+        for name in recording.hidden if found is not None and found.values is not None else ():
+            assert found is not None
+            values = np.array((found.values or {}).get(name, ()), dtype=np.float64)
+            if not len(values) or not np.isfinite(values).all():
+                continue
+            place, times = recording.states.index(name), np.array(found.times, dtype=np.float64)
+            smoothed[place] = np.interp(part.times + recording.offset, times, values)
+            slopes[place] = np.gradient(smoothed[place], part.times) if len(part.times) > 1 else 0.0
+        parts.append(replace(part, smoothed=smoothed, slopes=slopes))
+    return replace(recording, trajectories=tuple(parts))
 
 
 def _trajectory(
     recorded: Recorded, smoothed: Smoothed | None, states: Sequence[str], inputs: Sequence[str]
 ) -> Trajectory:
     times = np.array(recorded.times, dtype=np.float64)
-    measured = _stack([recorded.measured[name] for name in states], len(times))
+    unknown = (None,) * len(times)  # a hidden state has no measured values
+    measured = _stack([recorded.measured.get(name, unknown) for name in states], len(times))
     curves = [_curve(times, row, name, smoothed) for name, row in zip(states, measured, strict=True)]
     positions = _stack(curves, len(times))
     robust, weights = recorded.robustness_weights, recorded.weights
@@ -185,7 +230,7 @@ def _trajectory(
         _stack([recorded.inputs[name] for name in inputs], len(times)),
         _stack([(recorded.input_slopes or {})[name] for name in inputs], len(times)),
         recorded.held_out,
-        None if robust is None else _stack([robust[name] for name in states], len(times)),
+        None if robust is None else _stack([robust.get(name, (1.0,) * len(times)) for name in states], len(times)),
         None if weights is None else np.array(weights, dtype=np.float64),
     )
 
@@ -236,7 +281,7 @@ def _prepare_recording(result: Result, table: Table) -> Recording:
         settings = config.data.model_copy(update={"group": None, "per_trajectory": False})
         config = config.model_copy(update={"data": settings})
     recording = prepare(table, config).recording
-    if recording is None or set(recording.states) != set(result.columns.states):
+    if recording is None or set(recording.states) != {*result.columns.states, *result.hidden}:
         raise UsageError(f"the data must have measurements of {', '.join(result.columns.states)} over time")
     return recording if group is None or column is not None else _trajectory_of_group(recording, group)
 
@@ -501,6 +546,11 @@ def _constants_of_sides(
             else:
                 before = ConstantSource(None, source.home, constant_places(equations.programs[source.home])[origin])
                 constants[source] = FreeConstant(written[before], home, 1.0, True)
+    for place, column in enumerate(whole.observations, len(equations.variables)):
+        for source in whole.sources(place):
+            if source.parameter is not None and source not in constants:
+                name = whole.template.parameters[source.parameter].name
+                constants[source] = FreeConstant(name, column, 1.0, True)
     return tuple(constants.values())
 
 
@@ -527,12 +577,23 @@ class EquationSetFit:
 
     def texts(self, result: Result) -> dict[str, str]:
         """Return the fitted right-hand sides with rounded constants, by the left-hand sides of a result."""
-        names, given = self.equations.names, self.equations.given
-        programs = self.fit.system.programs[-len(self.equations.programs) :]
-        return {
+        names, given, system = self.equations.names, self.equations.given, self.fit.system
+        count = len(system.outputs)
+        programs = system.programs[count - len(self.equations.programs) : count]
+        texts = {
             equation.lhs: to_infix(program, names, digits=4, is_given=given is not None and given.is_given(place))
             for place, (equation, program) in enumerate(zip(result.equations, programs, strict=True))
         }
+        columns = () if given is None else given.observations
+        return texts | {
+            column: to_infix(program, names, digits=4, is_given=True)
+            for column, program in zip(columns, system.programs[count:], strict=True)
+        }
+
+    @property
+    def fitted_starts(self) -> int:
+        """The number of fitted initial values and offsets; given initial values are not fitted."""
+        return _count_fitted_starts(self.fit)
 
     @cached_property
     def bounded_covariance(self) -> FloatArray:
@@ -614,16 +675,26 @@ def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -
     precise = _TOLERANCE_OF_NOISE * float(measurements.relative_noise.min())
     estimator = MultipleShooting(measurements, min(max(precise, _FINEST), _COARSEST * 0.1))
     system = equations.system(measurements, measured.recording.order)
+    if measurements.hidden and starts is None:
+        found = fit_from_many_starts(estimator, system.with_fixed_constants())
+        if found is None:
+            return None
+        starts, estimator = found.fit.starts, found.fit.estimator
+        measurements = estimator.measurements  # with the sizes of the hidden states
+        measured = replace(measured, measurements=measurements)
     fit = estimator.fit(system, None, SETTINGS.effort.steps, starts)
-    staged = fit_in_stages(estimator, system, (*SETTINGS.shooting.lengths[1:2], None), SETTINGS.effort.steps)
+    # short segments in the middle of a trajectory would need initial values of hidden states, which nobody knows
+    lengths = (None,) if measurements.hidden else (*SETTINGS.shooting.lengths[1:2], None)
+    staged = fit_in_stages(estimator, system, lengths, SETTINGS.effort.steps)
     fits = [candidate for candidate in (fit, staged) if candidate is not None]
     counts = measurements.weights.sum(axis=1)
     best = min(fits, key=lambda fit: float(counts @ np.log(np.maximum(fit.squares, 1e-300))), default=None)
     if best is None:
         return None
     decided = float(np.minimum(counts * measured.share, measured.independent).sum())
-    left = max(counts.sum() - best.system.values.size - best.starts.size, 1.0)
-    degrees_of_freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
+    fitted = best.system.values.size + _count_fitted_starts(best)
+    left = max(counts.sum() - fitted, 1.0)
+    degrees_of_freedom = max(decided - fitted, 1.0)
     # the variance of a row in the fit, corrected for the number of fitted values and for correlated or unlisted rows
     widened = np.sqrt(counts.sum() / left / measured.share)
     least = SETTINGS.smoothing.smallest_noise * measurements.observed_scales
@@ -633,6 +704,11 @@ def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -
     if held is None:
         return None
     return EquationSetFit(equations, measured, held, errors, degrees_of_freedom, _misfit(measured, best))
+
+
+def _count_fitted_starts(fit: TrajectoryFit) -> int:
+    ranges = fit.estimator.measurements.start_ranges(fit.segments)
+    return fit.starts.size - (0 if ranges is None else int((ranges[0] == ranges[1]).sum()))
 
 
 def _misfit(measured: FitData, fit: TrajectoryFit) -> float:

@@ -133,7 +133,8 @@ class Forecast:
     """The states after the last row of a trajectory.
 
     Attributes:
-        states: the names of the D states; velocities follow the positions.
+        states: the names of the D states; velocities follow the positions, and measured columns that are computed from
+            states come last.
         t: the times (N,); the first one is the time of the last row.
         draws: the states of each draw (M, N, D), in the units of the data; angles are in radians. NaN after a draw
             blows up. A state with an unknown offset includes the offset of its trajectory, as its column does.
@@ -347,16 +348,16 @@ def forecast(result: Result, request: ForecastRequest, table: Table | None = Non
         )
         for each, weight, window in kept
     ]  # fmt: skip
-    observed = [law.states[place] for place in last.observed.tolist()]
+    observed = law.shown_columns(last)
     return Forecast(
-        states=law.states,
+        states=law.shown,
         t=times,
         draws=draws,
         systems=tuple(sorted(systems, key=lambda system: -system.weight)),
         trajectory=law.measurements.names[int(last.owners[0])],
         measured_t=past,
         measured=dict(zip(observed, np.where(last.weights > 0.0, last.measured, np.nan), strict=True)),
-        measured_range=_central_range(law.measurements.smoothed),
+        measured_range=_central_range(_shown_course(law.measurements)),
         noise=dict(zip(observed, law.noise.tolist(), strict=True)),
         time=result.time,
         notes=tuple(notes),
@@ -373,6 +374,12 @@ def _chosen(law: KnownLaw, name: str | None) -> TrajectoryMeasurements:
     return by_name[name]
 
 
+def _shown_course(measurements: TrajectoryMeasurements) -> FloatArray:
+    """Return the smoothed states, and then the smoothed columns that are computed from states."""
+    computed = measurements.observed >= len(measurements.scales)
+    return np.concatenate([measurements.smoothed, measurements.smoothed_columns[computed]])
+
+
 def _central_range(values: FloatArray) -> FloatArray:
     """Return the range (D, 2) that holds 95 % of the values (D, R)."""
     return np.asarray(np.nanquantile(values, (_SHARES[0], _SHARES[-1]), axis=1).T)
@@ -387,8 +394,10 @@ def _last_window(law: KnownLaw, trajectory: TrajectoryMeasurements) -> StateFit 
     A window is twice as long as the previous one, as long as one simulation describes it as well as two. Errors of the
     constants grow along a window, so a longer one may tell less. The constants were fitted to the same rows: the
     variance of the sum of two such errors is at most twice the sum of their variances. So a shorter window is
-    certainly better only if its variance is less than half.
+    certainly better only if its variance is less than half. With hidden states, the window is the whole trajectory.
     """
+    if trajectory.hidden:
+        return law.fit_states(trajectory)
     rows, numbers = trajectory.rows, len(law.states) + len(trajectory.offset)
     length = min(max(_FEWEST_ROWS, math.ceil(_ROWS_PER_NUMBER * numbers / len(trajectory.observed))), rows)
     last = law.fit_states(cut(trajectory, [(rows - length, rows)]))
@@ -417,9 +426,12 @@ def _draw(
     law: KnownLaw, window: StateFit, count: int, course: tuple[FloatArray, FloatArray, FloatArray],
     random: np.random.Generator,
 ) -> FloatArray:  # fmt: skip
-    """Return the states of `count` draws (M, G, D) along a `course` that begins at the last row, see `_paths`."""
+    """Return the states, and columns computed from them, of `count` draws (M, G, D or more).
+
+    They follow a `course` that begins at the last row, see `_paths`.
+    """
     if not count:
-        return np.zeros((0, len(course[0]), len(law.states)))
+        return np.zeros((0, len(course[0]), len(law.shown)))
     end, states = window.end, len(law.states)
     constants, variances = draw_constants(law.fitted, count, random)
     known, directions = eigenaxes(end.spread, 0.0)
@@ -522,12 +534,13 @@ def _paths(
 ) -> FloatArray:  # fmt: skip
     """Return the states (M, G, D) of draws from `starts` (M, D) with constants `values` (M, P); NaN after a blow-up.
 
-    `course` are the times (G,), and the inputs and their slopes (U, G).
+    The columns that are computed from states follow the states. `course` are the times (G,), and the inputs and their
+    slopes (U, G).
     """
     fit, measurements, states, times = window.fit, window.measurements, len(law.states), course[0]
     rows = max(float(len(times)), (times[-1] - times[0]) / law.measurements.step)
     limits, whole = np.tile([-_LARGEST, _LARGEST], (states, 1)), np.array([[0, len(times)]], dtype=np.int64)
-    paths, found = np.empty((len(starts), len(times), states)), np.empty((states, len(times)))
+    paths, found = np.empty((len(starts), len(times), len(law.shown))), np.empty((states, len(times)))
     for draw, (start, constants) in enumerate(zip(starts, values, strict=True)):
         system = fit.system.with_values(constants).with_fixed_constants()
         for table in (STIFF,) if fit.is_stiff else (PRECISE, STIFF):
@@ -539,7 +552,11 @@ def _paths(
             )  # fmt: skip
             if done >= 0:
                 break
-        paths[draw] = found.T
+        paths[draw, :, :states] = found.T
+        if law.observed:
+            points = np.concatenate([found, course[1]])
+            computed = [values_of(program, points) for program in system.observation_programs]
+            paths[draw, :, states:] = np.where(np.isfinite(found).all(axis=0), computed, np.nan).T
     return paths
 
 

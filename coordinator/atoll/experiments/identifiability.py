@@ -108,6 +108,8 @@ class ProfiledConstant:
             "open above": f": at least {low}",
             "open below": f": at most {high}",
         }
+        if all(self.is_cut):
+            return f"{self.estimate:.{self._digits}g}, not determined between its bounds {low} and {high}"
         return f"{self.estimate:.{self._digits}g}, {self.verdict}{ends.get(self.verdict, '')}"
 
 
@@ -224,11 +226,16 @@ class ConstantProfile:
     def is_flat(self) -> bool:
         """Whether all values fit equally well: data of this kind cannot determine the constant."""
         inside = self.deviances[(self.values > self.lower) & (self.values < self.upper)]
-        return all(self.is_open) and bool(inside.max() < FLAT)
+        return all(self.is_open) and bool(inside.max(initial=0.0) < FLAT)
 
     @property
     def is_open(self) -> tuple[bool, bool]:
-        """Whether the lower and the upper end are open; an end at 0 is open, because log(0) is infinite."""
+        """Whether the lower and the upper end are open; an end at 0 is open, because log(0) is infinite.
+
+        If both ends are cut, both are open: the bounds limit the constant, and not the data.
+        """
+        if all(self.is_cut):
+            return True, True
         return math.isinf(self.lower) or self.lower == 0.0, math.isinf(self.upper) or self.upper == 0.0
 
 
@@ -527,7 +534,9 @@ def identify(
 def _reading_order(constant: FreeConstant, fitted: EquationSetFit) -> tuple[int, bool, int, str]:
     """Return the sort key of a constant: by equation, then in the order of the text, unwritten coefficients last."""
     number = int(constant.name[1:]) if constant.name[:1] == "c" and constant.name[1:].isdigit() else 0
-    return fitted.equations.variables.index(constant.variable), not constant.is_written, number, constant.name
+    variables = fitted.equations.variables
+    place = variables.index(constant.variable) if constant.variable in variables else len(variables)
+    return place, not constant.is_written, number, constant.name
 
 
 @dataclass(frozen=True)

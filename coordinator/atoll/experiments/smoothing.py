@@ -11,7 +11,7 @@ Doubtful: the bands are first-order, and they assume the law. Letters: D states,
 import csv
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -19,7 +19,6 @@ import numpy as np
 from atoll.experiments.states import KnownLaw
 from atoll.model.equations import LEVEL, quantile
 from atoll.terminal.output import plain
-from atoll_coordinator.model.inference.trajectory_simulation import simulated_standard_errors, simulated_states
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
@@ -81,7 +80,8 @@ class SmoothedTrajectory:
 class SmoothedStates:
     """The states along all trajectories under a law.
 
-    `states` are the names of the D states; velocities follow the positions. `source` names the data. `time` is the name
+    `states` are the names of the D states; velocities follow the positions, and measured columns that are computed from
+    states come last. `source` names the data. `time` is the name
     of the time column.
     """
 
@@ -163,7 +163,7 @@ def smooth(result: Result, table: Table | None = None) -> SmoothedStates:
     law = KnownLaw.of(result, table)
     width = quantile(LEVEL, law.fitted.degrees_of_freedom)
     parts = tuple(_smoothed(law, name, part, width) for name, part in law.trajectories())
-    return SmoothedStates(law.states, parts, result.time, law.source)
+    return SmoothedStates(law.shown, parts, result.time, law.source)
 
 
 def _smoothed(law: KnownLaw, name: str, trajectory: TrajectoryMeasurements, width: float) -> SmoothedTrajectory:
@@ -173,10 +173,8 @@ def _smoothed(law: KnownLaw, name: str, trajectory: TrajectoryMeasurements, widt
             f"the law cannot be simulated along trajectory {name}, not even along pieces of "
             f"{SETTINGS.shooting.lengths[0]} rows; give other data"
         )
-    measurements, fit = found.measurements, found.fit
-    whole = replace(measurements, observed=np.arange(len(law.states)))  # errors of velocities too
-    values, _ = simulated_states(whole, fit, law.states)
-    errors = simulated_standard_errors(whole, fit, law.fitted.root @ law.fitted.root.T, 1.0)
+    measurements, values = found.measurements, found.shown_values
+    errors = found.shown_errors(law.fitted.root @ law.fitted.root.T)
     measured = np.where(measurements.weights > 0.0, measurements.measured, np.nan)
     lengths = measurements.bounds[:, 1] - measurements.bounds[:, 0]
     times = law.times_of(measurements)
@@ -187,7 +185,7 @@ def _smoothed(law: KnownLaw, name: str, trajectory: TrajectoryMeasurements, widt
         stderr=errors.T,
         lower=(values - width * errors).T,
         upper=(values + width * errors).T,
-        measured={law.states[state]: row for state, row in zip(measurements.observed.tolist(), measured, strict=True)},
+        measured=dict(zip(law.shown_columns(measurements), measured, strict=True)),
         piece=np.repeat(np.arange(1, len(lengths) + 1), lengths),
         joins=tuple(times[measurements.bounds[1:, 0]].tolist()),
         is_like_noise=found.is_like_noise,

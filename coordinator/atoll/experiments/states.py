@@ -19,8 +19,10 @@ from typing import Final
 import numpy as np
 
 from atoll.experiments.fits import EquationSetFit, FitData, fit_displayed, measured_of, most_residuals
+from atoll_coordinator.model.inference.trajectory_simulation import simulated_standard_errors
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
+from atoll_coordinator.model.shooting.many_starts import fit_from_many_starts
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.result.result import Result
@@ -40,7 +42,8 @@ class KnownLaw:
 
     `fitted` has the constants with their covariance. `measurements` are all trajectories, held-out ones too, each as
     one piece. `offset` is added to their times. `noise` (O,) are the standard deviations of the measurement errors,
-    and `share` (O,) are the independent rows divided by the rows.
+    and `share` (O,) are the independent rows divided by the rows. `observed` are the M measured columns that are
+    computed from states.
     """
 
     fitted: EquationSetFit
@@ -49,6 +52,7 @@ class KnownLaw:
     noise: FloatArray
     share: FloatArray
     source: str
+    observed: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, result: Result, table: Table | None) -> "KnownLaw":
@@ -71,14 +75,26 @@ class KnownLaw:
         noise = fitted.errors.sigmas * np.sqrt(fitted.measured.share)
         parts = tuple(replace(part, held_out=False) for part in target.recording.trajectories)
         longest = max(len(part.times) for part in parts)
-        whole = measurements_of(replace(target.recording, trajectories=parts), target.modelled, piece=longest)
+        recording = replace(target.recording, trajectories=parts)
+        whole = measurements_of(recording, target.modelled, piece=longest, observed=target.observed)
         measurements = replace(whole, known_limits=whole.limits)  # a few rows have a range as small as their noise
-        return cls(fitted, measurements, target.recording.offset, noise, target.share, target.source)
+        law = cls(fitted, measurements, recording.offset, noise, target.share, target.source, recording.observed)
+        found = law.fit_states(measurements) if measurements.hidden else None
+        return law if found is None else replace(law, measurements=measurements.with_course(found.fit.simulated))
 
     @property
     def states(self) -> tuple[str, ...]:
         """The names of the D states; velocities follow the positions."""
         return self.measurements.variables[: len(self.measurements.scales)]
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """The names of the states, and then of the measured columns that are computed from states."""
+        return (*self.states, *self.observed)
+
+    def shown_columns(self, measurements: TrajectoryMeasurements) -> list[str]:
+        """Return the names of the O measured columns."""
+        return [self.shown[place] for place in measurements.observed.tolist()]
 
     def times_of(self, measurements: TrajectoryMeasurements) -> FloatArray:
         """Return the times (N,) of rows, as in the data: fits use centred times."""
@@ -92,7 +108,8 @@ class KnownLaw:
     def fit_states(self, measurements: TrajectoryMeasurements, starts: FloatArray | None = None) -> "StateFit | None":
         """Return the law along trajectories with fitted initial states; None if it cannot be simulated.
 
-        `starts` (G, D or more) are the initial states at which the fit begins; None: the smoothed states.
+        `starts` (G, D or more) are the initial states at which the fit begins; None: the smoothed states, or many
+        starts if there are hidden states.
         """
         fitted, steps = self.fitted, SETTINGS.effort.steps
         order = fitted.measured.recording.order
@@ -100,13 +117,16 @@ class KnownLaw:
         fixed, errors = system.with_fixed_constants(), ErrorModel.independent(self.noise / np.sqrt(self.share))
         errors = replace(errors, is_known=True)
         estimator = MultipleShooting(measurements, fitted.fit.estimator.tolerance)
+        if measurements.hidden and starts is None:
+            found = fit_from_many_starts(estimator, fixed, errors=errors)
+            starts = None if found is None else found.fit.starts
         best = estimator.fit(fixed, None, steps, starts, errors, is_stiff=fitted.fit.is_stiff)
-        if best is None or not _is_like_noise(best, measurements):
+        if not measurements.hidden and (best is None or not _is_like_noise(best, measurements)):
             staged = fit_in_stages(estimator, fixed, (_SHORTEST, *SETTINGS.shooting.lengths[:2], None), steps)
             if staged is not None:
                 staged = estimator.fit(fixed, None, steps, staged.starts, errors, is_stiff=staged.is_stiff)
-            found = [fit for fit in (best, staged) if fit is not None]
-            best = min(found, key=estimator.cost, default=None)
+            fits = [fit for fit in (best, staged) if fit is not None]
+            best = min(fits, key=estimator.cost, default=None)
         if best is None:
             return None
         fit = estimator.complete(system, None, best.starts, errors, is_stiff=best.is_stiff)
@@ -115,8 +135,10 @@ class KnownLaw:
     def fit_in_pieces(self, trajectory: TrajectoryMeasurements) -> "StateFit | None":
         """Return the law along one trajectory, from as few initial states as describe it as well as more would.
 
-        None: the law cannot be simulated.
+        With hidden states, it is one initial state. None: the law cannot be simulated.
         """
+        if trajectory.hidden:
+            return self.fit_states(trajectory)
         fits: list[StateFit] = []
         for rows in (None, SETTINGS.shooting.piece, *reversed(SETTINGS.shooting.lengths)):
             if rows is not None and 2 * rows > trajectory.rows:
@@ -167,6 +189,24 @@ class StateFit:
     measurements: TrajectoryMeasurements
     fit: TrajectoryFit
     is_like_noise: bool
+
+    @property
+    def shown_values(self) -> FloatArray:
+        """The simulated states (D, N), and then the columns that are computed from states; with the offsets."""
+        measurements, fit = self.measurements, self.fit
+        states = len(measurements.scales)
+        values = np.concatenate([fit.simulated, fit.simulated_columns[measurements.observed >= states]])
+        lengths = fit.segments[:, 1] - fit.segments[:, 0]
+        for column, offsets in zip(measurements.offset.tolist(), fit.starts[:, states:].T, strict=True):
+            values[measurements.observed[column]] += np.repeat(offsets, lengths)
+        return values
+
+    def shown_errors(self, constants: FloatArray) -> FloatArray:
+        """Return the standard errors of the `shown_values`, with the covariance (P, P) of the constants."""
+        states = len(self.measurements.scales)
+        computed = self.measurements.observed[self.measurements.observed >= states]
+        every = replace(self.measurements, observed=np.append(np.arange(states), computed), hidden=())
+        return simulated_standard_errors(every, self.fit, constants, 1.0)
 
     @property
     def cost(self) -> float:

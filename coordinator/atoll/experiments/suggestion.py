@@ -340,6 +340,12 @@ def suggest(
             within the bounds, or there is only one candidate and it has no constants.
     """
     request.check()
+    if result.hidden or result.observations:
+        names = ", ".join((*result.hidden, *(one.column for one in result.observations)))
+        raise UsageError(
+            f"experiments are only suggested for models whose states are all measured, but {names} are hidden or "
+            "computed from states; `coordinator analyse --identifiability` shows which constants are not determined"
+        )
     displayed = fit_displayed(measured_of(result, table), result)
     space = space_of(result, displayed.measured, request)
     # users may call an equation x, dx, or dx/dt as in the result

@@ -136,7 +136,8 @@ def read_columns(model: "ModelCore", part: Columns) -> ReadColumns:
 def rows_of(model: "ModelCore", part: Columns) -> tuple[FloatArray, dict[str, FloatArray], dict[str, float]]:
     """Return the times (N,) of measured rows, the measured states (N,) by name, and the state of the first row.
 
-    For equations of second order, a velocity that was not measured is the slope of its position.
+    For equations of second order, a velocity that was not measured is the slope of its position. Hidden states begin
+    with the initial values of the first simulated trajectory of the result.
 
     Raises:
         UsageError: a column is missing, or the first row lacks a state.
@@ -145,13 +146,22 @@ def rows_of(model: "ModelCore", part: Columns) -> tuple[FloatArray, dict[str, Fl
     is_second = all(equation.lhs.startswith(f"d2{equation.variable}/") for equation in model.result.equations)
     positions = dict(zip(model.states[half:], model.states[:half], strict=True)) if is_second else {}
     times = column(part, model.time)
-    measured = [name for name in model.states if name not in positions or has(part, columns[name])]
+    hidden = {name for name in model.states if columns[name] in model.result.hidden}
+    known = initial_conditions(model).start if hidden else {}
+    measured = [
+        name for name in model.states if name not in hidden and (name not in positions or has(part, columns[name]))
+    ]
     values = {name: column(part, columns[name]) for name in measured}
     stack_columns([times, *values.values()])
     start = {}
     for name in model.states:
         if name in values:
             start[name] = float(values[name][0]) if len(times) else np.nan
+            continue
+        if name in hidden:
+            if columns[name] not in known:
+                raise UsageError(f"the result has no initial value of the hidden state {columns[name]!r}; give one")
+            start[name] = known[columns[name]]
             continue
         position = column(part, columns[positions[name]])
         stack_columns([times, position])
@@ -250,6 +260,8 @@ def initial_conditions(model: "ModelCore") -> InitialConditions:
 
 def measured_conditions(model: "ModelCore", part: Recorded | Simulated) -> InitialConditions | None:
     """Return the initial conditions from the complete rows of a trajectory; None if no row has all states."""
+    if model.result.hidden:
+        return None
     columns = {name: values_of_curve(curve) for name, curve in part.measured.items()}
     times = values_of_curve(part.times)
     known = np.flatnonzero(np.isfinite([times, *columns.values()]).all(axis=0))

@@ -19,6 +19,7 @@ from atoll.model.equations import (
     remark_on_groups,
 )
 from atoll.model.given_sides import GivenSides
+from atoll.model.observed_columns import ObservedColumns
 from atoll.model.vector_field import JointErrors, VectorField
 from atoll_coordinator.process_steps.moments import Pair
 from atoll_coordinator.result.equations import Candidate, Equation
@@ -93,6 +94,11 @@ class ModelCore:
     def field(self) -> VectorField:
         """The right-hand sides as functions of numbers; raises UsageError for a regression."""
         return VectorField.from_result(self._result)
+
+    @cached_property
+    def observed(self) -> ObservedColumns:
+        """The measured columns that are computed from states; raises UsageError for a regression."""
+        return ObservedColumns.of(self._result, self.field)
 
     @cached_property
     def equations(self) -> tuple[DisplayedEquation, ...]:

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 from atoll.model.given_sides import ConstantSource, GivenSides, program_of
 from atoll_coordinator.result.base import Pair
-from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation
+from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation, Observation
 from atoll_coordinator.result.findings import Group, Noise
 from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
@@ -82,10 +82,18 @@ def rounded(expression: str, names: Sequence[str], *, is_given: bool = False) ->
     return to_infix(from_infix(expression, names), names, digits=DIGITS, is_given=is_given)
 
 
-def side_text(equation: Equation | GroupEquation, names: Sequence[str], *, is_given: bool | None = None) -> str:
+def side_text(
+    equation: Equation | GroupEquation | Observation, names: Sequence[str], *, is_given: bool | None = None
+) -> str:
     """Return a right-hand side with rounded constants; `is_given` None: as the equation says."""
-    given = isinstance(equation, Equation) and equation.given is not None if is_given is None else is_given
+    given = not isinstance(equation, GroupEquation) and equation.given is not None if is_given is None else is_given
     return rounded(equation.expression or "", names, is_given=given)
+
+
+def observation_text(one: Observation, names: Sequence[str]) -> str:
+    """Return a measured column that is computed from states, such as ``y = c/2.08  (observed: c/V)``."""
+    text = f"{one.column} = {side_text(one, names)}"
+    return text if one.given is None else f"{text}  (observed: {one.given.text})"
 
 
 # ---------------------------------------------------------------------------------------------------------- constants
@@ -134,6 +142,8 @@ def quantile(level: float, freedom: float | None) -> float:
 def parameters_of(result: Result) -> dict[str, Parameter]:
     """Return the constants of all equations by name, in the order of the parameters of a `VectorField`.
 
+    Parameters that only occur in observed columns come last.
+
     A constant that differs between groups of trajectories has a value for each: ``c1[strain 2]``.
     """
     label = result.data_settings.get("group") or "trajectory"
@@ -152,6 +162,10 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
             for suffix, number, known in values if name else ():
                 parameter = _parameter(f"{name}{suffix}", equation.variable, number, known)
                 parameters.setdefault(parameter.name, parameter)
+    for one in result.observations:
+        for name, place in (one.given.parameters if one.given is not None else {}).items():
+            known = one.constants[place]
+            parameters.setdefault(name, _parameter(name, one.column, known.value or 0.0, known))
     return parameters
 
 
@@ -309,7 +323,7 @@ class GivenWords:
     constants: tuple[Constant, ...]
 
 
-def given_words(equation: Equation, names: Sequence[str]) -> GivenWords | None:
+def given_words(equation: Equation | Observation, names: Sequence[str]) -> GivenWords | None:
     """Return the side that the user gave for display; None if there is none."""
     given = equation.given
     if given is None:

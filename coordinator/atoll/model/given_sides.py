@@ -14,7 +14,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from atoll_coordinator.result.equations import Constant, Equation, GroupEquation, UnknownPart
+from atoll_coordinator.result.equations import Constant, Equation, GroupEquation, Observation, UnknownPart
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.expression.operators import VARIABLE
@@ -25,7 +25,7 @@ from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
 
 
-def program_of(equation: Equation | GroupEquation, names: Sequence[str]) -> Program:
+def program_of(equation: Equation | GroupEquation | Observation, names: Sequence[str]) -> Program:
     """Return the program of a right-hand side over variables `names`: from the result, or else parsed from the text."""
     if equation.program:
         return Program.from_bytes(bytes.fromhex(equation.program), len(names))
@@ -44,10 +44,10 @@ class ConstantSource:
 
 @dataclass(frozen=True, eq=False)
 class GivenSides:
-    """The equations (D) of a result of which some sides were given.
+    """The equations (D) of a result of which some sides were given, and the measured columns (M) computed from states.
 
     `slots` (D) are the searched programs: unknown parts, and whole sides of equations without a template. `values` (P,)
-    are the values of the parameters.
+    are the values of the parameters. The observed columns follow the equations in `template.equations`.
     """
 
     template: EquationTemplate
@@ -58,16 +58,20 @@ class GivenSides:
     def of(cls, result: Result) -> "Self | None":
         """Return the given sides of a result; None if no side was given, or if the sides do not fit their parts."""
         given = {equation.variable: equation.given for equation in result.equations if equation.given is not None}
-        if not given:
+        given_columns = {one.column: one.given for one in result.observations if one.given is not None}
+        if not given and not given_columns:
             return None
         names = result.names
         programs = [
             ZERO if equation.expression is None else program_of(equation, names) for equation in result.equations
         ]
-        template = read_template({name: side.text for name, side in given.items()}, _parameters(result), names)
-        template = replace(template, equations=tuple(equation.variable for equation in result.equations))
+        texts = {name: side.text for name, side in (given | given_columns).items()}
+        template = read_template(texts, _parameters(result), names, tuple(given_columns))
+        equations = tuple(equation.variable for equation in result.equations)
+        template = replace(template, equations=(*equations, *given_columns))
         slots = list(programs)
-        for index, name in enumerate(template.equations):
+        programs += [program_of(one, names) for one in result.observations if one.given is not None]
+        for index, name in enumerate(equations):
             unknown = template.unknown_of(name)
             if unknown is not None:
                 part = next((one for one in given[name].unknowns if one.label == unknown.label), None)
@@ -86,29 +90,44 @@ class GivenSides:
         return self.template.compose(self.slots, self.values)
 
     @property
+    def equations(self) -> tuple[str, ...]:
+        """The names of the equations (D)."""
+        return self.template.equations[: len(self.slots)]
+
+    @property
     def programs(self) -> tuple[Program, ...]:
         """The right-hand sides (D)."""
-        return self.composition.programs
+        return self.composition.programs[: len(self.slots)]
+
+    @property
+    def observations(self) -> dict[str, Program]:
+        """The measured columns that are computed from states, by name."""
+        count = len(self.slots)
+        return dict(zip(self.template.equations[count:], self.composition.programs[count:], strict=True))
 
     def is_given(self, index: int) -> bool:
         """Tell whether the side of this equation was given."""
         return self.template.equations[index] in self.template.sides
 
     def with_values_of(self, programs: Sequence[Program]) -> Self:
-        """Return the same sides with the constants of `programs` (D), which have the structure of the sides."""
+        """Return the same sides with the constants of `programs` (D or D + M), which have the structure of the sides.
+
+        Without the programs of observed columns, parameters that only occur there keep their values.
+        """
 
         def value(place: Place) -> float:
             return float(programs[place[0]].constants[place[1]])
 
         slots = [
             with_constants(slot, {node: value(places[0]) for node, places in by_node.items()})
-            for slot, by_node in zip(self.composition.slots, self.composition.places, strict=True)
+            for slot, by_node in zip(self.composition.slots[: len(self.slots)], self.composition.places, strict=False)
         ]
-        return replace(
-            self,
-            slots=tuple(slots),
-            values=np.array([value(places[0]) if places else math.nan for places in self.composition.parameters]),
-        )
+        values = self.values.copy()
+        for parameter, places in enumerate(self.composition.parameters):
+            known = next((place for place in places if place[0] < len(programs)), None)
+            if known is not None or not places:
+                values[parameter] = math.nan if known is None else value(known)
+        return replace(self, slots=tuple(slots), values=values)
 
     def with_slots(self, slots: Sequence[Program]) -> Self:
         """Return the same sides with other searched programs."""
@@ -135,13 +154,14 @@ class GivenSides:
         """Return the same equations over other symbols and in another order."""
         places = [names.index(name) if name in names else -1 for name in self.template.names]
         slots = {variable: over_variables(slot, places) for variable, slot in self._by_variable().items()}
-        moved = replace(self, template=replace(self.template, equations=tuple(equations)))
+        template = replace(self.template, equations=(*equations, *self.template.observed))
+        moved = replace(self, template=template)
         changed = moved._with_template(self.template.texts, names, slots)
         assert changed is not None
         return changed
 
     def _by_variable(self) -> dict[str, Program]:
-        return dict(zip(self.template.equations, self.slots, strict=True))
+        return dict(zip(self.equations, self.slots, strict=True))
 
     def _with_template(
         self,
@@ -158,7 +178,8 @@ class GivenSides:
             return None
         old, known = self.template, {one.name: one for one in self.template.parameters}
         used = {one.name for other in texts for one in map(old.parameters.__getitem__, old.parameters_in(other))}
-        template = read_template(texts, {name: one for name, one in known.items() if name in used}, names)
+        parameters = {name: one for name, one in known.items() if name in used}
+        template = read_template(texts, parameters, names, old.observed)
         template = replace(template, equations=old.equations)
         values = dict(zip(known, self.values.tolist(), strict=True))
         parts = {one.label: slots[one.home] for one in old.unknowns}
@@ -167,7 +188,7 @@ class GivenSides:
         return replace(
             self,
             template=template,
-            slots=tuple(programs[name] for name in template.equations),
+            slots=tuple(programs[name] for name in self.equations),
             values=np.array([values[one.name] for one in template.parameters]),
         )
 
@@ -181,7 +202,7 @@ class GivenSides:
                 continue
             for slot_node, places in by_node.items():
                 known |= {node: ConstantSource(None, home, slot_node) for equation, node in places if equation == index}
-        return [known.get(node, ConstantSource()) for node in constant_places(self.programs[index])]
+        return [known.get(node, ConstantSource()) for node in constant_places(self.composition.programs[index])]
 
     def explicit_sides(self, variable: str) -> Iterator[tuple[tuple[Program, IntArray], list[int | None]]]:
         """Yield ways in which the constants of a side may have been fitted: with factors of 1 in its unknown parts as
@@ -303,9 +324,11 @@ def _part_program(encoded: str | None, expression: str, names: Sequence[str]) ->
 def _parameters(result: Result) -> Mapping[str, TemplateParameter]:
     """Return the parameters in given sides of a result, by name, with their bounds."""
     parameters = {}
-    for equation in result.equations:
-        for name, place in (equation.given.parameters if equation.given is not None else {}).items():
-            low, high = equation.constants[place].bounds or (None, None)
+    sides = [(one.given, one.constants) for one in result.equations]
+    sides += [(one.given, one.constants) for one in result.observations]
+    for given, constants in sides:
+        for name, place in (given.parameters if given is not None else {}).items():
+            low, high = constants[place].bounds or (None, None)
             ends = -math.inf if low is None else low, math.inf if high is None else high
             parameters[name] = TemplateParameter(name, *ends)
     return parameters

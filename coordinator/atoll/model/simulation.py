@@ -19,14 +19,15 @@ import csv
 import io
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from atoll.model.observed_columns import ColumnCurve, ObservedColumns
 from atoll.model.vector_field import JointErrors, VectorField
 from atoll_coordinator.process_steps.moments import StepMoments, predict_step_moments
 from atoll_coordinator.process_steps.paths import (
@@ -96,7 +97,7 @@ class SimulationResult:
     `states` at these times. `stderr` (N, D) are standard errors, propagated from the constants to first order. `lower`
     and `upper` (N, D) are the 95 % band. All three are None if the errors of the constants are not known. `status` says
     how the simulation ended, and `message` says it in a sentence. `remark` names the initial values outside of the
-    measured range; it is "" if there are none.
+    measured range; it is "" if there are none. `observed` are the measured columns that are computed from states.
     """
 
     states: tuple[str, ...]
@@ -109,28 +110,34 @@ class SimulationResult:
     upper: FloatArray | None = None
     time: str = "t"
     remark: str = ""
+    observed: Mapping[str, ColumnCurve] = field(default_factory=dict)
 
     def __getitem__(self, state: str) -> FloatArray:
-        """Return the values (N,) of a state by name; raises KeyError for an unknown name."""
+        """Return the values (N,) of a state or an observed column by name; raises KeyError for an unknown name."""
+        if state in self.observed:
+            return self.observed[state].values
         if state not in self.states:
             raise KeyError(state)
         return np.asarray(self.x[:, self.states.index(state)])
 
     def __repr__(self) -> str:
-        names, count = ", ".join(self.states), len(self.t)
+        names, count = ", ".join((*self.states, *self.observed)), len(self.t)
         times = f"{count} times from {self.t[0]:.6g} to {self.t[-1]:.6g}" if count > 1 else f"time {self.t[0]:.6g}"
         bands = ", with 95 % bands" if self.lower is not None else ""
         remark = f"; {self.remark}" if self.remark else ""
         return f"<Simulation of {names}: {times}{bands}; {self.status}: {self.message}{remark}>"
 
     def band(self, state: str) -> tuple[FloatArray, FloatArray]:
-        """Return the lower and the upper bound (N,) of the 95 % band of a state, by name.
+        """Return the lower and the upper bound (N,) of the 95 % band of a state or an observed column, by name.
 
         Raises KeyError for an unknown name, UsageError if the errors of the constants are not known.
         """
-        if state not in self.states:
+        column = self.observed.get(state)
+        if column is None and state not in self.states:
             raise KeyError(state)
-        if self.lower is None or self.upper is None:
+        if column is not None and column.lower is not None and column.upper is not None:
+            return column.lower, column.upper
+        if column is not None or self.lower is None or self.upper is None:
             raise UsageError(
                 f"there is no band of {shown(state)}: the errors of the constants are not known or not propagated; "
                 "params has the constants with their errors"
@@ -143,11 +150,18 @@ class SimulationResult:
         return frame_of(self.columns(), library)
 
     def columns(self) -> dict[str, FloatArray]:
-        """Return the times, the states and, if they are known, their bands, by column name; each is (N,)."""
+        """Return the times, the states, the observed columns and, if they are known, their bands, by column name.
+
+        Each is (N,).
+        """
         columns = {self.time: self.t, **dict(zip(self.states, self.x.T, strict=True))}
+        columns |= {name: column.values for name, column in self.observed.items()}
         if self.lower is not None and self.upper is not None:
             for name, lower, upper in zip(self.states, self.lower.T, self.upper.T, strict=True):
                 columns |= {f"{name}_lower": lower, f"{name}_upper": upper}
+        for name, column in self.observed.items():
+            if column.lower is not None and column.upper is not None:
+                columns |= {f"{name}_lower": column.lower, f"{name}_upper": column.upper}
         return columns
 
     def to_csv(self) -> str:
@@ -168,18 +182,20 @@ class SimulationResult:
         return {"status": self.status, "message": self.message, "remark": self.remark, "columns": columns}
 
 
-def simulate(
+def simulate(  # noqa: PLR0913, the parts of a simulation
     field: VectorField,
     x0: FloatArray,
     t: FloatArray,
     inputs: Inputs | None = None,
     bands: tuple[JointErrors, float] | None = None,
     most: int = MOST_EVALUATIONS,
+    observed: ObservedColumns | None = None,
 ) -> SimulationResult:
     """Integrate from the state `x0` (D,) at the first of the ascending times `t` (N,).
 
     LSODA takes implicit steps where the system is stiff. `bands` are the errors of the constants and the half width of
-    a band in standard errors. `most` limits the number of evaluations. Raises UsageError for invalid arguments.
+    a band in standard errors. `most` limits the number of evaluations. `observed` are columns that are computed from
+    the states. Raises UsageError for invalid arguments.
     """
     check_times(field, x0, t)
     task = _RateTask(field, inputs, most)
@@ -197,10 +213,33 @@ def simulate(
     }[status]
     sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
     sentence += _ROUGH_REMARK if course.is_rough else ""
-    if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], course, t)) is None:
-        return SimulationResult(field.states, t[:count], states, status, sentence)
+    points, values = np.zeros((0, count)), dict[str, FloatArray]()
+    if observed is not None and observed.programs:
+        points = points_along(states, t[:count], inputs)
+        values = observed.values(points)
+    found = None if bands is None or status != "finished" else _sensitivities(task, bands[0], course, t)
+    if bands is None or found is None:
+        curves = {name: ColumnCurve(curve) for name, curve in values.items()}
+        return SimulationResult(field.states, t[:count], states, status, sentence, observed=curves)
+    sensitivities, root = found
+    spread = np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities))
+    curves = dict[str, ColumnCurve]()
+    if observed is not None and values:
+        own = dict(zip(bands[0].observed, root[len(bands[0].columns) :], strict=True))
+        for name, error in observed.standard_errors(points, sensitivities, own).items():
+            reach = bands[1] * error
+            curves[name] = ColumnCurve(values[name], error, values[name] - reach, values[name] + reach)
     half = bands[1] * spread
-    return SimulationResult(field.states, t, states, status, sentence, spread, states - half, states + half)
+    return SimulationResult(
+        field.states, t, states, status, sentence, spread, states - half, states + half, observed=curves
+    )
+
+
+def points_along(states: FloatArray, t: FloatArray, inputs: Inputs | None) -> FloatArray:
+    """Return the states and inputs (D + U, N) of a simulation with `states` (N, D) at the times `t` (N,)."""
+    if inputs is None:
+        return np.ascontiguousarray(states.T)
+    return np.concatenate([states.T, np.array([inputs(at) for at in t.tolist()]).reshape(len(t), -1).T])
 
 
 def state_sizes(
@@ -390,8 +429,11 @@ def _early_end(task: _RateTask, course: _Integration, sizes: FloatArray, span: f
     return "stiff" if course.is_spent else "undefined"
 
 
-def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration, t: FloatArray) -> FloatArray | None:
-    """Return the standard errors (N, D) of the simulated states (N, D) from the sensitivities S' = J S + df/dc.
+def _sensitivities(
+    task: _RateTask, errors: JointErrors, course: _Integration, t: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the changes (D, M, N) of the simulated states along M directions of the constants with unit variance, from
+    S' = J S + df/dc, and the changes (K, M) of the constants along these directions.
 
     None if the sensitivities cannot be integrated.
     """
@@ -402,7 +444,7 @@ def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration,
     root = vectors[:, kept] * np.sqrt(values[kept])  # (K, M): M independent directions of unit variance
     number = root.shape[1]
     if not len(errors.columns) or not number or len(t) == 1:
-        return np.zeros((len(t), size))
+        return np.zeros((size, number, len(t))), root
     sizes = _positive(np.abs(states).max(axis=0))
     some = np.unique(np.linspace(0, rows - 1, _TESTED_ROWS).astype(int))
     driven = np.array([errors.rates(states[row], task.inputs_at(float(t[row]))) @ root for row in some])
@@ -426,8 +468,7 @@ def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration,
         return None
     if solution is None:
         return None
-    sensitivities = solution[size:].reshape(size, number, len(t)) * shares[:, None]
-    return np.asarray(np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities)))
+    return solution[size:].reshape(size, number, len(t)) * shares[:, None], root
 
 
 def _solve(

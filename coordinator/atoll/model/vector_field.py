@@ -309,12 +309,14 @@ class JointErrors:
     """The joint covariance (K, K) of the constants, and a field that has these constants among its parameters.
 
     In `field`, coefficients of 1 are parameters too, although the text of an equation does not show them. `columns`
-    (K,) are the indices of the constants among the P parameters of `field`.
+    are the indices of the first constants among the P parameters of `field`. The last constants belong to columns that
+    are computed from states: `observed` has their columns, and their numbers among the constants there.
     """
 
     field: VectorField
     columns: tuple[int, ...]
     covariance: FloatArray
+    observed: tuple[tuple[str, int], ...] = ()
 
     @classmethod
     def of(cls, result: Result, field: VectorField) -> "JointErrors | None":
@@ -345,11 +347,17 @@ class JointErrors:
         following = {variable: iter(ends[sides[variable]] + places) for variable, places in fitted.items()}
         columns = tuple(int(next(following[variable])) for variable in variables)
         matrix = np.array(known.matrix, dtype=np.float64).reshape(len(known.constants), -1)
-        return cls(replace(field, programs=tuple(programs), constant_names=()), columns, matrix[np.ix_(rows, rows)])
+        of_columns = {one.column for one in result.observations}
+        observed = [row for row, place in enumerate(known.constants) if place.variable in of_columns]
+        rows = [row for row in rows if row not in observed] + observed
+        places = tuple((known.constants[row].variable, known.constants[row].constant or 0) for row in observed)
+        field = replace(field, programs=tuple(programs), constant_names=())
+        return cls(field, columns, matrix[np.ix_(rows, rows)], places)
 
     def rates(self, x: FloatArray, u: FloatArray | None) -> FloatArray:
         """Return the derivatives (D, K) of the rates with respect to the constants at a point `x` (D,), `u` (U,)."""
-        return self.field.parameter_derivatives(x, u)[:, list(self.columns)]
+        of_equations = self.field.parameter_derivatives(x, u)[:, list(self.columns)]
+        return np.pad(of_equations, ((0, 0), (0, len(self.observed))))
 
 
 def _with_coefficients(

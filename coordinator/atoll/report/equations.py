@@ -17,6 +17,7 @@ from atoll.model.equations import (
     r2_text,
     remark_on_groups,
     rounded,
+    side_text,
 )
 from atoll.model.given_sides import named_side
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
@@ -40,7 +41,7 @@ from atoll.report.markup import (
 )
 from atoll.text.conclusion import conclusion
 from atoll.text.render import ENDS, checks_text, constants_line, given_lines
-from atoll_coordinator.result.equations import Check, Equation, Estimate, SimpleNumber
+from atoll_coordinator.result.equations import Check, Equation, Estimate, Observation, SimpleNumber
 from atoll_coordinator.result.findings import Correlation
 from atoll_core.redaction import without_secrets
 
@@ -68,6 +69,7 @@ def overview(findings: Findings) -> Element:
     meanings = [f"{verdict.capitalize()}: {MEANINGS[verdict]}." for verdict in verdicts if verdict in MEANINGS]
     explained = paragraph(element("small", " ".join(meanings)))
     opening = paragraph(conclusion(result))
+    equations += [_observation(one, findings) for one in result.observations]
     return section("found", "Found", opening, *equations, explained, *remarks, *warned, facts(_facts(findings)), *noted)
 
 
@@ -95,6 +97,14 @@ def _equation(equation: Equation, findings: Findings) -> Element:
     if equation.checks:
         parts += _checks(equation.checks)
     return element("div", *parts, class_="equation")
+
+
+def _observation(one: Observation, findings: Findings) -> Element:
+    """Return a measured column that is computed from states, with its parameters."""
+    names = findings.result.names
+    given = given_words(one, names)
+    parts = [paragraph(element("code", f"{one.column} = {side_text(one, names)}"), " (measured)")]
+    return element("div", *parts, *([] if given is None else _given(given)), class_="equation")
 
 
 def _given(given: GivenWords) -> list[Element]:

@@ -48,7 +48,9 @@ def trajectories(findings: Findings) -> list[Element]:
     if parts:
         states = list(parts[0].values or {})
         fits = pictures(_fit(state, findings) for state in states)
-        residual_figures = pictures(_residuals(state, parts, findings) for state in states if parts[0].measured)
+        residual_figures = pictures(
+            _residuals(state, parts, findings) for state in states if state in parts[0].measured
+        )
         sections.append(section("fit", "Measured and simulated", _which(findings), fits, _explanation(findings)))
         sections.append(section("residuals", "Residuals", paragraph(_RESIDUALS), residual_figures))
     elif findings.result.simulated:
@@ -117,7 +119,7 @@ def _fit(state: str, findings: Findings) -> Element:
         if curves.lower and curves.upper:
             drawn.add_band(curves.times, curves.lower[state], curves.upper[state], f"c{index}")
     for index, (part, curves) in enumerate(parts):
-        if part.measured:
+        if state in part.measured:
             drawn.add_points(part.times, part.measured[state], f"c{index}")
         drawn.add_line(curves.times, curves.values[state], f"c{index}")
     heads = ["trajectory", findings.result.time, "measured", "simulated", "lower", "upper"]
@@ -125,7 +127,8 @@ def _fit(state: str, findings: Findings) -> Element:
     numbers = table(f"{state}, measured and simulated", heads, _some_rows(listed))
     names = [f"trajectory {part.name}" + (", held out" if part.held_out else "") for part, _ in parts]
     marks = [legend((f"c{index}", name) for index, name in enumerate(names))] if len(parts) > 1 else []
-    return figure(drawn.svg(), findings.label(state), numbers, *marks)
+    hidden = " (hidden: it has no measured values)" if state in findings.result.hidden else ""
+    return figure(drawn.svg(), findings.label(state) + hidden, numbers, *marks)
 
 
 def _curves(part: Simulated, state: str) -> list[Curve]:
@@ -187,9 +190,11 @@ def _errors(findings: Findings) -> Element:
             _kind(noise.errors or Errors()),
         ]
         for state, noise in findings.result.noise.items()
+        if state not in findings.result.hidden
     ]
     smoothed = findings.result.smoothed
-    drawn = [_smoothing(state, smoothed, findings) for state in (smoothed[0].measured if smoothed else ())]
+    measured = [name for name in (smoothed[0].measured if smoothed else ()) if name not in findings.result.hidden]
+    drawn = [_smoothing(state, smoothed, findings) for state in measured]
     explained = (
         [paragraph("Dots are measured, lines are smoothed. The search uses the smoothed values.")] if drawn else []
     )

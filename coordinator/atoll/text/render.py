@@ -19,6 +19,7 @@ from atoll.model.equations import (
     given_words,
     interval_text,
     number_text,
+    observation_text,
     plus_minus,
     r2_text,
     rounded,
@@ -28,7 +29,16 @@ from atoll.model.equations import (
     words_of,
 )
 from atoll.model.given_sides import GivenSides
-from atoll_coordinator.result.equations import Candidate, Check, Constant, Equation, Member, SimpleTogether, Units
+from atoll_coordinator.result.equations import (
+    Candidate,
+    Check,
+    Constant,
+    Equation,
+    Member,
+    Observation,
+    SimpleTogether,
+    Units,
+)
 from atoll_coordinator.result.findings import Errors, Noise, PathEnsemble, Place
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
@@ -219,7 +229,9 @@ def candidates_table(
 def summary(result: Result) -> list[str]:
     """Return lines about noise and simulations; empty if the data have no noise and all equations are exact."""
     noisy = [
-        f"{state} {percent(noise.relative)}" for state, noise in result.noise.items() if noise.method != "interpolation"
+        f"{state} {percent(noise.relative)}"
+        for state, noise in result.noise.items()
+        if noise.method not in ("interpolation", "hidden")
     ]
     lines = [f"noise: {', '.join(noisy)} of the standard deviation"] if noisy else []
     errors = {state: "; ".join(_error_texts(noise.errors)) for state, noise in result.noise.items()}
@@ -245,7 +257,8 @@ def _simulation_line(trajectories: Sequence[Simulated]) -> list[str]:
 
 def noise_lines(result: Result) -> list[str]:
     """Return a line for each state: its noise, and how the state was smoothed."""
-    return [f"noise of {state}: {_noise_text(noise)}" for state, noise in result.noise.items()]
+    measured = {state: noise for state, noise in result.noise.items() if state not in result.hidden}
+    return [f"noise of {state}: {_noise_text(noise)}" for state, noise in measured.items()]
 
 
 def _error_texts(errors: Errors | None) -> list[str]:
@@ -452,7 +465,11 @@ def render_text(result: Result, *, fronts: bool = False) -> str:
     """
     names = result.names
     called = constant_names(result)
-    blocks = [_equation_text(equation, names, called[equation.variable], fronts) for equation in result.equations]
+    blocks = [
+        _equation_text(equation, names, called[equation.variable], fronts, equation.variable in result.hidden)
+        for equation in result.equations
+    ]
+    blocks += [line for one in result.observations for line in observation_lines(one, names)]
     if fronts:
         blocks += [*noise_lines(result), *simulation_table(result), *correlation_lines(result)]
     else:
@@ -538,10 +555,12 @@ def _shared_lines(result: Result) -> list[str]:
     return lines
 
 
-def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[str], with_tables: bool) -> str:
+def _equation_text(
+    equation: Equation, names: Sequence[str], called: Sequence[str], with_tables: bool, is_hidden: bool
+) -> str:
     if equation.expression is None:
         return f"{equation.lhs} = ?\n    no equation found yet"
-    lines = [f"{equation.lhs} = {side_text(equation, names)}"]
+    lines = [f"{equation.lhs} = {side_text(equation, names)}" + ("  (hidden state)" if is_hidden else "")]
     given = given_words(equation, names)
     constants = None if with_tables else constants_line(equation.constants if given is None else given.constants)
     if given is not None:
@@ -571,6 +590,13 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
         unknown = "" if given is None else next(iter(given.unknowns), "")
         lines += [*_front_lines(equation.front, names, f"expression of {unknown}" if unknown else "expression"), ""]
     return "\n".join(lines)
+
+
+def observation_lines(one: Observation, names: Sequence[str]) -> list[str]:
+    """Return a measured column that is computed from states, as the user wrote it too, and its parameters."""
+    given = given_words(one, names)
+    parameters = {} if given is None else given.parameters
+    return [observation_text(one, names), *(f"    {name} = {_words_text(words)}" for name, words in parameters.items())]
 
 
 def given_lines(given: GivenWords) -> list[str]:
