@@ -15,7 +15,7 @@ from typing import Final, TypeVar
 from atoll_coordinator.data.recording import component_name
 from atoll_coordinator.data.roles.names_and_options import check_given_equations, split_unit
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.templates import check_hidden_states, check_template, template_of
+from atoll_coordinator.data.templates import check_hidden_states, check_initial_values, check_template, template_of
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.errors import UsageError
@@ -146,6 +146,7 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
         UsageError: A left-hand side, name or operator does not exist or is given twice, an expression cannot be read,
             or a guess does not fit the operation lists of its equation.
     """
+    check_initial_values(config, variables)
     sides, names = _sides(config, variables, symbols), tuple(symbols.values())
     known = sides.single("--known", config.prior.known)
     for name, text in known.items():

@@ -11,6 +11,7 @@ from atoll_core.errors import UsageError
 from atoll_core.expression.program import tree_size, variables_of
 from atoll_core.expression.template import EquationTemplate, TemplateParameter, read_template
 from atoll_core.expression.text.infix import PRINTABLE_SIZE
+from atoll_core.quoting import did_you_mean
 
 
 def template_of(config: JobConfig, names: Sequence[str]) -> EquationTemplate | None:
@@ -116,3 +117,24 @@ def _states_that_matter(template: EquationTemplate, roles: Roles, symbols: Mappi
         reached |= new
         waiting += new
     return reached
+
+
+def check_initial_values(config: JobConfig, variables: Sequence[str]) -> None:
+    """Raise UsageError if an initial value belongs to no state with an equation, or if its bounds contradict it."""
+    given = config.prior.initial
+    if given and not (config.prior.equations or config.data.hidden):
+        raise UsageError("--initial belongs to given equations; add --equation, or leave --initial out")
+    for name, one in given.items():
+        if name not in variables:
+            known = ", ".join(variables)
+            raise UsageError(f"--initial names '{name}', but the states are {known}{did_you_mean(name, variables)}")
+        lower = -math.inf if one.lower is None else one.lower
+        upper = math.inf if one.upper is None else one.upper
+        if lower > upper:
+            raise UsageError(f"--initial for '{name}' has the bounds {lower:g}..{upper:g}; write the smaller one first")
+        if one.by_group:
+            raise UsageError(
+                f"--initial for '{name}' is 'by group', which is possible for parameters only; leave it out"
+            )
+        if one.start is not None and not lower <= one.start <= upper:
+            raise UsageError(f"--initial for '{name}' is {one.start:g}, outside of its bounds; change one of them")

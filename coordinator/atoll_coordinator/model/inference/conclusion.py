@@ -84,13 +84,16 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         spread = _errors_along_trajectories(final, final.shown_comparison, final.shown_fit, errors)
     else:
         spread = simulated_standard_errors(measurements, final.free.fit, errors.finite_covariance, errors.scale)
+    observations = _describe_observations(final, of_groups[0])
     compared: list[TrajectoryChecks] = []
     for index, prediction in enumerate(predictions):
         r2 = held_out_r2[final.columns[index]]
         equation = _describe_equation(final, index, constants[index], by_group[index], r2, prediction)
         given = final, long_run, index, equation, r2, compared
         is_plain = final.comparison.template is None and not task.recording.hidden
-        compared.append(TrajectoryChecks(*given) if is_plain else TemplateChecks(*given, spread))
+        compared.append(
+            TrajectoryChecks(*given) if is_plain else TemplateChecks(*given, spread, [*observations.values()])
+        )
     equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
     recording, quantile = preparation.recording, student_quantile_95(errors.degrees_of_freedom)
     assert recording is not None
@@ -122,7 +125,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         ),
         chaos,
         fluxes=final.fluxes,
-        observations=_describe_observations(final, of_groups[0]),
+        observations=observations,
         covariance=covariances[0] if (system.columns == system.columns[0]).all() else None,
         by_group=dict(zip(task.recording.groups, covariances, strict=False)),
     )

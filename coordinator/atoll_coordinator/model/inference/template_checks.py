@@ -13,7 +13,8 @@ from atoll_coordinator.model.inference.checks import Finding, format_percent
 from atoll_coordinator.model.inference.final_model import FinalModel
 from atoll_coordinator.model.inference.long_run import LongRun
 from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
-from atoll_coordinator.model.refinement import JobKind, Refined
+from atoll_coordinator.model.refinement import JobKind, ObservedColumn, Refined
+from atoll_coordinator.result.equations import Constant
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import variables_of
@@ -29,12 +30,12 @@ class TemplateChecks(TrajectoryChecks):
 
     def __init__(  # noqa: PLR0913, one more than its base class
         self, final: FinalModel, long_run: LongRun, index: int, shown: Refined, held_out_r2: float | None,
-        equations: Sequence[TrajectoryChecks], errors: FloatArray | None,
+        equations: Sequence[TrajectoryChecks], errors: FloatArray | None, observed: Sequence[ObservedColumn] = (),
     ) -> None:  # fmt: skip
         """Set the model and the equation; `errors` are the standard errors of simulated columns, then of hidden states,
-        by row (None: not known)."""
+        by row (None: not known). `observed` are the columns that are computed from states."""
         super().__init__(final, long_run, index, shown, held_out_r2, equations)
-        self.errors = errors
+        self.errors, self.observed = errors, observed
 
     def check_hidden_state(self) -> Finding:
         """Check that the data determine the course of a hidden state."""
@@ -71,6 +72,13 @@ class TemplateChecks(TrajectoryChecks):
         reason = f"the data determine {' and '.join(free)} only up to a change of coordinates"
         return Finding("failed", reason, float(len(free)), 0.0)
 
+    @property
+    def _numbers(self) -> list[tuple[Sequence[Constant], Sequence[str | None]]]:
+        """The constants of the equation and of the columns that are computed from states, each with the names of those
+        that are parameters."""
+        own = self.shown.constants, self.shown.parameters
+        return [own, *((column.constants, column.parameters) for column in self.observed)]
+
     def check_unknown_part(self) -> Finding:
         """Check that the unknown part of the equation describes more than nothing or a constant in its place."""
         template = self.final.comparison.template
@@ -96,6 +104,9 @@ class TemplateChecks(TrajectoryChecks):
         minima = self.final.task.minima
         if minima is None:
             return Finding("not applicable", "the parameters were estimated from derivatives")
+        if minima.starts == 1:
+            reason = "the fit began from one start only, since no parameter or initial value has bounds"
+            return Finding("not made", reason, advice="give bounds with --parameter or --initial")
         if minima.reached < _LEAST_REACHED:
             reason = (
                 f"only one of {minima.starts} fits from different starts reached the best fit: a better one may exist"
@@ -104,8 +115,11 @@ class TemplateChecks(TrajectoryChecks):
         template = self.final.comparison.template
         known = {
             name: constant.interval
-            for equation in (self.shown, *(other.shown for other in self.equations))
-            for constant, name in zip(equation.constants, equation.parameters, strict=False)
+            for constants, names in (
+                *self._numbers,
+                *((other.shown.constants, other.shown.parameters) for other in self.equations),
+            )
+            for constant, name in zip(constants, names, strict=False)
             if name is not None and constant.interval is not None and constant.identifiable
         }
         for nats, values in minima.rivals:
@@ -120,10 +134,14 @@ class TemplateChecks(TrajectoryChecks):
         return Finding("passed", f"{minima.reached} of {minima.starts} fits from different starts reached the best fit")
 
     def check_constants(self) -> Finding | None:
-        """Check that the data determine all constants and parameters, and that none lies on a bound."""
+        """Check that the data determine all constants and parameters, and that none lies on a bound.
+
+        A column that is computed from states is part of the model of each state, so its parameters count, too.
+        """
         fitted = [
             (constant, name)
-            for constant, name in zip(self.shown.constants, self.shown.parameters, strict=False)
+            for constants, names in self._numbers
+            for constant, name in zip(constants, names, strict=False)
             if constant.fitted is not None
         ]
         if not fitted:
@@ -138,6 +156,8 @@ class TemplateChecks(TrajectoryChecks):
             names = " and ".join(loose)
             reason = f"the parameter{'' if one else 's'} {names} {'is' if one else 'are'} not determined by the data"
             return Finding("failed", reason, float(len(loose)), 0.0, advice="give a number for one of them, or bounds")
+        if not any(constant.fitted is not None for constant in self.shown.constants):
+            return Finding("passed", "all parameters of computed columns are determined by the data", 0.0, 0.0)
         return super().check_constants()
 
     def check_alternative_equations(self) -> Finding | None:

@@ -32,7 +32,7 @@ from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.points_between import latin_hypercube
-from atoll_coordinator.model.shooting.system import OdeSystem
+from atoll_coordinator.model.shooting.system import OdeSystem, exponentials, logarithms
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
@@ -129,11 +129,16 @@ _FITS: Final[BatchFunction[StartsProblem, StartPoint, tuple[ReachedPoint | None,
 @dataclass(frozen=True, eq=False)
 class Minimum:
     """A local minimum: the point of its best fit, the misfit in nats (with a prior: and half the penalty), and the
-    number of continued fits that ended there."""
+    number of continued fits that ended there.
+
+    `others` are the points of the other fits. They have about the same misfit, but may have other values: then the data
+    do not distinguish them.
+    """
 
     point: ReachedPoint
     misfit: float
     reached: int
+    others: tuple[ReachedPoint, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,8 +211,9 @@ def _with_point(minima: list[Minimum], point: ReachedPoint, misfit: float, least
     are one minimum."""
     for place, minimum in enumerate(minima):
         if abs(misfit - minimum.misfit) < least:
-            best = (point, misfit) if misfit < minimum.misfit else (minimum.point, minimum.misfit)
-            same = Minimum(*best, minimum.reached + 1)
+            is_better = misfit < minimum.misfit
+            best, other = (point, minimum.point) if is_better else (minimum.point, point)
+            same = Minimum(best, min(misfit, minimum.misfit), minimum.reached + 1, (*minimum.others, other))
             return sorted([*minima[:place], same, *minima[place + 1 :]], key=lambda one: one.misfit)
     return sorted([*minima, Minimum(point, misfit, 1)], key=lambda one: one.misfit)
 
@@ -231,7 +237,7 @@ def _misfit_of(measurements: TrajectoryMeasurements) -> Callable[[FloatArray], f
     errors of an integration are equal."""
     counts = (measurements.weights > 0.0).sum(axis=1)
     least = (SETTINGS.shooting.exact * measurements.observed_scales) ** 2
-    return lambda squares: 0.5 * math.fsum((counts * np.log(np.maximum(squares, least))).tolist())
+    return lambda squares: 0.5 * math.fsum((counts * logarithms(np.maximum(squares, least))).tolist())
 
 
 def _horizons(longest: int) -> list[int]:
@@ -251,6 +257,9 @@ def _draw_starts(measurements: TrajectoryMeasurements, system: OdeSystem, seed: 
     lower, upper = (nothing if bound is None else bound for bound in (system.lower, system.upper))
     ranges = measurements.start_ranges(measurements.bounds)
     hidden = [] if ranges is None else list(measurements.hidden)
+    if not (_may_vary(lower, upper) or (ranges is not None and _may_vary(*(of[:, hidden] for of in ranges)))):
+        yield [StartPoint(system.values, starts)]
+        return
     for number in range(_BATCHES):
         batch = [] if number else [StartPoint(system.values, starts)]
         count = SETTINGS.effort.beam - len(batch)
@@ -261,16 +270,19 @@ def _draw_starts(measurements: TrajectoryMeasurements, system: OdeSystem, seed: 
                 its_own[:, hidden] = _between(ranges[0][:, hidden], ranges[1][:, hidden], at, starts[:, hidden])
             batch.append(StartPoint(values, its_own))
         yield batch
-        if np.array_equal(batch[-1].values, system.values) and np.array_equal(batch[-1].starts, starts):
-            return  # there are no bounds, so all starts are equal
+
+
+def _may_vary(lower: FloatArray, upper: FloatArray) -> bool:
+    """Tell whether start values may be drawn between some of these bounds."""
+    return bool((np.isfinite(lower) & np.isfinite(upper) & (lower < upper)).any())
 
 
 def _between(lower: FloatArray, upper: FloatArray, shares: FloatArray, others: FloatArray) -> FloatArray:
     """Return the values between bounds at these shares of the way, in logarithms if both bounds have the same sign;
     `others` where a bound is infinite."""
     with np.errstate(all="ignore"):
-        logarithmic = np.sign(lower) * np.exp(
-            np.log(np.abs(lower)) + shares * (np.log(np.abs(upper)) - np.log(np.abs(lower)))
-        )
+        low, high = logarithms(np.abs(np.nan_to_num(lower))), logarithms(np.abs(np.nan_to_num(upper)))
+        logarithmic = np.sign(lower) * exponentials(low + shares * (high - low))
         values = np.where(lower * upper > 0.0, logarithmic, lower + shares * (upper - lower))
-    return np.where(np.isfinite(lower) & np.isfinite(upper), values, others)
+    values = np.where(np.isfinite(lower) & np.isfinite(upper), values, others)
+    return np.where(lower == upper, lower, values)

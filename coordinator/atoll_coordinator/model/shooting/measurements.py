@@ -175,7 +175,7 @@ class TrajectoryMeasurements:
         """Return the measurements as if each state had a column, for comparisons of simulated states; columns of
         hidden states have no values."""
         states = len(self.smoothed)
-        if not self.hidden:
+        if not self.hidden and self.column_scales is None:
             return self
         columns = [self.column_of(state) for state in range(states)]
         known = [column for column in columns if column is not None]

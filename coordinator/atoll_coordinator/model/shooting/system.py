@@ -6,6 +6,7 @@ follow the equations on the tape. They are not integrated, but their constants a
 equations, M observations, N nodes of all programs, P fitted constants, Q fitted numbers, G groups of trajectories.
 """
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -193,7 +194,7 @@ class OdeSystem:
         if self.is_logarithmic is None:
             return self.with_values(values + change)
         shares = np.clip(change / np.where(self.is_logarithmic, values, 1.0), -1.0, 1.0)
-        return self.with_values(np.where(self.is_logarithmic, values * np.exp(shares), values + change))
+        return self.with_values(np.where(self.is_logarithmic, values * exponentials(shares), values + change))
 
     def in_logarithms(self) -> "OdeSystem":
         """Return the system with all numbers fitted in logarithms whose two bounds have the same sign."""
@@ -213,9 +214,9 @@ class OdeSystem:
         if not self.has_prior or self.is_logarithmic is None or self.lower is None or self.upper is None:
             return 0.0, nothing, nothing
         with np.errstate(all="ignore"):
-            low, high = np.log(np.abs(self.lower)), np.log(np.abs(self.upper))
+            low, high = logarithms(np.abs(self.lower)), logarithms(np.abs(self.upper))
             sizes = np.abs(high - low) / np.sqrt(12.0)
-            residuals = (np.log(np.abs(values)) - 0.5 * (low + high)) / sizes
+            residuals = (logarithms(np.abs(values)) - 0.5 * (low + high)) / sizes
         has_prior = self.is_logarithmic & np.isfinite(residuals)
         residuals, slopes = np.where(has_prior, residuals, 0.0), np.where(has_prior, 1.0 / (sizes * values), 0.0)
         return float((residuals**2).sum()), -residuals * slopes, slopes**2
@@ -391,3 +392,18 @@ def system_of(
 def variable_program(index: int) -> Program:
     """Return the program that is the variable of this index."""
     return Program(np.array([VARIABLE], np.int8), np.array([index], np.int16), np.zeros(1, np.int16), np.zeros(1))
+
+
+def logarithms(values: FloatArray) -> FloatArray:
+    """Return the logarithms of numbers that are not negative.
+
+    numpy's own function has other last bits on other processors.
+    """
+    return np.array([math.log(one) if one > 0.0 else -math.inf for one in values.ravel().tolist()]).reshape(
+        values.shape
+    )
+
+
+def exponentials(values: FloatArray) -> FloatArray:
+    """Return the exponentials, with the same bits on all processors, see `logarithms`."""
+    return np.array([math.exp(min(one, 700.0)) for one in values.ravel().tolist()]).reshape(values.shape)

@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import FoundMinima, Preparation, Recording, Trajectory
 from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.batches import Spread
@@ -137,7 +138,8 @@ class HiddenCourse:
             index = next((index for index, target in enumerate(targets) if target.variable == name), None)
             if index is not None:
                 values = self.rates[own, rows]
-                scale = float(values.std()) or 1.0
+                _, scale = moments(np.ascontiguousarray(values))
+                scale = scale or 1.0
                 # the course follows the measured states, so it is about as uncertain as they are
                 targets[index] = replace(
                     targets[index], values=values, standard_deviation=scale, uncertainty=uncertainty, noise=noise
@@ -156,7 +158,10 @@ def fit_course(preparation: Preparation, config: JobConfig, template: EquationTe
     assert recording is not None
     duration = max(float(part.times[-1] - part.times[0]) for part in recording.trajectories)
     first = min(_FIRST, 1.0 / duration)
-    slots = {unknown.home: linear_part(template, config, unknown.home, first) for unknown in template.unknowns}
+    slots = {
+        unknown.home: linear_part(template, config, unknown.home, dataset.symbols[unknown.home], first)
+        for unknown in template.unknowns
+    }
     programs = [slots.get(name, ZERO) for name in dataset.variables]
     candidates = {name: CandidateSet(known=program) for name, program in zip(dataset.variables, programs, strict=True)}
     task = ModellingTask(dataset, recording, config, candidates, spread=spread)
@@ -181,14 +186,13 @@ def fit_course(preparation: Preparation, config: JobConfig, template: EquationTe
 
 def _summarize_minima(found: StartsFit) -> FoundMinima:
     """Return how often the best minimum was reached, and the minima that are almost as good."""
-    best, *others = found.minima
+    best, system = found.minima[0], found.fit.system
     rivals = [
-        (
-            minimum.misfit - best.misfit,
-            tuple(found.fit.system.with_values(minimum.point.values).parameter_values.tolist()),
-        )
-        for minimum in others
+        (minimum.misfit - best.misfit, tuple(system.with_values(point.values).parameter_values.tolist()))
+        for minimum in found.minima
         if minimum.misfit - best.misfit < SETTINGS.inference.distinct_nats
+        for point in (minimum.point, *minimum.others)
+        if point is not best.point
     ]
     return FoundMinima(found.starts, best.reached, tuple(rivals))
 
@@ -217,15 +221,16 @@ def _along_trajectories(
     )  # fmt: skip
 
 
-def linear_part(template: EquationTemplate, config: JobConfig, equation: str, first: float = _FIRST) -> Program:
+def linear_part(
+    template: EquationTemplate, config: JobConfig, equation: str, symbol: str, first: float = _FIRST
+) -> Program:
     """Return a linear function that stands for the unknown part of an equation: of the variables that the user named
-    for it, else of the equation's own state. It has no constant term: with few rows, each further number makes the
-    minimum flatter. Its coefficients are multiples of `first`."""
+    for it, else of the equation's own state, which has this `symbol`.
+
+    It has no constant term: with few rows, each further number makes the minimum flatter. Its coefficients are
+    multiples of `first`.
+    """
     named = config.space.variables_of.get(equation)
-    symbols = named if named is not None else (_own_symbol(template, equation),)
+    symbols = named if named is not None else (symbol,)
     terms: list[Expression] = [(VARIABLE, template.names.index(symbol)) for symbol in symbols]
     return sum_of(terms, [first * (place + 1) for place, _ in enumerate(terms)])
-
-
-def _own_symbol(template: EquationTemplate, equation: str) -> str:
-    return equation if equation in template.names else template.names[0]
