@@ -80,6 +80,12 @@ def test_of_a_given_equation_its_unknown_part_is_searched_and_its_parameters_are
     assert describe(TABLE, GIVEN).split("\n")[-2:] == ["given: dx/dt = -k*x + ?(y)", "given: dy/dt = c/2 - a*y"]
 
 
+def test_demanded_shapes_are_described():
+    prior = GIVEN.prior.model_copy(update={"positive": ("?",), "monotone": {"x": ("increasing in y",)}})
+    described = describe(TABLE, GIVEN.model_copy(update={"prior": prior})).split("\n")
+    assert described[-1] == "shape: dx/dt: positive; increasing in y"
+
+
 def test_an_outline_for_programs_has_given_equations_as_mathml_and_nothing_new_without_them():
     made = outline(TABLE, GIVEN).as_dict()
     first, second = made["equations"]

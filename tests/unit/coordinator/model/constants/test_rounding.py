@@ -8,11 +8,16 @@ import pytest
 from atoll_coordinator.model.constants.rounding import (
     Decision,
     Estimates,
+    FittedEquations,
     continuum_density,
     search_decisions,
     simple_numbers,
 )
 from atoll_coordinator.settings import SETTINGS
+from atoll_core.expression.restrictions import NONE, Restrictions
+from atoll_core.expression.shapes import read_shapes
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 
 ODDS = math.exp(SETTINGS.inference.distinct_nats)
 
@@ -184,3 +189,15 @@ def test_decisions_that_go_on_are_those_of_most_nats_whatever_their_order():
         inverse = np.linalg.inv(covariance[np.ix_(fixed, fixed)])
         expected = means[left] + covariance[np.ix_(left, fixed)] @ inverse @ moved
         assert decision.means == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("is_shaped", "expected"), [(False, "3.0 - x"), (True, "3.0012 - x")])
+def test_rounding_that_leaves_a_demanded_shape_is_not_accepted(is_shaped, expected):
+    """The equation is positive up to x = 3.0011 with the estimate, and not with the simple number."""
+    positive = Restrictions(shapes=read_shapes(["positive"], ["x"], ""), points=np.linspace(2.99, 3.0011, 20)[None])
+    program = from_infix("3.0012 - x", ["x"])
+    equations = FittedEquations(
+        [program], Estimates(np.array([3.0012]), np.array([[9e-6]])), [positive if is_shaped else NONE]
+    )
+    assert to_infix(equations.round_equations().programs[0], ["x"]) == expected
+    assert to_infix(equations.accept_simple_numbers(lambda _: 0.0)[0], ["x"]) == expected
