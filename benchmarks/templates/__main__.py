@@ -70,7 +70,7 @@ def _systems(options: Namespace) -> None:
 
 
 def _forecasts(options: Namespace) -> None:
-    systems = _SYSTEMS[options.kind]
+    systems = [one for one in _SYSTEMS[options.kind] if one in (options.cases or _SYSTEMS[options.kind])]
     wanted = [
         ForecastKey(system, noise, seed)
         for system in systems
@@ -96,6 +96,7 @@ def _forecasts(options: Namespace) -> None:
     option("--points", type=whole, nargs="+", default=list(POINTS), help="of glycolysis; default: all"),
     option("--noise", type=whole, nargs="+", default=list(NOISE), help="of glycolysis, in per cent; default: all"),
     option("--systems", choices=tuple(SYSTEMS), nargs="+", help="default: all"),
+    option("--cases", nargs="+", metavar="NAME", help="some of the jobs of one-column, tanks or emps; default: all"),
     option("--data", type=Path, metavar="DIR", help="folder of cascaded_tanks_train.csv, emps_train.csv"),
     seeds_of("1-5", "draws, such as 1-5 (1-5)"),
     workers(),

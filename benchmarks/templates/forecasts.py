@@ -3,11 +3,12 @@
 ``one column``: a damped oscillator, the van der Pol oscillator and the Lotka-Volterra equations, of which one column is
 given, searched with ``--hidden 1``. ``tanks``: cascaded tanks (Schoukens & Noël 2016, nonlinearbenchmark.org): the
 voltage of a pump is given, and the level of the lower tank is measured; of the 1,024 rows of the file for estimation
-the first 768 are given. They are searched with ``--hidden 1``, and with a template of two tanks whose outflows are
-unknown. ``emps``: an electro-mechanical positioning system (Janot, Gautier & Brunot 2019, nonlinearbenchmark.org): the
-force signal is given and the position is measured; the friction is unknown, and the velocity is a hidden state. Of the
-4,969 rows of the file the first 3,726 are given. A forecast begins at the simulated state of the last given row and
-uses no measured state after it.
+the first 768 are given. They are searched with ``--hidden 1``, and with templates of two tanks: with unknown outflows,
+with an unknown lower tank, and with square roots as outflows, where only numbers are fitted. ``emps``: an
+electro-mechanical positioning system (Janot, Gautier & Brunot 2019, nonlinearbenchmark.org): the force signal is given
+and the position is measured; the friction is unknown, and the velocity is a hidden state. Of the 4,969 rows of the file
+the first 3,726 are given. A forecast begins at the simulated state of the last given row and uses no measured state
+after it.
 """
 
 import csv
@@ -32,7 +33,17 @@ _GIVEN: Final = 0.75
 _FULL: Final = 10.0
 """Volts of the sensor at a full tank; higher forecasts count as full."""
 TANKS: Final = "cascaded_tanks_train.csv"
-TANK_WAYS: Final = ("--hidden 1", "template")
+BY_NUMBER: Final = "--hidden 1"
+TANK_TEMPLATES: Final[Mapping[str, tuple[Mapping[str, str], Mapping[str, tuple[float, float]]]]] = {
+    "template": ({"h": "k*u - ?1(h)", "y": "?1(h) - ?2(y)"}, {"k": (0.005, 1.0)}),
+    "template, lower tank unknown": ({"h": "k*u - ?1(h)", "y": "?2(h,u,y)"}, {"k": (0.005, 1.0)}),
+    "square roots given": (
+        {"h": "k*u - a*sqrt(h)", "y": "a*sqrt(h) - b*sqrt(y - c)"},
+        {"k": (0.005, 1.0), "a": (0.005, 1.0), "b": (0.005, 1.0), "c": (-5.0, 2.5)},
+    ),
+}
+"""Ways to search the tanks with given equations: their sides, and the bounds of their parameters."""
+TANK_WAYS: Final = (BY_NUMBER, *TANK_TEMPLATES)
 EMPS: Final = "emps_train.csv"
 EMPS_WAYS: Final = ("emps", "emps, + - * / abs tanh")
 """The drive with the default operators, and with those that friction may need."""
@@ -103,12 +114,13 @@ def request_of(key: ForecastKey, case: Case) -> tuple[Table, JobConfig]:
     inputs = tuple(case.inputs)
     if key.system in EMPS_WAYS:
         return table, _with_known_part(key, inputs)
-    if key.system != "template":
+    if key.system not in TANK_TEMPLATES:
         return table, configured(key.seed, {"hidden": ("1",), "inputs": inputs})
     config = configured(key.seed, operators=("+", "-", "*", "/", "sqrt"))
+    sides, bounds = TANK_TEMPLATES[key.system]
     prior = PriorConfig(
-        equations={"h": "k*u - ?1(h)", "y": "?1(h) - ?2(y)"},
-        parameters={"k": ParameterConfig(lower=0.005, upper=1.0)},
+        equations=dict(sides),
+        parameters={name: ParameterConfig(lower=lower, upper=upper) for name, (lower, upper) in bounds.items()},
         initial={"h": ParameterConfig(lower=0.0, upper=20.0)},
     )
     return table, config.model_copy(update={"prior": prior, "data": DataConfig(hidden=("h",), inputs=inputs)})

@@ -37,7 +37,7 @@ _DIGITS: Final = 12
 """Digits of the parameters, so that they do not depend on the last bits."""
 _FIRST: Final = 0.01
 """First value of the coefficients of a function that stands for an unknown part. They are not 0, so that a factor does
-not switch its term off."""
+not switch its term off. Along long trajectories they are smaller, so that no state grows by more than a few e-folds."""
 
 
 def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spread | None = None) -> Preparation:
@@ -154,7 +154,9 @@ def fit_course(preparation: Preparation, config: JobConfig, template: EquationTe
     """
     recording, dataset = preparation.recording, preparation.dataset
     assert recording is not None
-    slots = {unknown.home: linear_part(template, config, unknown.home) for unknown in template.unknowns}
+    duration = max(float(part.times[-1] - part.times[0]) for part in recording.trajectories)
+    first = min(_FIRST, 1.0 / duration)
+    slots = {unknown.home: linear_part(template, config, unknown.home, first) for unknown in template.unknowns}
     programs = [slots.get(name, ZERO) for name in dataset.variables]
     candidates = {name: CandidateSet(known=program) for name, program in zip(dataset.variables, programs, strict=True)}
     task = ModellingTask(dataset, recording, config, candidates, spread=spread)
@@ -215,14 +217,14 @@ def _along_trajectories(
     )  # fmt: skip
 
 
-def linear_part(template: EquationTemplate, config: JobConfig, equation: str) -> Program:
+def linear_part(template: EquationTemplate, config: JobConfig, equation: str, first: float = _FIRST) -> Program:
     """Return a linear function that stands for the unknown part of an equation: of the variables that the user named
     for it, else of the equation's own state. It has no constant term: with few rows, each further number makes the
-    minimum flatter."""
+    minimum flatter. Its coefficients are multiples of `first`."""
     named = config.space.variables_of.get(equation)
     symbols = named if named is not None else (_own_symbol(template, equation),)
     terms: list[Expression] = [(VARIABLE, template.names.index(symbol)) for symbol in symbols]
-    return sum_of(terms, [_FIRST * (place + 1) for place, _ in enumerate(terms)])
+    return sum_of(terms, [first * (place + 1) for place, _ in enumerate(terms)])
 
 
 def _own_symbol(template: EquationTemplate, equation: str) -> str:

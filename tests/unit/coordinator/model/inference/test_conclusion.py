@@ -145,9 +145,10 @@ def test_distinct_rows_are_counted_in_the_variables_of_the_equation(text, rows):
         measured=np.array([resting, np.arange(10.0)]),
     )  # fmt: skip
     checks = object.__new__(trajectory_checks.TrajectoryChecks)
-    final = SimpleNamespace(task=SimpleNamespace(dataset=SimpleNamespace(names=names)))
+    recording = SimpleNamespace(observed=())
+    final = SimpleNamespace(task=SimpleNamespace(dataset=SimpleNamespace(names=names), recording=recording))
     shown = SimpleNamespace(program=from_infix(text, names))
-    vars(checks).update(measurements=measurements, final=final, index=0, shown=shown)
+    vars(checks).update(measurements=measurements, final=final, index=0, column=0, shown=shown)
     assert checks._count_distinct_rows() == rows
 
 
