@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.model.arguments import Given, inputs_along, recorded_inputs, require_inputs, start_of, times_of
-from atoll.model.equations import Parameter, numbers_of
-from atoll.model.given_sides import GivenSides
+from atoll.model.equations import Parameter, numbers_of, observation_text
+from atoll.model.given_sides import GivenSides, program_of
 from atoll.model.simulation import state_sizes
 from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_core import VERSION
@@ -56,6 +56,20 @@ class ExportedState:
 
 
 @dataclass(frozen=True, eq=False)
+class ExportedColumn:
+    """A measured `column` that is computed from states: its `value`; its `unit`."""
+
+    column: str
+    unit: str
+    value: Formula
+
+    @property
+    def name(self) -> str:
+        """The name by which it is known; a space keeps it apart from the names of variables."""
+        return f"column {self.column}"
+
+
+@dataclass(frozen=True, eq=False)
 class ExportedInput:
     """A variable without an equation.
 
@@ -83,7 +97,7 @@ class Description:
     For order 2, `states` has the positions, then the velocities. For a process dx = f dt + g dW, `covariance` has the
     entries of g gᵀ by row and column. A regression has a `value` and no states. `constants` are the constants with a
     name. `origin` has lines about the origin of the model. `zeros` has sentences about inputs that are set to 0 because
-    their values are not known.
+    their values are not known. `observed` are measured columns that are computed from states.
     """
 
     symbols: tuple[str, ...]
@@ -100,6 +114,7 @@ class Description:
     target: str
     origin: tuple[str, ...]
     zeros: tuple[str, ...]
+    observed: tuple[ExportedColumn, ...] = ()
 
     @property
     def variables(self) -> "tuple[ExportedState | ExportedInput, ...]":
@@ -169,6 +184,7 @@ def describe(
         target=model.equations[0].variable if model.is_regression else "",
         origin=_origin(model),
         zeros=() if model.is_regression else _zeros(inputs, without_tables),
+        observed=_observed(model),
     )
 
 
@@ -179,7 +195,20 @@ def _constants(model: "ModelCore") -> tuple[Parameter, ...]:
 
 
 def _parameter_names(model: "ModelCore") -> set[str]:
-    return {name for equation in model.equations if equation.given is not None for name in equation.given.parameters}
+    sides = [*(one.given for one in model.equations), *(one.given for one in model.result.observations)]
+    return {name for given in sides if given is not None for name in given.parameters}
+
+
+def _observed(model: "ModelCore") -> tuple[ExportedColumn, ...]:
+    """Return the measured columns that are computed from states."""
+    columns = []
+    for one in model.result.observations:
+        program = program_of(one, model.result.names)
+        places = constant_places(program)
+        parameters = {} if one.given is None else one.given.parameters
+        formula = Formula(program, {places[number]: name for name, number in parameters.items()})
+        columns.append(ExportedColumn(one.column, model.result.units.get(one.column, ""), formula))
+    return tuple(columns)
 
 
 def _is_named(constant: Parameter) -> bool:
@@ -276,4 +305,5 @@ def _origin(model: "ModelCore") -> tuple[str, ...]:
         lines.append(f"  {equation}")
         if equation.verdict is not None:
             lines.append(f"    {equation.verdict}: {equation.reason}")
+    lines += [f"  {observation_text(one, result.names)}" for one in result.observations]
     return tuple(lines)

@@ -59,10 +59,12 @@ def as_sympy(result: Result) -> str:
 
     Parameters of given sides are symbols too; a dictionary ``parameters`` has their values.
     """
+    sides = [(one.given, one.constants) for one in result.equations]
+    sides += [(one.given, one.constants) for one in result.observations]
     parameters = {
-        name: equation.constants[place].value
-        for equation in result.equations
-        for name, place in (equation.given.parameters if equation.given is not None else {}).items()
+        name: constants[place].value
+        for given, constants in sides
+        for name, place in (given.parameters if given is not None else {}).items()
     }
     names = (*result.names, *parameters)
     remark = remark_on_groups(result)
@@ -75,6 +77,10 @@ def as_sympy(result: Result) -> str:
             parsed = f"sympy.parse_expr({expression!r}, local_dict=symbols)"
             lines.append(f"    {equation.lhs!r}: {parsed},")
     lines.append("}")
+    if result.observations:
+        texts = {one.column: to_infix(*with_parameter_names(one, result.names)) for one in result.observations}
+        parsed = ", ".join(f"{name!r}: sympy.parse_expr({text!r}, local_dict=symbols)" for name, text in texts.items())
+        lines.append(f"observations = {{{parsed}}}  # measured columns that are computed from states")
     if parameters:
         values = ", ".join(f"symbols[{name!r}]: {value!r}" for name, value in parameters.items())
         lines.append(f"parameters = {{{values}}}  # equations[...].subs(parameters)")
@@ -108,6 +114,17 @@ def latex_lines(result: Result) -> list[str]:
         fitted = equation.constants if given is None else given.constants
         constants = ",\\; ".join(map(_constant_latex, constant_words(fitted)))
         lines += [rf"&\quad \text{{constants: }} {constants}"] if constants else []
+    for one in result.observations:
+        side, words = named_side(one, names), given_words(one, names)
+        left = left_side_to_latex(one.column, is_name=True)
+        if side is None or words is None:
+            lines.append(f"{left} &= {to_latex(from_infix(one.expression, names), names)}")
+            continue
+        lines.append(f"{left} &= {to_latex(side.program, side.variables, is_given=True)}")
+        values = ",\\; ".join(
+            f"{name_to_latex(name)} = {_constant_latex(known)}" for name, known in words.parameters.items()
+        )
+        lines += [rf"&\quad {values}"] if values else []
     return lines
 
 

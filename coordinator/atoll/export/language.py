@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from atoll.export.description import Description, ExportedInput, ExportedState, Formula
+from atoll.export.description import Description, ExportedColumn, ExportedInput, ExportedState, Formula
 from atoll.model.equations import Parameter
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import SQRT
@@ -237,10 +237,11 @@ class Wording:
         wanted = {variable.name: variable.name for variable in model.variables}
         wanted |= {f"constant {constant.name}": constant.name for constant in model.constants}
         wanted |= {f"noise {name}": name for name in noise}
+        wanted |= {one.name: one.column for one in model.observed}
         self._names = language.naming.assign(wanted)
         self._names |= {variable.name: language.time for variable in model.inputs if variable.kind == "time"}
 
-    def __getitem__(self, named: ExportedState | ExportedInput | Parameter) -> str:
+    def __getitem__(self, named: ExportedState | ExportedInput | ExportedColumn | Parameter) -> str:
         """Return the name of a variable or a constant."""
         return self.constant(named.name) if isinstance(named, Parameter) else self._names[named.name]
 
@@ -260,7 +261,7 @@ class Wording:
         error = "" if constant.stderr is None else f"standard error {constant.stderr:.2g}"
         return self._quote(", ".join(part for part in (unit, error) if part))
 
-    def about(self, variable: ExportedState | ExportedInput) -> str:
+    def about(self, variable: ExportedState | ExportedInput | ExportedColumn) -> str:
         """Return column and unit of a variable."""
         unit = f" [{harmless(variable.unit)}]" if variable.unit else ""
         return self._quote(f"column {harmless(variable.column)}{unit}")
@@ -275,6 +276,7 @@ class Wording:
         model, language = self.model, self.language
         named = [(self[each], each.column, f"column '{each.column}'") for each in model.variables]
         named += [(self[each], each.name, f"constant {each.name}") for each in model.constants]
+        named += [(self[each], each.column, f"column '{each.column}'") for each in model.observed]
         renamed = [f"  {name} is the {text}" for name, wanted, text in named if name != wanted]
         lines = [
             *model.origin,
@@ -305,6 +307,10 @@ class Wording:
         return {
             "states": self._states,
             "comma_of_one": "," if len(model.states) == 1 else "",
+            "observed": [
+                {"name": self[one], "about": self.about(one), "place": place, "value": self.expression(one.value)}
+                for place, one in enumerate(model.observed)
+            ],
             "constants": constants,
             "held": held,
             "parameters": [{**parameter, "place": place} for place, parameter in enumerate(parameters)],

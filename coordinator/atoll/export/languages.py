@@ -11,7 +11,7 @@ from atoll.export.language import Language, Naming
 from atoll_core.expression.operators import ABS, LOG, SQRT
 from atoll_core.expression.text.infix import Notation
 
-_PYTHON_WORDS: Final = "np sys t along parameters rates noise simulate main value PARAMETERS SIZES"
+_PYTHON_WORDS: Final = "np sys t along parameters rates noise observe simulate main value PARAMETERS SIZES"
 
 PYTHON: Final = Language(
     name="Python",
@@ -75,6 +75,18 @@ $for tables:    $name = along(TABLE_$name, UNTIL_$name, t)
     return np.array([
 $for states:        $rate,  # $name
     ])
+$if observed:
+
+
+def observe(t, x, parameters=PARAMETERS):
+    """Return the measured columns that are computed from a state x (D,) at time t."""
+    (<<states|$name>>$comma_of_one) = x
+$for parameters:    $name = parameters['$name']
+$for tables:    $name = along(TABLE_$name, UNTIL_$name, t)
+    return np.array([
+$for observed:        $value,  # $name
+    ])
+$end
 $if process:
 
 
@@ -182,7 +194,7 @@ _C_WORDS: Final = (
     "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
     "bool true false asm typeof nullptr constexpr main errno stdin stdout stderr NULL EOF INFINITY NAN HUGE_VAL "
     "isnan isfinite sin cos tan exp log sqrt fabs tanh pow fmin fmax exit printf fprintf strtod strtol t state rate "
-    "rates simulate along parameters value SIZE sizes"
+    "rates observe column simulate along parameters value SIZE sizes"
 )
 _C_MACROS: Final = (
     "BIG_ENDIAN BUFSIZ BYTE_ORDER EXIT_FAILURE EXIT_SUCCESS FD_SETSIZE FILENAME_MAX FOPEN_MAX FP_ILOGB0 FP_ILOGBNAN "
@@ -274,6 +286,19 @@ $for states:    (void)($name);
 $for states:    rate[$place] = $rate;
 }
 
+$if observed:
+// the measured columns that are computed from a state at time t
+void observe(double t, const double state[SIZE], double column[$observed])
+{
+$for states:    const double $name = state[$place];
+$for parameters:    const double $name = parameters[$place];
+$for tables:    const double $name = along(table_$name, $cubics, $until, t);
+    (void)(t);
+$for states:    (void)($name);
+$for observed:    column[$place] = $value; // $about
+}
+
+$end
 // The pair of orders 5 and 4 of Dormand and Prince (1980).
 static const double nodes[7] = {0, 1.0 / 5, 3.0 / 10, 4.0 / 5, 8.0 / 9, 1, 1};
 static const double weights[7][6] = {
@@ -439,6 +464,8 @@ $end
 equations = [
 $for states,:    D($name) ~ $rate<<terms| + $root*$factor|>>
 ]
+$for observed:@variables $name(t)  # $about
+$for observed:push!(equations, $name ~ $value)
 @named system = System(equations, t)
 model = mtkcompile(system)
 
@@ -467,7 +494,7 @@ _MATLAB_WORDS: Final = (
     "spmd switch try while do until endif endfor endfunction endwhile unwind_protect end_try_catch properties "
     "methods events enumeration arguments ans pi eps inf Inf nan NaN i j e nargin nargout varargin varargout true "
     "false sin cos tan cot exp reallog realsqrt realpow abs tanh atoll_model last rates along t state rate "
-    "options table times ppval mkpp linspace ode45 odeset fprintf numel min max value isempty clear"
+    "options observe column table times ppval mkpp linspace ode45 odeset fprintf numel min max value isempty clear"
 )
 
 MATLAB: Final = Language(
@@ -510,6 +537,18 @@ $for tables:    $name = along_$name(t);
 $for states:        $rate;
     ];
 end
+$if observed:
+
+function column = observe(t, state)  % the measured columns that are computed from a state at time t
+$for states:    $name = state($number); % $about
+$for constants:    $name = $value;$remark
+$for held:    $name = $value; % input
+$for tables:    $name = along_$name(t);
+    column = [
+$for observed:        $value; % $about
+    ];
+end
+$end
 $for tables:
 
 function value = along_$name(t)  % cubic between the times of a table, constant before and after
@@ -570,9 +609,11 @@ $for constants:  parameter Real $name = $value$remark;
 $for held:  parameter Real $name = $value "input, $about";
 $for tables:  Real $name "input, $about";
 $for states:  Real $name(start = $start, fixed = true, nominal = $nominal) "$about";
+$for observed:  Real $name "$about";
 equation
 $for tables:  $name = along_$name(time);
 $for states:  der($name) = $rate;
+$for observed:  $name = $value;
   annotation(experiment(StartTime = $first_time, StopTime = $last_time, Interval = $step, Tolerance = 1e-12));
 end AtollModel;
 """,
@@ -609,6 +650,7 @@ $for states:wiener $normal
 $for noise:$name=$expression
 $end
 $for states:$name'=$rate<<terms| + $root*$factor|>>
+$for observed:aux $name=$value
 $if process:@ t0=$first_time, total=$duration, dt=$substep, njmp=100, meth=euler
 $unless process:@ t0=$first_time, total=$duration, dt=$step, meth=83dp, tol=1e-12, atol=$least
 @ maxstor=$reserved_rows, bounds=1e10

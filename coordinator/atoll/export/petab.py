@@ -14,14 +14,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from atoll.export.description import Description, ExportedState, describe
+from atoll.export.description import Description, ExportedColumn, ExportedState, describe
 from atoll.export.formats import require_support
 from atoll.export.language import Wording
 from atoll.export.sbml import SBML, start_name
 from atoll.model.arguments import Columns, column, has, measured_conditions, read_columns, rows_of, values_of_curve
 from atoll.model.equations import Parameter
+from atoll_coordinator.model.template.hidden_states import initial_values
 from atoll_coordinator.result.findings import Errors, Noise
 from atoll_coordinator.result.listed_trajectories import Recorded
+from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
@@ -106,7 +108,11 @@ def _recorded_trajectories(model: "ModelCore") -> list[PetabTrajectory]:
             start, first = conditions.start, int(np.searchsorted(times, conditions.times[0]))
         recorded = part.inputs if isinstance(part, Recorded) else {}
         values, inputs = (
-            {symbols[name]: values_of_curve(curve)[first:] for name, curve in curves.items()}
+            {
+                symbols.get(name, name): values_of_curve(curve)[first:]
+                for name, curve in curves.items()
+                if name not in model.result.hidden
+            }
             for curves in (part.measured, recorded)
         )
         named = {symbols[name]: np.nan if value is None else value for name, value in start.items()}
@@ -122,6 +128,7 @@ def _read_trajectories(model: "ModelCore", data: Sequence[Columns]) -> list[Peta
     columns, trajectories = model.result.columns_by_symbol, []
     for number, part in enumerate((read_columns(model, part) for part in data), start=1):
         times, values, start = rows_of(model, part)
+        values |= {name: column(part, name) for name in model.observed.programs if has(part, name)}
         first = tuple(start[name] for name in model.states)
         inputs = {name: column(part, columns[name]) for name in model.inputs if has(part, columns[name])}
         trajectories.append(PetabTrajectory(str(number), times, values, first, inputs))
@@ -130,14 +137,16 @@ def _read_trajectories(model: "ModelCore", data: Sequence[Columns]) -> list[Peta
 
 class _Tables:
     def __init__(self, model: "ModelCore", description: Description, trajectories: Sequence[PetabTrajectory]) -> None:
-        self._description = description
+        self._model, self._description = model, description
         self._words = Wording(description, SBML)
         self._trajectories = trajectories
         self._starts = [start_name(self._words, state) for state in description.states]
+        self._initial = {name: (low, high) for name, low, high in initial_values(_config_of(model))}
+        measured: list[ExportedState | ExportedColumn] = [*description.states, *description.observed]
         self._measured = {
-            state: np.concatenate([part.values[state.name] for part in trajectories if state.name in part.values])
-            for state in description.states
-            if any(state.name in part.values for part in trajectories)
+            state: np.concatenate([part.values[_key(state)] for part in trajectories if _key(state) in part.values])
+            for state in measured
+            if any(_key(state) in part.values for part in trajectories)
         }
         self._errors = {
             self._words[state]: _errors(model, state, self._words[state], values)
@@ -168,7 +177,7 @@ class _Tables:
         for number, part in enumerate(self._trajectories, start=1):
             times = (part.times - part.times[0]).tolist()
             for state in self._measured:
-                values = part.values[state.name].tolist() if state.name in part.values else ()
+                values = part.values[_key(state)].tolist() if _key(state) in part.values else ()
                 for time, value in zip(times, values, strict=False):
                     if math.isfinite(value):
                         yield f"observable_{self._words[state]}", f"trajectory_{number}", value, time
@@ -186,22 +195,42 @@ class _Tables:
             for state, start, value in zip(self._description.states, self._starts, part.start, strict=True):
                 reach = self._range(state)
                 title = f"initial {state.column} of {part.name}"
-                yield f"{start}_{number}", title, "lin", value - reach, value + reach, value, 1
-        for state in self._measured:
-            name = self._words[state]
+                low, high = self._initial.get(state.column, (-math.inf, math.inf))
+                is_given = low == high
+                low = low if math.isfinite(low) and not is_given else value - reach
+                high = high if math.isfinite(high) and not is_given else value + reach
+                yield f"{start}_{number}", title, "lin", low, high, value, int(not is_given)
+        for each in self._measured:
+            name = self._words[each]
             sd, _ = self._errors[name]
-            yield f"sd_{name}", f"errors of {state.name}", "log10", sd / _REACH, sd * _REACH, sd, 1
+            yield f"sd_{name}", f"errors of {_key(each)}", "log10", sd / _REACH, sd * _REACH, sd, 1
 
     def _range(self, state: ExportedState) -> float:
-        """Return the range of a state in all trajectories; for an unmeasured state, the range of all slopes."""
+        """Return the range of a state in all trajectories; for a hidden state, the range of its simulations; for
+        another unmeasured state, the range of all slopes."""
         values = self._measured.get(state)
+        curves = [(part.values or {}).get(state.column) for part in self._model.result.simulated]
+        if values is None and state.column in self._model.result.hidden and any(curves):
+            values = np.concatenate([values_of_curve(curve) for curve in curves if curve])
         if values is None:
             parts = [(part.times, curve) for part in self._trajectories for curve in part.values.values()]
             values = np.concatenate([np.gradient(curve, times) for times, curve in parts])
         return float(np.nanmax(values) - np.nanmin(values)) or 1.0
 
 
-def _errors(model: "ModelCore", state: ExportedState, name: str, values: FloatArray) -> tuple[float, str]:
+def _config_of(model: "ModelCore") -> JobConfig:
+    result = model.result
+    return JobConfig.model_validate({"preset": result.preset or "default", **result.config})
+
+
+def _key(state: ExportedState | ExportedColumn) -> str:
+    """Return the name of a state or an observed column in the values of a trajectory."""
+    return state.column if isinstance(state, ExportedColumn) else state.name
+
+
+def _errors(
+    model: "ModelCore", state: ExportedState | ExportedColumn, name: str, values: FloatArray
+) -> tuple[float, str]:
     """Return the standard deviation of the measurement errors of a state, and the noise formula of PEtab.
 
     A share of the variance may be proportional to the square of the state over the mean square of its measured values.

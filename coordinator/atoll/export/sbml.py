@@ -199,6 +199,9 @@ def _parameters(words: Wording, units: UnitDefinitions, has_start_parameters: bo
         value, constant = (repr(variable.value), "true") if variable.kind == "value" else ("", "false")
         note, unit = f"input, {words.about(variable)}", units.of(variable.unit)
         yield _parameter(words[variable], variable.column, value, unit, note, constant=constant)
+    for one in model.observed:
+        note = f"computed from states, {words.about(one)}"
+        yield _parameter(words[one], one.column, "", units.of(one.unit), note, constant="false")
 
 
 def _parameter(name: str, title: str, value: str, unit: str, *notes: str, constant: str = "true") -> Values:
@@ -215,6 +218,8 @@ def _rules(words: Wording, has_start_parameters: bool) -> Iterator[Values]:
     symbols = [elements.get(name, time) for name in model.symbols]
     for state in model.states:
         yield {"kind": "rateRule", "id": words[state], "math": _math(_expression(state.rate, symbols, words))}
+    for one in model.observed:
+        yield {"kind": "assignmentRule", "id": words[one], "math": _math(_expression(one.value, symbols, words))}
 
 
 def _math(content: str) -> str:

@@ -286,21 +286,22 @@ class NamedSide(NamedTuple):
         return self.names[: len(self.names) - len(self.parts)]
 
 
-def named_side(equation: Equation, names: Sequence[str]) -> NamedSide | None:
+def named_side(equation: Equation | Observation, names: Sequence[str]) -> NamedSide | None:
     """Return the side of an equation as the user wrote it; None if the user did not give it."""
     given = equation.given
     if given is None:
         return None
     declared = {name: TemplateParameter(name) for name in given.parameters}
-    template = read_template({equation.variable: given.text}, declared, names)
+    home = equation.variable if isinstance(equation, Equation) else equation.column
+    template = read_template({home: given.text}, declared, names)
     before = [*names, *(one.name for one in template.parameters)]
     found = {part.label: _part_program(part.program, part.expression, names) for part in given.unknowns}
     parts = {len(before) + place: found[one.label] for place, one in enumerate(template.unknowns)}
     labels = [one.label for one in template.unknowns]
-    return NamedSide(template.sides[equation.variable], (*before, *labels), parts)
+    return NamedSide(template.sides[home], (*before, *labels), parts)
 
 
-def with_parameter_names(equation: Equation, names: Sequence[str]) -> tuple[Program, tuple[str, ...]]:
+def with_parameter_names(equation: Equation | Observation, names: Sequence[str]) -> tuple[Program, tuple[str, ...]]:
     """Return a right-hand side with its parameters as variables, and the names of all variables."""
     program, given = program_of(equation, names), equation.given
     if given is None:
