@@ -120,6 +120,28 @@ def test_a_hidden_state_whose_scale_is_free_is_never_good():
     assert check(refinement, "p", "constants").outcome == "failed"
 
 
+def absorbed(observed, parameters):
+    """Return the refinement of a drug that is absorbed, of which a concentration is measured."""
+    gut = Known(("g", "y"), lambda _, z: [-2.0 * z[0], 2.0 * z[0] - 0.4 * z[1]])
+    made = without(table(gut, ([10.0, 0.0],), DAYS, noise=0.01), "g")
+    data = DataConfig(hidden=("g", "c"), observe={"y": observed})
+    initial = {"g": ParameterConfig(start=10.0), "c": ParameterConfig(start=0.0)}
+    ranges = {name: ParameterConfig(lower=0.05, upper=20.0) for name in parameters}
+    return refined(made, {"g": "-ka*g", "c": "ka*g - ke*c"}, ranges, data=data, initial=initial)
+
+
+def test_a_second_solution_that_fits_as_well_is_never_good():
+    refinement = absorbed("c/V", ("ka", "ke", "V"))  # ka and ke may be exchanged, with another volume
+    assert set(grades(refinement).values()) == {"doubtful"}
+    assert check(refinement, "c", "starting values").outcome == "failed"
+
+
+def test_parameters_of_a_computed_column_are_checked():
+    refinement = absorbed("a*c/b", ("ka", "ke", "a", "b"))  # only the ratio of a and b is determined
+    assert set(grades(refinement).values()) == {"doubtful"}
+    assert check(refinement, "g", "constants").outcome == "failed"
+
+
 def test_equal_seeds_give_equal_bits_with_hidden_states():
     made = without(table(DRUG, ([10.0, 0.0],), DAYS, noise=0.01), "p")
     first, second = (refined(made, DRUG_SIDES, RATES, data=HIDDEN) for _ in range(2))
