@@ -290,13 +290,28 @@ class _ProfileSide:
                 return points[1:], points[-1].value, True
             points.append(point)
             if point.root >= self._quantile:
-                inside, end = self._locate_end(points)
-                return [*points[1:-1], *inside, point], end, False
+                inside, end, outside = self._locate_end(points)
+                nearer = self._missed_minimum([*points[:-1], *inside], outside)
+                if nearer is None:
+                    return [*points[1:-1], *inside, point], end, False
+                points = [*points[:-1], *inside, nearer]
+                continue
             if abs(point.value - start.value) >= FARTHEST * self._size:
                 break
             gain = (point.root - points[-2].root) / step
             step = min(max(aim / gain, step / _GROWTH) if gain > 0.0 else math.inf, _GROWTH * step)
         return points[1:], self._direction * math.inf, False
+
+    def _missed_minimum(self, points: list[_ProfilePoint], outside: float) -> _ProfilePoint | None:
+        """Return the point at the value `outside`, fitted again from `points`, if the first fit missed the minimum;
+        else None.
+
+        Then the deviance jumps: no value was found at which its root is the quantile.
+        """
+        if points[-1].root >= (1.0 - _END_ERROR) * self._quantile:
+            return None
+        nearer = self._point(points, outside)
+        return nearer if nearer is not None and nearer.root < self._quantile else None
 
     def _next(self, points: list[_ProfilePoint], step: float) -> tuple[_ProfilePoint | None, float]:
         step = min(step, abs(self._bound - points[-1].value))
@@ -333,8 +348,9 @@ class _ProfileSide:
         moved = constants + share * (constants - before.fit.system.values)
         return moved, starts + share * (starts - before.fit.starts)
 
-    def _locate_end(self, points: list[_ProfilePoint]) -> tuple[list[_ProfilePoint], float]:
-        """Return further points between the last two, and the value where the root of the deviance is the quantile."""
+    def _locate_end(self, points: list[_ProfilePoint]) -> tuple[list[_ProfilePoint], float, float]:
+        """Return further points between the last two, the value where the root of the deviance is the quantile, and the
+        nearest value beyond it."""
         *before, inside, outside = points
         points_between = list[_ProfilePoint]()
         near, far = inside.root - self._quantile, outside.root - self._quantile
@@ -354,7 +370,7 @@ class _ProfileSide:
                 points_between.append(middle)
                 near, far = middle.root - self._quantile, 0.5 * far
                 inside = middle
-        return points_between, 0.0 if abs(value) < self._size / FARTHEST else value
+        return points_between, 0.0 if abs(value) < self._size / FARTHEST else value, outside.value
 
 
 SLOPPY: Final = 1.0

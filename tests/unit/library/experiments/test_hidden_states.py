@@ -14,7 +14,8 @@ from atoll.experiments.suggestion import suggest
 from atoll_coordinator.result.result import Result
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
-from tests.unit.library.experiments.made import RATES, VOLUME, drug_course, two_compartments
+from tests.unit.library.experiments.made import RATES, VOLUME, drug_course, measured, two_compartments
+from tests.unit.library.model.results import given_entries, with_given
 
 NOISE = 0.02
 TRUTH = RATES | {"V": VOLUME}
@@ -151,3 +152,19 @@ def test_forecasts_of_hidden_states_begin_at_the_last_row(result: Result) -> Non
         volumes = found.draws[..., 0] / found.draws[..., 2]
         assert np.ptp(volumes, axis=1).max() < 1e-9  # each draw has one volume
         assert np.ptp(volumes[:, 0]) > 1e-3
+
+
+def test_a_free_scale_is_not_determined_although_profiles_take_large_steps() -> None:
+    """x'' = -4 x as dx/dt = a h, dh/dt = -b x with a hidden h: only the product a b is determined."""
+    times = np.linspace(0.0, 10.0, 101)
+    x = np.cos(2.0 * times) + np.random.default_rng(1).normal(0.0, 0.005, len(times))
+    sides = {"x": "a*h", "h": "-b*x"}
+    contents = measured(dict.fromkeys(sides, "1"), [(times, {"x": x, "h": x})], 0.005)
+    contents = with_given(contents, given_entries(sides, {}, {"a": 1.0, "b": 4.0}))
+    contents["system"] |= {"states": ["x"]}
+    del contents["data"]["trajectories"][0]["measured"]["h"]
+    del contents["noise"]["h"]
+    contents |= {"hidden": ["h"], "config": {"data": {"hidden": ["h"]}}}
+    profiled = identify(Result.of(contents))
+    assert {one.verdict.partition(" ")[2] for one in profiled.constants} == {"non-identifiable"}
+    assert "only a*b is determined, not a and b separately" in str(profiled)
