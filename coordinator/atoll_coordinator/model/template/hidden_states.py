@@ -20,6 +20,7 @@ from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import FoundMinima, Preparation, Recording, Trajectory
 from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.batches import Spread
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
@@ -41,10 +42,15 @@ _FIRST: Final = 0.01
 not switch its term off. Along long trajectories they are smaller, so that no state grows by more than a few e-folds."""
 
 
+_SHARE_OF_TIME: Final = 0.5
+"""Largest share of ``--max-time`` for fits from many starts; the search and refining need the rest."""
+
+
 def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spread | None = None) -> Preparation:
     """Return the preparation with the course of the hidden states; the preparation itself if there are none.
 
-    `config` is resolved; `spread` computes fits in threads or on workers.
+    `config` is resolved; `spread` computes fits in threads or on workers. With a time limit, no further starts are
+    tried after half of it.
 
     Raises:
         DataError: the system can be simulated from no start.
@@ -164,7 +170,9 @@ def fit_course(preparation: Preparation, config: JobConfig, template: EquationTe
     }
     programs = [slots.get(name, ZERO) for name in dataset.variables]
     candidates = {name: CandidateSet(known=program) for name, program in zip(dataset.variables, programs, strict=True)}
-    task = ModellingTask(dataset, recording, config, candidates, spread=spread)
+    limit = config.budget.max_time
+    deadline = None if limit is None else Deadline(_SHARE_OF_TIME * limit)
+    task = ModellingTask(dataset, recording, config, candidates, spread=spread, deadline=deadline)
     task = replace(task, piece=max(len(part.times) for part in recording.trajectories))
     comparison = task.make_comparison(task.measurements(task.variables), task.variables)
     system = comparison.system(programs)
