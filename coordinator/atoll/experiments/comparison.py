@@ -24,7 +24,7 @@ from atoll.experiments.fits import (
 )
 from atoll.experiments.suggestion import equations_text, which_of_two
 from atoll.model.core import ModelCore
-from atoll.model.equations import Parameter
+from atoll.model.equations import DisplayedEquation, Parameter, numbers_of
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.result.result import Result
 from atoll_core.data.table import Table
@@ -190,12 +190,17 @@ def _forms(first: ModelCore, second: ModelCore) -> dict[str, str]:
         elif (equation.given is None) is not (other.given is None):
             forms[equation.lhs] = "the same form; one of the models has parts that the user gave"
         else:
-            constants = [
-                [constant for constant in model.params.values() if constant.variable == equation.variable]
-                for model in (first, second)
-            ]
+            constants = [_constants_in(model, equation) for model in (first, second)]
             forms[equation.lhs] = f"the same form; {_difference(*constants)}"
     return forms
+
+
+def _constants_in(model: ModelCore, equation: DisplayedEquation) -> list[Parameter]:
+    """Return the constants of an equation, in order; for a given side also parameters that stand in other sides."""
+    if equation.given is None:
+        return [constant for constant in model.params.values() if constant.variable == equation.variable]
+    names = dict.fromkeys(one.name for one in numbers_of(model.result)[equation.variable])
+    return [model.params[name] for name in names if name in model.params]
 
 
 def _difference(first: Sequence[Parameter], second: Sequence[Parameter]) -> str:

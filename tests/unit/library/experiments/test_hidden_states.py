@@ -14,7 +14,7 @@ from atoll.experiments.suggestion import suggest
 from atoll_coordinator.result.result import Result
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
-from tests.unit.library.experiments.made import RATES, VOLUME, drug_course, measured, two_compartments
+from tests.unit.library.experiments.made import COMPARTMENTS, RATES, VOLUME, drug_course, measured, two_compartments
 from tests.unit.library.model.results import given_entries, with_given
 
 NOISE = 0.02
@@ -168,3 +168,11 @@ def test_a_free_scale_is_not_determined_although_profiles_take_large_steps() -> 
     profiled = identify(Result.of(contents))
     assert {one.verdict.partition(" ")[2] for one in profiled.constants} == {"non-identifiable"}
     assert "only a*b is determined, not a and b separately" in str(profiled)
+
+
+def test_forms_of_sides_with_parameters_of_other_sides_are_compared(result: Result) -> None:
+    sides = COMPARTMENTS | {"c": "-k10*c"}
+    other = Result.of(two_compartments(sides, {"k10": 0.4, "k12": 0.52, "k21": 0.25}))
+    forms = compare(result, other).forms
+    assert forms["dc/dt"] == "another form"
+    assert forms["dp/dt"].startswith("the same form; its constants agree within their errors, k12 by ")
