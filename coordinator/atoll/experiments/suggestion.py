@@ -343,8 +343,8 @@ def suggest(
     if result.hidden or result.observations:
         names = ", ".join((*result.hidden, *(one.column for one in result.observations)))
         raise UsageError(
-            f"experiments are only suggested for models whose states are all measured, but {names} are hidden or "
-            "computed from states; `coordinator analyse --identifiability` shows which constants are not determined"
+            "experiments are only suggested for models whose states are all measured; hidden or computed from states: "
+            f"{names}; `coordinator analyse --identifiability` shows which constants are not determined"
         )
     displayed = fit_displayed(measured_of(result, table), result)
     space = space_of(result, displayed.measured, request)

@@ -134,3 +134,8 @@ def test_what_is_proposed_can_be_said() -> None:
         advice = after(**outcome)  # type: ignore[arg-type]
         assert advice is not None
         assert parse(shlex.split(advice.partition("  # ")[0])[1:]).verb
+
+
+def test_after_doubtful_hidden_states_experiments_are_not_proposed() -> None:
+    text = after("doubtful", rivals=1, hidden=["x"]) or ""
+    assert text.startswith("coordinator analyse here --identifiability")
