@@ -198,19 +198,14 @@ def _factor(
     factors = found / values
     if not np.allclose(factors, factors[0], rtol=1e-9):
         return None, None
-    near = [
-        one for one in constants if one.get("value") is not None and abs(abs(one["value"]) - abs(factors[0])) < 1e-9
-    ]
-    interval = next((one.get("interval") for one in near if one.get("interval")), None)
-    if interval is None:
-        return float(factors[0]), None
-    low, high = sorted(math_sign(float(factors[0])) * abs(end) for end in interval)
-    return float(factors[0]), bool(low <= REST <= high)
-
-
-def math_sign(value: float) -> float:
-    """Return the sign of a number."""
-    return -1.0 if value < 0.0 else 1.0
+    factor = float(factors[0])
+    fitted = [one for one in constants if one.get("interval") and abs(abs(one["value"]) - abs(factor)) < 1e-9]
+    interval = next((one["interval"] for one in (*fitted, *implied) if one.get("interval")), None)
+    if interval is None or None in interval:
+        return factor, None
+    # a constant is written with or without the sign of its term
+    low, high = sorted(interval if sum(interval) * factor > 0.0 else [-end for end in interval])
+    return factor, bool(low <= REST <= high)
 
 
 def line(outcome: GlycolysisOutcome) -> str:
