@@ -186,7 +186,7 @@ def test_a_job_through_two_routers_one_of_which_is_killed_under_way_has_the_same
             assert {worker.worker for worker in client.workers() if worker.state != "lost"} == {"near", "far"}
             second = done(place, "coordinator", "serve", "--router", site, "--state", "two")
             assert second.returncode == 1
-            assert "a coordinator is there already" in second.stderr
+            assert "another coordinator already answers behind the router" in second.stderr
             health = done(place, "coordinator", "doctor", "--connect", site, "data.csv", "--state", ".")
             assert health.returncode == 0, health.stdout
     log = (place / "coordinator.log").read_text()

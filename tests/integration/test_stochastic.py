@@ -19,7 +19,7 @@ def test_drift_and_diffusion_are_found_with_intervals_an_ensemble_and_a_density(
         rows.append(1.0 + decay * (rows[-1] - 1.0) + spread * shock)
     lines = [f"{0.1 * number:.1f},{value:.9g}" for number, value in enumerate(rows)]
     (tmp_path / "data.csv").write_text("\n".join(["t,x", *lines]) + "\n")
-    options = ["--workers", "1", "--islands", "1", "--operators", "+,-,*", "--max-epochs", "2", "--out", "out"]
+    options = ["--workers", "1", "--islands", "1", "--operators", "+,-,*", "--out", "out"]
     ended = done(tmp_path, "coordinator", "run", "data.csv", "--stochastic", *options)
     assert ended.returncode == 0, ended.stderr
     assert "stationary density of x: " in ended.stdout
