@@ -21,6 +21,8 @@ from atoll_core.expression.program import variables_of
 
 _LEAST_REACHED: Final = 2
 """Fewest fits that must end at the best minimum: a minimum that is met once may be one of many."""
+_DOUBT_GIVEN_TERMS: Final = "a given term may be wrong or missing, so put ? in its place, or add ?"
+"""The advice if the residuals of given equations are larger than the noise: more rows would not help."""
 
 
 class TemplateChecks(TrajectoryChecks):
@@ -36,6 +38,21 @@ class TemplateChecks(TrajectoryChecks):
         by row (None: not known). `observed` are the columns that are computed from states."""
         super().__init__(final, long_run, index, shown, held_out_r2, equations)
         self.errors, self.observed = errors, observed
+
+    def check_no_equation(self) -> Finding | None:
+        """Check that the equation describes the rows better than no equation; see `check_residual_size` for advice."""
+        return self._doubt_given_terms(super().check_no_equation())
+
+    def check_residual_size(self) -> Finding | None:
+        """Check that the residuals are as large as the noise; if they are larger, doubt the given terms."""
+        return self._doubt_given_terms(super().check_residual_size())
+
+    def _doubt_given_terms(self, finding: Finding | None) -> Finding | None:
+        size, template = super().check_residual_size(), self.final.comparison.template
+        are_doubtful = template is not None and bool(template.sides) and size is not None and size.outcome == "failed"
+        if finding is None or finding.outcome != "failed" or not are_doubtful:
+            return finding
+        return finding._replace(advice=_DOUBT_GIVEN_TERMS)
 
     def check_hidden_state(self) -> Finding:
         """Check that the data determine the course of a hidden state."""

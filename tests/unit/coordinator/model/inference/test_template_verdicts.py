@@ -99,6 +99,14 @@ def test_what_the_data_do_not_support_is_never_good(sides, parameters, which):
     assert check(refinement, "v", which).outcome == "failed"
 
 
+def test_a_wrong_given_form_is_called_the_likely_reason():
+    made = table(PENDULUM, ([2.0, 0.0],), TIMES, noise=0.01)
+    refinement = refined(made, {"theta": "v", "v": "-g*theta - c*v"})
+    for equation in refinement.equations.values():
+        assert "given term may be wrong" in equation.reason, equation.reason
+        assert "easure more rows" not in equation.reason
+
+
 def test_a_hidden_state_follows_its_true_course():
     made = without(table(DRUG, ([10.0, 0.0],), DAYS, noise=0.01), "p")
     initial = {"p": ParameterConfig(start=0.0)}
