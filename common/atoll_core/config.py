@@ -178,7 +178,6 @@ class ParameterConfig(Frozen):
     lower: float | None = None
     upper: float | None = None
     start: float | None = None
-    by_group: bool = Field(default=False, description="each group of trajectories has its own value")
 
 
 class PriorConfig(Frozen):

@@ -48,16 +48,12 @@ _RESERVED: Final = frozenset({*FUNCTIONS.values(), "Abs", "tan", "cot", "pi"})
 
 @dataclass(frozen=True)
 class TemplateParameter:
-    """A named number of a template, with bounds; `start` is the value from which fits start, None: not given.
-
-    If `by_group`, each group of trajectories has its own value.
-    """
+    """A named number of a template, with bounds; `start` is the value from which fits start, None: not given."""
 
     name: str
     lower: float = -math.inf
     upper: float = math.inf
     start: float | None = None
-    by_group: bool = False
 
     @property
     def first_value(self) -> float:

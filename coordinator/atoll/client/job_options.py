@@ -20,7 +20,7 @@ MOST_WORKERS: Final = 1024
 """Maximum number of worker processes on one machine."""
 
 _ALL: Final = "*"
-_PARAMETER: Final = re.compile(r"(?P<name>[^\W\d]\w*)\s*(?:=\s*(?P<numbers>.*?))?\s*(?P<by>\bby\s+group)?", re.DOTALL)
+_PARAMETER: Final = re.compile(r"(?P<name>[^\W\d]\w*)\s*(?:=\s*(?P<numbers>.*))?", re.DOTALL)
 _NUMBERS: Final = re.compile(
     r"(?:(?P<start>\S+)\s+in\s+)?(?=.*\d)(?P<lower>\S*?)\s*(?<!\.)\.\.(?!\.)\s*(?P<upper>\S*)|(?P<only>\S+)"
 )
@@ -244,7 +244,7 @@ def _parameter(name: object, value: object, field: Field) -> tuple[str, dict[str
     if value is None:
         return _parameter_text(name, field)
     if isinstance(value, str):
-        return _parameter_text(f"{name} {value}" if value.strip().startswith("by") else f"{name}={value}", field)
+        return _parameter_text(f"{name}={value}", field)
     name, _ = _parameter_text(name, field)
     if isinstance(value, Mapping):
         bounds = _bounds(value.get("lower"), value.get("upper"), field)
@@ -257,18 +257,17 @@ def _parameter(name: object, value: object, field: Field) -> tuple[str, dict[str
 
 
 def _parameter_text(part: object, field: Field) -> tuple[str, dict[str, object]]:
-    """Return name and settings of a parameter in a text such as ``c=1 in 0.1..10 by group``."""
+    """Return name and settings of a parameter in a text such as ``c=1 in 0.1..10``."""
     line = text(part, field).strip()
     match = _PARAMETER.fullmatch(line)
     numbers = _NUMBERS.fullmatch(match["numbers"] or "") if match is not None else None
     if match is None or (numbers is None and match["numbers"] is not None):
         raise UsageError("%s must be of the form %s, but %r was given", field, _PARAMETER_FORMS, line)
-    settings: dict[str, object] = {"by_group": True} if match["by"] else {}
-    if numbers is not None:
-        start = numbers["start"] or numbers["only"]
-        settings |= {"start": number(start, field)} if start else {}
-        settings |= _bounds(numbers["lower"] or None, numbers["upper"] or None, field)
-    return match["name"], settings
+    if numbers is None:
+        return match["name"], {}
+    start = numbers["start"] or numbers["only"]
+    bounds = _bounds(numbers["lower"] or None, numbers["upper"] or None, field)
+    return match["name"], {"start": number(start, field), **bounds} if start else bounds
 
 
 def _bounds(lower: object, upper: object, field: Field) -> dict[str, object]:
@@ -393,8 +392,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option(
             "parameter", "prior.parameters", parameters, '"c=1 in 0.1..10"',
-            "start value, bounds, or both, of a parameter in --equation (also c=1, c=0.., c=..10); 'by group' at the "
-            "end: each group has its own value", is_repeatable=True,
+            "start value, bounds, or both, of a parameter in --equation (also c=1, c=0.., c=..10)", is_repeatable=True,
         ),
         Option(
             "initial", "prior.initial", parameters, "h=0..10",

@@ -173,9 +173,8 @@ def _describe(parameter: TemplateParameter, unit: Unit | None) -> str:
         bounds = "" if math.isinf(upper) else f"at most {upper:g}, "
     else:
         bounds = f"at least {lower:g}, " if math.isinf(upper) else f"{lower:g} to {upper:g}, "
-    groups = ", for each group of trajectories" if parameter.by_group else ""
     name = parameter.name if unit is None else f"{parameter.name} [{unit}]"
-    return f"{name}: {bounds}beginning at {parameter.first_value:g}{groups}"
+    return f"{name}: {bounds}beginning at {parameter.first_value:g}"
 
 
 def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> str:

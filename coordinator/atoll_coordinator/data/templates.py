@@ -37,7 +37,6 @@ def parameters_of(given: Mapping[str, ParameterConfig]) -> dict[str, TemplatePar
             -math.inf if one.lower is None else one.lower,
             math.inf if one.upper is None else one.upper,
             one.start,
-            one.by_group,
         )
         for name, one in given.items()
     }
@@ -132,9 +131,5 @@ def check_initial_values(config: JobConfig, variables: Sequence[str]) -> None:
         upper = math.inf if one.upper is None else one.upper
         if lower > upper:
             raise UsageError(f"--initial for '{name}' has the bounds {lower:g}..{upper:g}; write the smaller one first")
-        if one.by_group:
-            raise UsageError(
-                f"--initial for '{name}' is 'by group', which is possible for parameters only; leave it out"
-            )
         if one.start is not None and not lower <= one.start <= upper:
             raise UsageError(f"--initial for '{name}' is {one.start:g}, outside of its bounds; change one of them")

@@ -338,8 +338,8 @@ function asTexts(name, value) {
   });
 }
 /** Returns start value and bounds of a parameter as its option has them, such as =1 in 0.1..10. */
-function parameterText({ start, lower, upper, by_group: isByGroup }) {
+function parameterText({ start, lower, upper }) {
   const bounds = lower === undefined && upper === undefined ? [] : [`${lower ?? ""}..${upper ?? ""}`];
   const numbers = [...(start === undefined ? [] : [start]), ...bounds].join(" in ");
-  return `${numbers && `=${numbers}`}${isByGroup ? " by group" : ""}`;
+  return numbers && `=${numbers}`;
 }

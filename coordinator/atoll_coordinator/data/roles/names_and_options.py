@@ -182,9 +182,6 @@ def check_given_equations(config: JobConfig) -> None:
         if one.start is not None and not lower <= one.start <= upper:
             inside = f"outside its bounds {lower:g} to {upper:g}"
             raise UsageError(f"%s {name}: the start value {one.start:g} is {inside}", Field("parameter"))
-        if one.by_group and data.group is None and not data.per_trajectory:
-            groups = (Field("parameter"), Field("group"), Field("per_trajectory"))
-            raise UsageError(f"%s {name} differs between groups, but there are none; add %s or %s", *groups)
     _check_number_of_hidden_states(config)
     if not prior.equations:
         if prior.parameters:

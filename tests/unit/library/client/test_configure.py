@@ -6,7 +6,6 @@ import pytest
 
 from atoll.cli.parser import job_id, parse
 from atoll.cli.request import config_of as configure
-from atoll.client.job_options import OPTIONS
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, PRESETS, JobConfig, ParameterConfig
 from atoll_core.errors import UsageError
 
@@ -113,16 +112,6 @@ def test_a_job_file_may_hold_what_is_known_beforehand(tmp_path: Path) -> None:
 def test_a_parameter_has_a_start_value_bounds_or_both(text: str, expected: dict[str, float]) -> None:
     config = configure(parse(["run", "data.csv", "--equation", "dx = c*x + ?", "--parameter", text]))
     assert config.prior.parameters == {"c": ParameterConfig(**expected)}
-
-
-def test_a_parameter_by_group_needs_groups() -> None:
-    line = ["run", "data.csv", "--equation", "dx = c*x", "--parameter", "c=1 in 0.. by group"]
-    assert OPTIONS["parameter"].decide(line[-1]) == {
-        "prior.parameters": {"c": {"by_group": True, "start": 1.0, "lower": 0.0}}
-    }
-    with pytest.raises(UsageError) as caught:
-        configure(parse(line))
-    assert "add --group or --per-trajectory" in caught.value.on_command_line
 
 
 def test_a_job_file_may_have_given_equations(tmp_path: Path) -> None:
