@@ -116,6 +116,17 @@ def test_units_of_unknown_parts_and_parameters_follow_from_the_units_of_the_colu
     assert plan.warnings == ()
 
 
+def test_an_observed_column_has_its_own_unit_and_no_unit_of_a_rate():
+    def planned(side):
+        data = DataConfig(units={"x": "m", "y": "V", "t": "s"}, observe={"y": side})
+        return outline(TABLE, JobConfig(prior=PriorConfig(equations={"dx": "-k*x"}), data=data))
+
+    assert planned("a*x + b").parameters[1:] == ("a [V/m]: beginning at 1", "b [V]: beginning at 1")
+    assert planned("a*x + b").warnings == ()
+    (warning,) = planned("x + b").warnings
+    assert "the term x has the unit m instead of the unit V" in warning
+
+
 def test_given_terms_with_impossible_units_are_a_warning():
     prior = PriorConfig(equations={"dx": "-k*x + exp(y)"})
     config = JobConfig(prior=prior, data=DataConfig(units={"x": "m", "y": "m", "t": "s"}))
