@@ -80,6 +80,13 @@ def test_of_a_given_equation_its_unknown_part_is_searched_and_its_parameters_are
     assert describe(TABLE, GIVEN).split("\n")[-2:] == ["given: dx/dt = -k*x + ?(y)", "given: dy/dt = c/2 - a*y"]
 
 
+def test_parameters_of_an_observed_column_may_have_bounds_without_given_equations():
+    prior = PriorConfig(parameters={"a": ParameterConfig(lower=2.0)})
+    assert outline(TABLE, JobConfig(prior=prior, data=DataConfig(observe={"y": "a*x"}))).parameters == (
+        "a: at least 2, beginning at 2",
+    )
+
+
 def test_demanded_shapes_are_described():
     prior = GIVEN.prior.model_copy(update={"positive": ("?",), "monotone": {"x": ("increasing in y",)}})
     described = describe(TABLE, GIVEN.model_copy(update={"prior": prior})).split("\n")
