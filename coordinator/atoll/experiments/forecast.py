@@ -20,8 +20,6 @@ measurement errors. For a stochastic process, the last row counts as exact, and 
 Letters: D states, U inputs, K offsets, P constants, N times, M draws, R rows.
 """
 
-import csv
-import io
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -33,10 +31,10 @@ import numpy as np
 
 from atoll.experiments.alternatives import WeightedSystem, alternatives_of
 from atoll.experiments.draws import draw_constants
-from atoll.experiments.fits import config_of, eigenaxes
+from atoll.experiments.fits import eigenaxes
 from atoll.experiments.states import KnownLaw, StateFit, cut, rounded_times
 from atoll.model.arguments import GivenInputs, InputFunctions, inputs_along, values_of_curve
-from atoll.model.core import ModelCore
+from atoll.model.core import ModelCore, config_of
 from atoll.model.simulation import MOST_NUMBERS, Inputs, ensemble_of
 from atoll.terminal.output import plain
 from atoll_coordinator.data.differentiation.inputs import InputCurve, estimate_input_slopes
@@ -47,7 +45,7 @@ from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, integrat
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
-from atoll_core.data.frames import FrameLibrary, frame_of
+from atoll_core.data.frames import FrameLibrary, csv_of, frame_of
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UsageError
 from atoll_core.expression.evaluation import values_of
@@ -212,8 +210,7 @@ class Forecast:
         found: dict[str, float | None] = {}
         for place, state in enumerate(self.states):
             wide = np.flatnonzero(~is_known[:, place])
-            end = float(self.t[max(int(wide[0]) - 1, 0)] - self.t[0]) if len(wide) else None
-            found[state] = end
+            found[state] = float(self.t[max(int(wide[0]) - 1, 0)] - self.t[0]) if len(wide) else None
         return found
 
     @property
@@ -272,12 +269,7 @@ class Forecast:
 
     def to_csv(self) -> str:
         """Return the columns as CSV; numbers have all digits."""
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        columns = self.columns()
-        writer.writerow(columns)
-        writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
-        return stream.getvalue()
+        return csv_of({name: values.tolist() for name, values in self.columns().items()})
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError without that library."""
@@ -389,12 +381,13 @@ def _central_range(values: FloatArray) -> FloatArray:
 
 
 def _last_window(law: KnownLaw, trajectory: TrajectoryMeasurements) -> StateFit | None:
-    """Return the law along the longest window of last rows that tells the last state.
+    """Return the law along the longest window of last rows that determines the last state well.
 
-    A window is twice as long as the previous one, as long as one simulation describes it as well as two. Errors of the
-    constants grow along a window, so a longer one may tell less. The constants were fitted to the same rows: the
-    variance of the sum of two such errors is at most twice the sum of their variances. So a shorter window is
-    certainly better only if its variance is less than half. With hidden states, the window is the whole trajectory.
+    A window is twice as long as the previous one, as long as one simulation describes it as well as two. Errors of
+    the constants grow along a window, so a longer window may determine it less. The constants were fitted to the
+    same rows: the variance of the sum of two such errors is at most twice the sum of their variances. So a shorter
+    window is certainly better only if its variance is less than half. With hidden states, the window is the whole
+    trajectory.
     """
     if trajectory.hidden:
         return law.fit_states(trajectory)
