@@ -154,6 +154,7 @@ def test_given_equations_of_a_job_are_given_again(stage: Stage) -> None:
         tab.get_by_text("search", exact=False).filter(has_text="options").first.click()
         tab.get_by_label("Given equations, with parameters").fill("dv/dt = -k*q + ?(v)\ndq/dt = v")
         tab.get_by_label("Parameters of given equations").fill("k=1 in 0.5..9")
+        tab.get_by_label("Initial values of states").fill("q=0.5..2")
         tab.get_by_text("k: 0.5 to 9, beginning at 1").wait_for()
         tab.get_by_role("button", name="Submit the job").click()
         tab.get_by_role("button", name="Open the report").wait_for()
@@ -162,6 +163,7 @@ def test_given_equations_of_a_job_are_given_again(stage: Stage) -> None:
         tab.get_by_text("search", exact=False).filter(has_text="options").first.click()
         assert tab.get_by_label("Given equations, with parameters").input_value() == "q=v\nv=-k*q + ?(v)"
         assert tab.get_by_label("Parameters of given equations").input_value() == "k=1 in 0.5..9"
+        assert tab.get_by_label("Initial values of states").input_value() == "q=0.5..2"
         assert tab.get_by_label("Initial guesses of equations").input_value() == ""
 
 

@@ -1,8 +1,10 @@
-"""Arrays from the data that Python users pass in, with missing entries marked, and polars or pandas frames for
+"""Arrays from the data that Python users pass in, with missing entries marked; polars or pandas frames and CSV for
 output."""
 
+import csv
 import importlib
-from collections.abc import Mapping
+import io
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
@@ -65,3 +67,12 @@ def frame_of(columns: Mapping[str, object], library: FrameLibrary = "polars") ->
         message = f'{library} is not installed; run: pip install {install}, or call to_frame("{other}")'
         raise UsageError(message) from None
     return frames.DataFrame(dict(columns))
+
+
+def csv_of(columns: Mapping[str, Iterable[object]]) -> str:
+    """Return columns (N,) of one length by name as CSV with a header; numbers have all digits."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    return stream.getvalue()

@@ -342,11 +342,10 @@ def read_template(
             twice in a side, a side has several unknowns of its own, or an unknown has the same number but other
             variables. The message is a sentence for the user.
     """
-    option = "--equation"
     found: dict[str, TemplateParameter] = {}
     labels: dict[str, _Occurrences] = {}
     for equation, text in sides.items():
-        what = f"--observe for '{equation}'" if equation in observed else f"{option} for '{equation}'"
+        what = option_for(equation, observed)
         if equation in observed and "?" in text:
             raise UsageError(f"{what} has an unknown part, which is possible in equations only; write a parameter")
         for name in _names_in(_without_unknowns(text, what)):
@@ -356,9 +355,9 @@ def read_template(
         for match in _UNKNOWN.finditer(text):
             label = f"?{match['number']}" if match["number"] else f"? of {equation}"
             occurrences = labels.setdefault(label, _Occurrences())
-            occurrences.add(equation, _arguments(match, names, f"{option} for '{equation}'"), f"{option}: {label}")
-    _check_used(parameters, found, names, option)
-    unknowns = _place_unknowns(labels, option)
+            occurrences.add(equation, _arguments(match, names, what), f"--equation: {label}")
+    _check_used(parameters, found, names)
+    unknowns = _place_unknowns(labels)
     letters = [_LETTER + unknown.label[1:].split(" ")[0] for unknown in unknowns]
     programs = {}
     for equation, text in sides.items():
@@ -370,17 +369,19 @@ def read_template(
             programs[equation] = from_infix(_with_letters(text), [*names, *found, *own])
         except UsageError as error:
             sentence = re.sub(f", {_LETTER}{_LETTER}\\d+", "", str(error)).replace(_LETTER, "?")
-            option = "--observe" if equation in observed else option
-            raise UsageError(f"{option} for '{equation}': {sentence}") from error
-        if len(programs[equation]) > MAX_NODES // 2:
-            most = MAX_NODES // 2
-            raise UsageError(
-                f"{option} for '{equation}' has {len(programs[equation])} parts; at most {most} are possible"
-            )
+            raise UsageError(f"{option_for(equation, observed)}: {sentence}") from error
+        parts, most = len(programs[equation]), MAX_NODES // 2
+        if parts > most:
+            raise UsageError(f"{option_for(equation, observed)} has {parts} parts; at most {most} are possible")
     return EquationTemplate(tuple(names), tuple(found.values()), unknowns, programs, dict(sides), tuple(observed))
 
 
-def _check_used(parameters: Collection[str], found: Collection[str], names: Sequence[str], option: str) -> None:
+def option_for(equation: str, observed: Collection[str]) -> str:
+    """Return the option that gives a side, with the name of its equation or `observed` column, for messages."""
+    return f"{'--observe' if equation in observed else '--equation'} for '{equation}'"
+
+
+def _check_used(parameters: Collection[str], found: Collection[str], names: Sequence[str]) -> None:
     """Refuse a parameter that occurs in no side."""
     unused = next((name for name in parameters if name not in found), None)
     if unused is None:
@@ -389,7 +390,7 @@ def _check_used(parameters: Collection[str], found: Collection[str], names: Sequ
         raise UsageError(f"--parameter {unused} has the name of a column; choose another name")
     known = ", ".join(found) or "none"
     raise UsageError(
-        f"--parameter {unused} occurs in no {option}; the parameters there are: {known}"
+        f"--parameter {unused} occurs in no --equation and no --observe; the parameters there are: {known}"
         f"{did_you_mean(unused, list(found))}"
     )
 
@@ -410,7 +411,7 @@ class _Occurrences:
             self.equations.append(equation)
 
 
-def _place_unknowns(labels: Mapping[str, _Occurrences], option: str) -> tuple[Unknown, ...]:
+def _place_unknowns(labels: Mapping[str, _Occurrences]) -> tuple[Unknown, ...]:
     """Return the unknowns; each has an equation as its home that is no other's home.
 
     Unknowns that occur in few equations choose first, so that a home is found wherever there is one (greedy matching
@@ -433,7 +434,7 @@ def _place_unknowns(labels: Mapping[str, _Occurrences], option: str) -> tuple[Un
         if not settle(label, set()):
             where = ", ".join(occurrences.equations)
             raise UsageError(
-                f"{option}: there are more unknown parts than equations that could determine them ({label} in {where}"
+                f"--equation: there are more unknown parts than equations that could determine them ({label} in {where}"
                 "); write one ? for each equation"
             )
     return tuple(

@@ -652,7 +652,7 @@ class Model(ModelCore):
 
     def _table(self, data: object) -> Table | None:
         """Return the user's measurements, read with the data settings of the fit; None for None."""
-        from atoll.experiments.fits import config_of
+        from atoll.model.core import config_of
 
         return None if data is None else table_of(data, config_of(self.result).data)
 

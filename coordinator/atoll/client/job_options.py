@@ -244,7 +244,7 @@ def _parameter(name: object, value: object, field: Field) -> tuple[str, dict[str
     if value is None:
         return _parameter_text(name, field)
     if isinstance(value, str):
-        return _parameter_text(f"{name} {value}" if value.strip().startswith("by") else f"{name}={value}", field)
+        return _parameter_text(f"{name}={value}", field)
     name, _ = _parameter_text(name, field)
     if isinstance(value, Mapping):
         bounds = _bounds(value.get("lower"), value.get("upper"), field)
@@ -263,12 +263,11 @@ def _parameter_text(part: object, field: Field) -> tuple[str, dict[str, object]]
     numbers = _NUMBERS.fullmatch(match["numbers"] or "") if match is not None else None
     if match is None or (numbers is None and match["numbers"] is not None):
         raise UsageError("%s must be of the form %s, but %r was given", field, _PARAMETER_FORMS, line)
-    settings = dict[str, object]()
-    if numbers is not None:
-        start = numbers["start"] or numbers["only"]
-        settings |= {"start": number(start, field)} if start else {}
-        settings |= _bounds(numbers["lower"] or None, numbers["upper"] or None, field)
-    return match["name"], settings
+    if numbers is None:
+        return match["name"], {}
+    start = numbers["start"] or numbers["only"]
+    bounds = _bounds(numbers["lower"] or None, numbers["upper"] or None, field)
+    return match["name"], {"start": number(start, field), **bounds} if start else bounds
 
 
 def _bounds(lower: object, upper: object, field: Field) -> dict[str, object]:

@@ -228,13 +228,7 @@ def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -
     _require_columns(holder, other)
     displayed = fit_displayed(measured_of(holder, table), holder)
     fitted = fit_equations(displayed.measured, _equations_on_data_of(holder, other), displayed.fit.starts)
-    if fitted is None:
-        raise UsageError(
-            "one model cannot be simulated along the data of the other model; compare them on different data"
-        )
-    nats, longer = weigh_pair(displayed, fitted)
-    source = displayed.measured.source.replace("the result", letter)
-    return DataComparison(source, (_side(holder, displayed), _side(holder, fitted)), nats, longer)
+    return _compare_fits(displayed, holder, fitted, holder, letter)
 
 
 def _equations_on_data_of(holder: Result, other: Result) -> EquationSet:
@@ -270,17 +264,30 @@ def _observed(holder: Result, other: Result, letter: str, table: Table | None) -
     fitted, hidden initial states too, count in the odds.
     """
     displayed = fit_displayed(measured_of(holder, table), holder)
+    lacking = sorted({*other.columns.inputs} - {*holder.columns.inputs})
+    if lacking and table is None:
+        raise UsageError(
+            f"one model has the input {', '.join(lacking)}, but the data of the other model do not; compare models of "
+            "the same columns"
+        )
     there = other.model_copy(update={"data": holder.data, "smoothing": holder.smoothing, "noise": holder.noise})
     measured = measured_of(there, table).with_piece(displayed.measured.longest)
     measured = replace(measured, rows=displayed.measured.rows, source=displayed.measured.source)
     fitted = fit_equations(measured, equations_of(other), starts_of(other, measured) if other.hidden else None)
+    return _compare_fits(displayed, holder, fitted, other, letter, _measured_columns(holder))
+
+
+def _compare_fits(
+    displayed: EquationSetFit, holder: Result, fitted: EquationSetFit | None, other: Result, letter: str,
+    columns: tuple[str, ...] = (),
+) -> DataComparison:  # fmt: skip
+    """Return the comparison of two fits; the left-hand sides of the second fit are in the result `other`."""
     if fitted is None:
         raise UsageError(
             "one model cannot be simulated along the data of the other model; compare them on different data"
         )
     nats, longer = weigh_pair(displayed, fitted)
     source = displayed.measured.source.replace("the result", letter)
-    columns = _measured_columns(holder)
     return DataComparison(source, (_side(holder, displayed), _side(other, fitted)), nats, longer, columns)
 
 

@@ -20,6 +20,7 @@ from typing import Final, get_args
 
 import numpy as np
 
+from atoll.model.core import config_of
 from atoll.model.equations import differing_groups, match_constants, numbers_of
 from atoll.model.given_sides import ConstantSource, GivenSides, over_variables, program_of
 from atoll_coordinator.data.recording import Method, Recording, StateSmoothing, Trajectory
@@ -38,7 +39,6 @@ from atoll_coordinator.result.findings import Errors, Noise
 from atoll_coordinator.result.listed_trajectories import Recorded, Smoothed
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UsageError
@@ -200,7 +200,7 @@ def _with_simulated_course(recording: Recording, result: Result) -> Recording:
     simulated, parts = {part.name: part for part in result.simulated}, list[Trajectory]()
     for part in recording.trajectories:
         smoothed, slopes, found = part.smoothed.copy(), part.slopes.copy(), simulated.get(part.name)
-        for name in recording.hidden if found is not None and found.values is not None else ():
+        for name in recording.hidden if found is not None else ():
             assert found is not None
             values = np.array((found.values or {}).get(name, ()), dtype=np.float64)
             if not len(values) or not np.isfinite(values).all():
@@ -260,11 +260,6 @@ def starts_of(result: Result, measured: FitData) -> FloatArray | None:
         return None
     starts = np.array([[row[name] for name in names] for row in rows if row], dtype=np.float64)
     return starts if np.isfinite(starts).all() else None
-
-
-def config_of(result: Result) -> JobConfig:
-    """Return the configuration of the job of a result."""
-    return JobConfig.model_validate({"preset": result.preset or "default", **result.config})
 
 
 def _prepare_recording(result: Result, table: Table) -> Recording:
@@ -683,7 +678,7 @@ def _fit(measured: FitData, equations: EquationSet, starts: FloatArray | None) -
         measurements = estimator.measurements  # with the sizes of the hidden states
         measured = replace(measured, measurements=measurements)
     fit = estimator.fit(system, None, SETTINGS.effort.steps, starts)
-    # short segments in the middle of a trajectory would need initial values of hidden states, which nobody knows
+    # short segments in the middle of a trajectory would need initial values of hidden states, which are not known
     lengths = (None,) if measurements.hidden else (*SETTINGS.shooting.lengths[1:2], None)
     staged = fit_in_stages(estimator, system, lengths, SETTINGS.effort.steps)
     fits = [candidate for candidate in (fit, staged) if candidate is not None]

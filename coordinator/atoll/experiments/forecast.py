@@ -20,8 +20,6 @@ measurement errors. For a stochastic process, the last row counts as exact, and 
 Letters: D states, U inputs, K offsets, P constants, N times, M draws, R rows.
 """
 
-import csv
-import io
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -33,10 +31,10 @@ import numpy as np
 
 from atoll.experiments.alternatives import WeightedSystem, alternatives_of
 from atoll.experiments.draws import draw_constants
-from atoll.experiments.fits import config_of, eigenaxes
+from atoll.experiments.fits import eigenaxes
 from atoll.experiments.states import KnownLaw, StateFit, cut, rounded_times
 from atoll.model.arguments import GivenInputs, InputFunctions, inputs_along, values_of_curve
-from atoll.model.core import ModelCore
+from atoll.model.core import ModelCore, config_of
 from atoll.model.simulation import MOST_NUMBERS, Inputs, ensemble_of
 from atoll.terminal.output import plain
 from atoll_coordinator.data.differentiation.inputs import InputCurve, estimate_input_slopes
@@ -47,7 +45,7 @@ from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, integrat
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
-from atoll_core.data.frames import FrameLibrary, frame_of
+from atoll_core.data.frames import FrameLibrary, csv_of, frame_of
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UsageError
 from atoll_core.expression.evaluation import values_of
@@ -71,6 +69,8 @@ _FEWEST_ROWS: Final = 5
 _BIT: Final = 0.5
 """Width of a band, in widths of the measured range, of a forecast that is worth one bit."""
 _LARGEST: Final = 1e150
+_MOST_ROWS: Final = 1e12
+"""Largest duration in measured time steps that counts for the number of integration steps, which is an integer."""
 
 
 @dataclass(frozen=True)
@@ -212,8 +212,7 @@ class Forecast:
         found: dict[str, float | None] = {}
         for place, state in enumerate(self.states):
             wide = np.flatnonzero(~is_known[:, place])
-            end = float(self.t[max(int(wide[0]) - 1, 0)] - self.t[0]) if len(wide) else None
-            found[state] = end
+            found[state] = float(self.t[max(int(wide[0]) - 1, 0)] - self.t[0]) if len(wide) else None
         return found
 
     @property
@@ -272,12 +271,7 @@ class Forecast:
 
     def to_csv(self) -> str:
         """Return the columns as CSV; numbers have all digits."""
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        columns = self.columns()
-        writer.writerow(columns)
-        writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
-        return stream.getvalue()
+        return csv_of({name: values.tolist() for name, values in self.columns().items()})
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError without that library."""
@@ -315,7 +309,8 @@ def forecast(result: Result, request: ForecastRequest, table: Table | None = Non
     if model.components:
         return _forecast_process(model, request, table, u)
     law = KnownLaw.of(result, table)
-    last = _chosen(law, request.trajectory)
+    trajectories = dict(law.trajectories())
+    last = trajectories[_chosen([*trajectories], request.trajectory)]
     weighted: Sequence[WeightedSystem] = ()
     if request.has_rivals:
         weighted = alternatives_of(result, law.fitted, ())
@@ -364,14 +359,14 @@ def forecast(result: Result, request: ForecastRequest, table: Table | None = Non
     )
 
 
-def _chosen(law: KnownLaw, name: str | None) -> TrajectoryMeasurements:
-    by_name = dict(law.trajectories())
+def _chosen(names: Sequence[str], name: str | None) -> str:
+    """Return the name of a trajectory; None: the last one. Raises UsageError for an unknown name."""
     if name is None:
-        return [*by_name.values()][-1]
-    if name not in by_name:
-        known = ", ".join(by_name)
-        raise UsageError(f"there is no trajectory {name!r}; the trajectories are {known}{did_you_mean(name, by_name)}")
-    return by_name[name]
+        return names[-1]
+    if name not in names:
+        known = ", ".join(names)
+        raise UsageError(f"there is no trajectory {name!r}; the trajectories are {known}{did_you_mean(name, names)}")
+    return name
 
 
 def _shown_course(measurements: TrajectoryMeasurements) -> FloatArray:
@@ -389,12 +384,13 @@ def _central_range(values: FloatArray) -> FloatArray:
 
 
 def _last_window(law: KnownLaw, trajectory: TrajectoryMeasurements) -> StateFit | None:
-    """Return the law along the longest window of last rows that tells the last state.
+    """Return the law along the longest window of last rows that determines the last state well.
 
-    A window is twice as long as the previous one, as long as one simulation describes it as well as two. Errors of the
-    constants grow along a window, so a longer one may tell less. The constants were fitted to the same rows: the
-    variance of the sum of two such errors is at most twice the sum of their variances. So a shorter window is
-    certainly better only if its variance is less than half. With hidden states, the window is the whole trajectory.
+    A window is twice as long as the previous one, as long as one simulation describes it as well as two. Errors of
+    the constants grow along a window, so a longer window may determine it less. The constants were fitted to the
+    same rows: the variance of the sum of two such errors is at most twice the sum of their variances. So a shorter
+    window is certainly better only if its variance is less than half. With hidden states, the window is the whole
+    trajectory.
     """
     if trajectory.hidden:
         return law.fit_states(trajectory)
@@ -538,7 +534,7 @@ def _paths(
     slopes (U, G).
     """
     fit, measurements, states, times = window.fit, window.measurements, len(law.states), course[0]
-    rows = max(float(len(times)), (times[-1] - times[0]) / law.measurements.step)
+    rows = min(max(float(len(times)), float(times[-1] - times[0]) / law.measurements.step), _MOST_ROWS)
     limits, whole = np.tile([-_LARGEST, _LARGEST], (states, 1)), np.array([[0, len(times)]], dtype=np.int64)
     paths, found = np.empty((len(starts), len(times), len(law.shown))), np.empty((states, len(times)))
     for draw, (start, constants) in enumerate(zip(starts, values, strict=True)):
@@ -567,11 +563,12 @@ def _forecast_process(model: ModelCore, request: ForecastRequest, table: Table |
         raise UsageError(
             "the result has no measurements", python="give them as data", command="give the data file with --data"
         )
-    name = [*paths][-1] if request.trajectory is None else request.trajectory
-    if name not in paths:
-        raise UsageError(f"there is no trajectory {name!r}; the trajectories are {', '.join(paths)}")
+    name = _chosen([*paths], request.trajectory)
     rows, count = paths[name], len(model.states)
-    row = rows[:, np.flatnonzero(np.isfinite(rows).all(axis=0))[-1]]
+    complete = np.flatnonzero(np.isfinite(rows).all(axis=0))
+    if not len(complete):
+        raise UsageError(f"no row of trajectory {name!r} has a value of every state and input; give other rows")
+    row = rows[:, complete[-1]]
     times = request.times(float(row[0]))
     inputs, notes = _inputs_after(model, dict(zip(model.inputs, row[1 + count :].tolist(), strict=True)), times, u)
     ensemble = ensemble_of(model, row[1 : 1 + count], times, inputs, (request.draws, request.seed))

@@ -8,8 +8,6 @@ initial state of its own. The result lists the times at which pieces join: there
 Doubtful: the bands are first-order, and they assume the law. Letters: D states, N rows of a trajectory.
 """
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -23,7 +21,7 @@ from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.data.frames import FrameLibrary, frame_of
+from atoll_core.data.frames import FrameLibrary, csv_of, frame_of
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError
 from atoll_core.quoting import first_lines
@@ -81,8 +79,7 @@ class SmoothedStates:
     """The states along all trajectories under a law.
 
     `states` are the names of the D states; velocities follow the positions, and measured columns that are computed from
-    states come last. `source` names the data. `time` is the name
-    of the time column.
+    states come last. `source` names the data. `time` is the name of the time column.
     """
 
     states: tuple[str, ...]
@@ -126,13 +123,8 @@ class SmoothedStates:
 
     def to_csv(self) -> str:
         """Return the columns as CSV; numbers have all digits, and missing values are empty."""
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        columns = self.columns()
-        writer.writerow(columns)
-        rows = zip(*columns.values(), strict=True)
-        writer.writerows(["" if value != value else value for value in row] for row in rows)
-        return stream.getvalue()
+        columns = self.columns().items()
+        return csv_of({name: ["" if value != value else value for value in values] for name, values in columns})
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError without that library."""

@@ -150,8 +150,8 @@ class KnownLaw:
     def describes_as_well(self, longer: "StateFit", shorter: Sequence["StateFit"]) -> bool:
         """Tell whether a simulation describes its rows as well as simulations of shorter pieces of the same rows.
 
-        The shorter ones have more fitted numbers, k. For the right law, their deviance is smaller by a chi-squared
-        number of k degrees of freedom (Wilks 1938).
+        The shorter ones have more fitted numbers, k. For the right law, their deviance is smaller by a
+        chi-squared variable with k degrees of freedom (Wilks 1938).
         """
         from scipy.special import chdtri
 

@@ -14,9 +14,16 @@ from atoll.export.language import Language
 from atoll.export.languages import JULIA, MATLAB, MODELICA, PYTHON, XPPAUT, C
 from atoll.export.sbml import SBML
 from atoll.model.arguments import Given
-from atoll.model.equations import ConstantWords, constant_words, displayed_equation, given_words, remark_on_groups
-from atoll.model.given_sides import named_side, with_parameter_names
-from atoll_coordinator.result.equations import Equation
+from atoll.model.equations import (
+    ConstantWords,
+    GivenWords,
+    constant_words,
+    displayed_equation,
+    given_words,
+    remark_on_groups,
+)
+from atoll.model.given_sides import named_side, searched_parts, with_parameter_names
+from atoll_coordinator.result.equations import Equation, Observation
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.export import left_side_to_latex, to_latex, unit_to_latex
@@ -42,13 +49,14 @@ def as_csv(result: Result) -> str:
     stream = io.StringIO()
     writer: csv.DictWriter[str] = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
+    parts = searched_parts(result)
     for equation in result.equations:
         sides = {"variable": equation.variable, "lhs": equation.lhs}
         origin = "known" if equation.why == "known" else "front"
         if equation.expression is not None:
             writer.writerow({**dict(equation), "shown": True})
-        unknown = next((part.label for part in equation.given.unknowns), "") if equation.given is not None else ""
-        sides["lhs"] = f"{unknown} in {equation.lhs}" if unknown else equation.lhs
+        if equation.variable in parts:
+            sides["lhs"] = f"{parts[equation.variable]} in {equation.lhs}"
         for number, member in enumerate(equation.front):
             writer.writerow({**dict(member), **sides, "pick": number, "shown": False, "origin": origin})
     return stream.getvalue().rstrip("\n")
@@ -105,30 +113,24 @@ def latex_lines(result: Result) -> list[str]:
         unit = displayed_equation(result, equation).unit
         unit = rf" \quad \left[{unit_to_latex(unit)}\right]" if unit else ""
         given = given_words(equation, names)
-        lines.append(f"{left} &= {_side_latex(equation, names)}{unit}")
-        if given is not None and given.parameters:
-            values = ",\\; ".join(
-                f"{name_to_latex(name)} = {_constant_latex(words)}" for name, words in given.parameters.items()
-            )
-            lines.append(rf"&\quad {values}")
+        lines += [f"{left} &= {_side_latex(equation, names)}{unit}", *_parameters_latex(given)]
         fitted = equation.constants if given is None else given.constants
         constants = ",\\; ".join(map(_constant_latex, constant_words(fitted)))
         lines += [rf"&\quad \text{{constants: }} {constants}"] if constants else []
     for one in result.observations:
-        side, words = named_side(one, names), given_words(one, names)
         left = left_side_to_latex(one.column, is_name=True)
-        if side is None or words is None:
-            lines.append(f"{left} &= {to_latex(from_infix(one.expression, names), names)}")
-            continue
-        lines.append(f"{left} &= {to_latex(side.program, side.variables, is_given=True)}")
-        values = ",\\; ".join(
-            f"{name_to_latex(name)} = {_constant_latex(known)}" for name, known in words.parameters.items()
-        )
-        lines += [rf"&\quad {values}"] if values else []
+        lines += [f"{left} &= {_side_latex(one, names)}", *_parameters_latex(given_words(one, names))]
     return lines
 
 
-def _side_latex(equation: Equation, names: Sequence[str]) -> str:
+def _parameters_latex(given: GivenWords | None) -> list[str]:
+    """Return a line with the values of the parameters of a given side; no line without parameters."""
+    parameters = {} if given is None else given.parameters
+    values = ",\\; ".join(f"{name_to_latex(name)} = {_constant_latex(words)}" for name, words in parameters.items())
+    return [rf"&\quad {values}"] if values else []
+
+
+def _side_latex(equation: Equation | Observation, names: Sequence[str]) -> str:
     """Return a right-hand side; a given side has its parameters by name, and a brace below its unknown parts."""
     side = named_side(equation, names)
     if side is None:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -19,16 +19,13 @@ from atoll.export.formats import require_support
 from atoll.export.language import Wording
 from atoll.export.sbml import SBML, start_name
 from atoll.model.arguments import Columns, column, has, measured_conditions, read_columns, rows_of, values_of_curve
+from atoll.model.core import ModelCore, config_of
 from atoll.model.equations import Parameter
 from atoll_coordinator.model.template.hidden_states import initial_values
 from atoll_coordinator.result.findings import Errors, Noise
 from atoll_coordinator.result.listed_trajectories import Recorded
-from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-
-if TYPE_CHECKING:
-    from atoll.model.core import ModelCore
 
 _REACH: Final = 10.0
 """Distance of the bounds from a constant, in standard errors, or in multiples of its size if no error is known."""
@@ -45,7 +42,7 @@ problems:
 _Row = tuple[str | float, ...]
 
 
-def export_petab(model: "ModelCore", folder: str | Path, data: Sequence[Columns] | None = None) -> None:
+def export_petab(model: ModelCore, folder: str | Path, data: Sequence[Columns] | None = None) -> None:
     """Write a PEtab problem into a folder; see `atoll.Model.to_petab`."""
     trajectories = [] if data is None else _read_trajectories(model, data)
     start, times = (trajectories[0].start, trajectories[0].times) if trajectories else (None, None)
@@ -87,7 +84,7 @@ class PetabTrajectory:
     inputs: Mapping[str, FloatArray]
 
 
-def _recorded_trajectories(model: "ModelCore") -> list[PetabTrajectory]:
+def _recorded_trajectories(model: ModelCore) -> list[PetabTrajectory]:
     """Return the measurements in a result, without held-out trajectories, with their fitted initial states.
 
     A trajectory without a fitted initial state begins at its first row with all states. It is left out if it has no
@@ -121,7 +118,7 @@ def _recorded_trajectories(model: "ModelCore") -> list[PetabTrajectory]:
     return trajectories
 
 
-def _read_trajectories(model: "ModelCore", data: Sequence[Columns]) -> list[PetabTrajectory]:
+def _read_trajectories(model: ModelCore, data: Sequence[Columns]) -> list[PetabTrajectory]:
     """Return the measurements in `data`; the initial state of a trajectory is its first row."""
     if not data:
         raise UsageError("no trajectory of measurements was given; give at least one")
@@ -136,12 +133,12 @@ def _read_trajectories(model: "ModelCore", data: Sequence[Columns]) -> list[Peta
 
 
 class _Tables:
-    def __init__(self, model: "ModelCore", description: Description, trajectories: Sequence[PetabTrajectory]) -> None:
+    def __init__(self, model: ModelCore, description: Description, trajectories: Sequence[PetabTrajectory]) -> None:
         self._model, self._description = model, description
         self._words = Wording(description, SBML)
         self._trajectories = trajectories
         self._starts = [start_name(self._words, state) for state in description.states]
-        self._initial = {name: (low, high) for name, low, high in initial_values(_config_of(model))}
+        self._initial = {name: (low, high) for name, low, high in initial_values(config_of(model.result))}
         measured: list[ExportedState | ExportedColumn] = [*description.states, *description.observed]
         self._measured = {
             state: np.concatenate([part.values[_key(state)] for part in trajectories if _key(state) in part.values])
@@ -218,18 +215,13 @@ class _Tables:
         return float(np.nanmax(values) - np.nanmin(values)) or 1.0
 
 
-def _config_of(model: "ModelCore") -> JobConfig:
-    result = model.result
-    return JobConfig.model_validate({"preset": result.preset or "default", **result.config})
-
-
 def _key(state: ExportedState | ExportedColumn) -> str:
     """Return the name of a state or an observed column in the values of a trajectory."""
     return state.column if isinstance(state, ExportedColumn) else state.name
 
 
 def _errors(
-    model: "ModelCore", state: ExportedState | ExportedColumn, name: str, values: FloatArray
+    model: ModelCore, state: ExportedState | ExportedColumn, name: str, values: FloatArray
 ) -> tuple[float, str]:
     """Return the standard deviation of the measurement errors of a state, and the noise formula of PEtab.
 

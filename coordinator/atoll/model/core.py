@@ -25,6 +25,7 @@ from atoll_coordinator.process_steps.moments import Pair
 from atoll_coordinator.result.equations import Candidate, Equation
 from atoll_coordinator.result.findings import InputKind
 from atoll_coordinator.result.result import Result
+from atoll_core.config import JobConfig
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import write_text
@@ -196,6 +197,11 @@ _SEARCH_FIELDS = (
     "point_evaluations_by_part", "seconds", "why", "derivative_floor", "target_error", "convergence", "front",
 )  # fmt: skip
 """Fields that belong to the search and not to the displayed equation: a candidate keeps them."""
+
+
+def config_of(result: Result) -> JobConfig:
+    """Return the configuration of the job of a result."""
+    return JobConfig.model_validate({"preset": result.preset or "default", **result.config})
 
 
 def _with_candidate(result: Result, place: int, other: Candidate) -> Result:

@@ -270,6 +270,12 @@ class GivenSides:
         )
 
 
+def searched_parts(result: Result) -> dict[str, str]:
+    """Return the labels of the unknown parts of a result by the equation under whose name they were searched."""
+    sides = GivenSides.of(result)
+    return {} if sides is None else {one.home: one.label for one in sides.template.unknowns}
+
+
 class NamedSide(NamedTuple):
     """A side as the user wrote it: a program over `names`, which are variables, parameters and labels of unknown parts.
 

@@ -15,8 +15,6 @@ Letters: D states, U inputs, K constants, N times.
 """
 
 import contextlib
-import csv
-import io
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -42,7 +40,7 @@ from atoll_coordinator.process_steps.paths import (
 )
 from atoll_coordinator.result.findings import Process
 from atoll_core.data.dataset import FloatArray
-from atoll_core.data.frames import FrameLibrary, frame_of
+from atoll_core.data.frames import FrameLibrary, csv_of, frame_of
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import shown
@@ -166,12 +164,7 @@ class SimulationResult:
 
     def to_csv(self) -> str:
         """Return the columns as CSV; numbers have all digits."""
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        columns = self.columns()
-        writer.writerow(columns)
-        writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
-        return stream.getvalue()
+        return csv_of({name: values.tolist() for name, values in self.columns().items()})
 
     def as_dict(self) -> dict[str, object]:
         """Return lists and texts for JSON; numbers that are not finite are None."""

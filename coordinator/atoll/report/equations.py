@@ -19,7 +19,7 @@ from atoll.model.equations import (
     rounded,
     side_text,
 )
-from atoll.model.given_sides import named_side
+from atoll.model.given_sides import named_side, searched_parts
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
 from atoll.report.markup import (
     COLORS,
@@ -336,7 +336,7 @@ def _front(equation: Equation, findings: Findings) -> Element:
          element("code", rounded(member.expression, findings.result.names))]
         for member in equation.front
     ]  # fmt: skip
-    unknown = next((part.label for part in equation.given.unknowns), "") if equation.given is not None else ""
+    unknown = searched_parts(findings.result).get(equation.variable)
     name = f"{unknown} in {equation.lhs}" if unknown else equation.lhs
     numbers = table(f"front of {name}", ["complexity", "error", "chosen", "expression"], rows)
     return figure(drawn.svg(), name, numbers)

@@ -28,7 +28,7 @@ from atoll.model.equations import (
     with_errors,
     words_of,
 )
-from atoll.model.given_sides import GivenSides
+from atoll.model.given_sides import GivenSides, searched_parts
 from atoll_coordinator.result.equations import (
     Candidate,
     Check,
@@ -465,10 +465,14 @@ def render_text(result: Result, *, fronts: bool = False) -> str:
     """
     names = result.names
     called = constant_names(result)
+    parts = searched_parts(result)
     blocks = [
-        _equation_text(equation, names, called[equation.variable], fronts, equation.variable in result.hidden)
+        _equation_text(
+            equation, names, called[equation.variable], fronts, equation.variable in result.hidden,
+            parts.get(equation.variable),
+        )
         for equation in result.equations
-    ]
+    ]  # fmt: skip
     blocks += [line for one in result.observations for line in observation_lines(one, names)]
     if fronts:
         blocks += [*noise_lines(result), *simulation_table(result), *correlation_lines(result)]
@@ -556,8 +560,9 @@ def _shared_lines(result: Result) -> list[str]:
 
 
 def _equation_text(
-    equation: Equation, names: Sequence[str], called: Sequence[str], with_tables: bool, is_hidden: bool
-) -> str:
+    equation: Equation, names: Sequence[str], called: Sequence[str], with_tables: bool, is_hidden: bool,
+    unknown: str | None,
+) -> str:  # fmt: skip
     if equation.expression is None:
         return f"{equation.lhs} = ?\n    no equation found yet"
     lines = [f"{equation.lhs} = {side_text(equation, names)}" + ("  (hidden state)" if is_hidden else "")]
@@ -587,7 +592,6 @@ def _equation_text(
         lines += listed
         lines += ["    constants of candidates are fitted to all groups together"] if listed and texts else []
     if with_tables:
-        unknown = "" if given is None else next(iter(given.unknowns), "")
         lines += [*_front_lines(equation.front, names, f"expression of {unknown}" if unknown else "expression"), ""]
     return "\n".join(lines)
 

@@ -54,6 +54,8 @@ def _solve(
         for name in roles.variables
         if (unit := rate_unit(columns.get(velocities[name]), time, 1) if name in velocities else columns.get(name))
     }
-    lefts = {name: unit for name in template.sides if (unit := rate_unit(columns.get(name), time, roles.order))}
+    rates = {name: rate_unit(columns.get(name), time, roles.order) for name in template.sides}
+    rates |= {name: columns.get(name) for name in template.observed}
+    lefts = {name: unit for name, unit in rates.items() if unit is not None}
     names = [*template.names, *(parameter.name for parameter in template.parameters), *unknowns]
     return units_of_sides(template.sides, names, known, lefts)

@@ -2,20 +2,20 @@
 can have them. Pure."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from atoll_coordinator.data.roles.names_and_options import check_given_equations
 from atoll_coordinator.data.roles.roles import RESERVED, Roles, assign_symbols
 from atoll_core.config import JobConfig, ParameterConfig
 from atoll_core.errors import UsageError
 from atoll_core.expression.program import tree_size, variables_of
-from atoll_core.expression.template import EquationTemplate, TemplateParameter, read_template
+from atoll_core.expression.template import EquationTemplate, TemplateParameter, option_for, read_template
 from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.quoting import did_you_mean
 
 
 def template_of(config: JobConfig, names: Sequence[str]) -> EquationTemplate | None:
-    """Return the template over the symbols `names`; None if no equation is given with ``--equation``.
+    """Return the template over the symbols `names`; None without ``--equation`` and ``--observe``.
 
     `config` is resolved: its equations are keyed by variable.
 
@@ -49,31 +49,39 @@ def check_names(config: JobConfig, columns: Sequence[str], roles: Roles) -> None
     """
     check_given_equations(config)
     template = template_of(config, tuple(assign_symbols(roles.variables).values()))
+    option = _options_of(config.data.observe)
     for parameter in () if template is None else template.parameters:
         name = parameter.name
         if name == roles.time:
-            raise UsageError(f"--equation uses the time {name}, which is no variable; add --inputs {name}")
+            raise UsageError(f"{option} uses the time {name}, which is no variable; add --inputs {name}")
         if name in columns:
             raise UsageError(
-                f"--equation uses {name}, a column that is neither a state nor an input; name it with --inputs, or "
+                f"{option} uses {name}, a column that is neither a state nor an input; name it with --inputs, or "
                 "rename the parameter"
             )
+
+
+def _options_of(observed: Collection[str]) -> str:
+    return "--equation or --observe" if observed else "--equation"
 
 
 def check_template(template: EquationTemplate) -> None:
     """Raise UsageError for names that no parameter may have, and for unknown parts that the data cannot determine."""
     reserved = next((one.name for one in template.parameters if one.name in RESERVED), None)
     if reserved is not None:
-        raise UsageError(f"--equation uses {reserved}, the name of a function, as a parameter; choose another name")
+        option = _options_of(template.observed)
+        raise UsageError(f"{option} uses {reserved}, the name of a function, as a parameter; choose another name")
     for equation, side in template.sides.items():
         if tree_size(side) > PRINTABLE_SIZE:
-            raise UsageError(f"--equation for '{equation}' has more than {PRINTABLE_SIZE} operations when written out")
+            option = option_for(equation, template.observed)
+            raise UsageError(f"{option} has more than {PRINTABLE_SIZE} operations when written out")
         for place in template.unknowns_in(equation):
             label = template.unknowns[place].label
             if template.solved_for(equation, place) is None:
                 raise UsageError(
-                    f"--equation for '{equation}' has {label} in more than one place, or inside sin, cos, abs or an "
-                    f"even power, whose value does not determine {label}; write {label} once, for the whole of it"
+                    f"--equation for '{equation}' has {label} in more than one place, or inside sin, cos, abs or a "
+                    f"power such as {label}**2, whose value does not determine {label}; write {label} once, for the "
+                    "whole of it"
                 )
 
 

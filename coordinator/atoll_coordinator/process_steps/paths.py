@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from atoll_coordinator.process_steps.moments import StepMoments, factors_of
 from atoll_core.data.dataset import FloatArray
-from atoll_core.data.frames import FrameLibrary, frame_of
+from atoll_core.data.frames import FrameLibrary, csv_of, frame_of
 
 if TYPE_CHECKING:
     import polars
@@ -174,14 +174,10 @@ class Ensemble:
     def to_csv(self, *, has_paths: bool = False) -> str:
         """Return the columns as CSV with all digits. If `has_paths`, return the paths instead, as rows with a column
         ``trajectory``."""
+        if not has_paths:
+            return csv_of({name: values.tolist() for name, values in self.columns().items()})
         stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        if has_paths:
-            writer.writerows(self.rows_of_paths())
-            return stream.getvalue()
-        columns = self.columns()
-        writer.writerow(columns)
-        writer.writerows(zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True))
+        csv.writer(stream, lineterminator="\n").writerows(self.rows_of_paths())
         return stream.getvalue()
 
     def as_dict(self, *, has_paths: bool = False) -> dict[str, object]:

@@ -174,7 +174,7 @@ def forecast(options: argparse.Namespace) -> int:
 def _table(model: Model, files: list[str] | None) -> Table | None:
     """Return the measurements in `files`, read with the settings of the job; None for None."""
     from atoll.api.tables import table_of
-    from atoll.experiments.fits import config_of
+    from atoll.model.core import config_of
 
     return None if files is None else table_of(files, config_of(model.result).data)
 
@@ -188,7 +188,7 @@ def ask(options: argparse.Namespace, *questions: "Question", name: str | None = 
     Measurements given with ``--data`` replace the measurements in the result.
     """
     from atoll.api.tables import table_of
-    from atoll.experiments.fits import config_of
+    from atoll.model.core import config_of
     from atoll.tasks.analyses import FUNCTIONS, answer, answered
 
     name = options.result if name is None else name

@@ -333,11 +333,11 @@ function asTexts(name, value) {
   if (typeof value !== "object") return [String(value)];
   return Object.entries(value).flatMap(([side, right]) => {
     if (name === "bound") return right.map((bound) => (side === "*" ? bound : `${side}: ${bound}`));
-    if (name === "parameter") return [`${side}${parameterText(right)}`];
+    if (["parameter", "initial"].includes(name)) return [`${side}${parameterText(right)}`];
     return ["guess", "monotone", "limit"].includes(name) ? right.map((one) => `${side}=${one}`) : [`${side}=${[right].flat().join(",")}`];
   });
 }
-/** Returns start value and bounds of a parameter as its option has them, such as =1 in 0.1..10. */
+/** Returns start value and bounds of a parameter or an initial value as its option has them, such as =1 in 0.1..10. */
 function parameterText({ start, lower, upper }) {
   const bounds = lower === undefined && upper === undefined ? [] : [`${lower ?? ""}..${upper ?? ""}`];
   const numbers = [...(start === undefined ? [] : [start]), ...bounds].join(" in ");

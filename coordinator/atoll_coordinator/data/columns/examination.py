@@ -84,8 +84,8 @@ def examine(table: Table, config: JobConfig) -> Examination:
 
 
 def _check_units(table: Table, config: JobConfig, roles: Roles) -> Iterable[ColumnFinding]:
-    """Yield a finding for each given equation that contradicts the units of the columns."""
-    if not config.prior.equations:
+    """Yield a finding for each given equation, or observed column, that contradicts the units of the columns."""
+    if not config.prior.equations and not config.data.observe:
         return
     resolved, _ = resolve_equations(config, roles, assign_symbols(roles.variables))
     units = dict(zip(table.names, table.units, strict=True)) | config.data.units

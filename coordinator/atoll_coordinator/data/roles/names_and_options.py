@@ -184,7 +184,7 @@ def check_given_equations(config: JobConfig) -> None:
             raise UsageError(f"%s {name}: the start value {one.start:g} is {inside}", Field("parameter"))
     _check_number_of_hidden_states(config)
     if not prior.equations:
-        if prior.parameters:
+        if prior.parameters and not data.observe:
             name = next(iter(prior.parameters))
             fields = (Field("parameter"), Field("equation"))
             raise UsageError(f"%s {name} belongs to no equation; give one with %s", *fields)

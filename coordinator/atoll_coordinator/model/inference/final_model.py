@@ -153,14 +153,22 @@ class FinalModel(ShownEquations):
 
     def gain_of_unknown_part(self, equation: int) -> float:
         """Return by how many nats the model's description is shorter than without the unknown part of an equation, or
-        with a constant in its place; the better one counts."""
+        with a constant in its place; the better one counts. Neither needs the shapes and bounds that the user demanded.
+
+        It is infinite if no such system can be simulated.
+        """
         selection = self.ranking.selection
-        comparison, model = selection.comparison, selection.model
+        model, constraints = selection.model, selection.comparison.constraints
+        others = {index: own for index, own in constraints.restrictions.items() if index != equation}
+        comparison = replace(selection.comparison, constraints=replace(constraints, restrictions=others))
         own, lengths = model.programs[equation], list[float]()
         mean = float(np.mean(values_of(own, self.task.dataset.inputs)))
         nothing = Program.of([(VARIABLE, 0, 0, 0.0), (SUBTRACT, 0, 0, 0.0)])  # 0 without a fitted constant
         for program in (nothing, Program.of([(CONSTANT, 0, 0, mean)]))[: 2 if variables_of(own) else 1]:
             other = comparison.fit_replacement(model, equation, program, SETTINGS.effort.steps)
+            other = other or comparison.fit_model(
+                [*model.programs[:equation], program, *model.programs[equation + 1 :]]
+            )
             lengths.append(math.inf if other is None or not math.isfinite(other.nats) else other.nats)
         return min(lengths) - model.nats
 

@@ -4,6 +4,7 @@ They are made in addition to the checks of `trajectory_checks`. An unknown part 
 and more than a constant. A parameter must be determined by the data, and its best value must lie within its bounds.
 """
 
+import math
 from collections.abc import Sequence
 from typing import ClassVar, Final
 
@@ -105,6 +106,8 @@ class TemplateChecks(TrajectoryChecks):
         gain, least = self.final.gain_of_unknown_part(self.index), SETTINGS.inference.chance_nats
         if gain >= least:
             reason = f"the unknown part shortens the description by {gain:.3g} nats"
+            if math.isinf(gain):
+                reason = "the system cannot be simulated without the unknown part, or with a constant in its place"
             return Finding("passed", reason, gain, least)
         reason = (
             "the system without the unknown part, or with a constant in its place, describes the data about as well "
@@ -118,7 +121,9 @@ class TemplateChecks(TrajectoryChecks):
         Another minimum contradicts it if it describes the rows about as well, and has a parameter that is outside of
         its 95 % interval. Parameters that the data do not determine are not counted: `check_constants` reports them.
         """
-        minima = self.final.task.minima
+        minima, template = self.final.task.minima, self.final.comparison.template
+        if template is None:
+            return Finding("not applicable", "no equation was given")
         if minima is None:
             return Finding("not applicable", "the parameters were estimated from derivatives")
         if minima.starts == 1:
@@ -129,7 +134,6 @@ class TemplateChecks(TrajectoryChecks):
                 f"only one of {minima.starts} fits from different starts reached the best fit: a better one may exist"
             )
             return Finding("not made", reason, advice="give narrower bounds with --parameter, or start values")
-        template = self.final.comparison.template
         known = {
             name: constant.interval
             for constants, names in (
@@ -140,7 +144,7 @@ class TemplateChecks(TrajectoryChecks):
             if name is not None and constant.interval is not None and constant.identifiable
         }
         for nats, values in minima.rivals:
-            for parameter, value in zip(template.parameters if template else (), values, strict=True):
+            for parameter, value in zip(template.parameters, values, strict=True):
                 low, high = known.get(parameter.name, (None, None))
                 if low is not None and high is not None and not low <= value <= high:
                     reason = (
@@ -155,6 +159,8 @@ class TemplateChecks(TrajectoryChecks):
 
         A column that is computed from states is part of the model of each state, so its parameters count, too.
         """
+        if self.final.comparison.template is None:
+            return super().check_constants()
         fitted = [
             (constant, name)
             for constants, names in self._numbers

@@ -279,10 +279,10 @@ def _draw_starts(measurements: TrajectoryMeasurements, system: OdeSystem, seed: 
         batch = [] if number else [StartPoint(system.values, starts)]
         count = SETTINGS.effort.beam - len(batch)
         for shares in latin_hypercube(count, system.count + len(hidden), seed * _BATCHES + number):
-            values, its_own = _between(lower, upper, shares[: system.count], system.values), starts.copy()
+            values, its_own = values_between(lower, upper, shares[: system.count], system.values), starts.copy()
             if ranges is not None:
                 at = shares[system.count :]
-                its_own[:, hidden] = _between(ranges[0][:, hidden], ranges[1][:, hidden], at, starts[:, hidden])
+                its_own[:, hidden] = values_between(ranges[0][:, hidden], ranges[1][:, hidden], at, starts[:, hidden])
             batch.append(StartPoint(values, its_own))
         yield batch
 
@@ -292,7 +292,7 @@ def _may_vary(lower: FloatArray, upper: FloatArray) -> bool:
     return bool((np.isfinite(lower) & np.isfinite(upper) & (lower < upper)).any())
 
 
-def _between(lower: FloatArray, upper: FloatArray, shares: FloatArray, others: FloatArray) -> FloatArray:
+def values_between(lower: FloatArray, upper: FloatArray, shares: FloatArray, others: FloatArray) -> FloatArray:
     """Return the values between bounds at these shares of the way, in logarithms if both bounds have the same sign;
     `others` where a bound is infinite."""
     with np.errstate(all="ignore"):

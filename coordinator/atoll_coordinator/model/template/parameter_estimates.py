@@ -2,8 +2,8 @@
 
 How it works. Each unknown part is replaced by a polynomial of its variables. The parameters, and the coefficients of
 the polynomials, are fitted to the derivatives of all equations together, weighted by their uncertainties. The fit
-begins from several starts: the start values of the parameters, and points that fill the bounds evenly (Sobol). Refining
-fits whole trajectories, beginning with these estimates.
+begins from several starts: the start values of the parameters, and values between their bounds. Refining fits whole
+trajectories, beginning with these estimates. The targets of the search depend on them, so all sums have a fixed order.
 
 Doubtful: derivatives are smoothed, so estimates from a coarse or noisy table can be far from the truth. A polynomial
 may be too stiff for the unknown part. So the estimates are only starts.
@@ -19,7 +19,10 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.least_squares import SETTLED, Descent, Solver, minimize, solver
+from atoll_coordinator.model.shooting.many_starts import values_between
+from atoll_coordinator.model.shooting.points_between import latin_hypercube
 from atoll_coordinator.model.sparse.atoms import polynomial_and_fourier_libraries, sum_of
+from atoll_coordinator.model.sparse.kernels.elimination import scalar_products, triangularize
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import CLEAN_UNCERTAINTY, Dataset, FloatArray
@@ -31,7 +34,7 @@ from atoll_core.expression.template import EquationTemplate, TemplateParameter
 _ROWS_OF_A_TERM: Final = 5
 """Rows for each term of the polynomial that stands for an unknown part."""
 _DIGITS: Final = 6
-"""Digits of the estimates: so few that they are equal on all machines."""
+"""Digits of the estimates: a fit is less accurate than its last digits."""
 _UNBOUNDED: Final = (1e-2, 1e2)
 """Range of starts of a parameter without bounds, as multiples of its first value."""
 
@@ -74,30 +77,19 @@ def estimate_parameters(dataset: Dataset, config: JobConfig, template: EquationT
 
 
 def draw_starts(parameters: Sequence[TemplateParameter], count: int) -> FloatArray:
-    """Return start values (S, P) of parameters: their first values, then `count` - 1 points that fill the bounds evenly
-    (Sobol 1967).
-
-    A parameter with a positive lower bound, or without bounds, is drawn on a logarithmic scale.
-    """
-    from scipy.stats import qmc
-
+    """Return start values (S, P) of parameters: their first values, then `count` - 1 values between their bounds (Latin
+    hypercube, see `values_between`). A parameter that has not two bounds keeps its sign."""
     firsts = np.array([parameter.first_value for parameter in parameters])
-    if not len(parameters):
-        return firsts[None]
-    points = qmc.Sobol(len(parameters), scramble=False).random_base2(max(count - 1, 1).bit_length())
-    unit = points[1:count]  # the first point is the corner at 0
-    drawn = np.empty((len(unit), len(parameters)))
-    for place, parameter in enumerate(parameters):
-        low, high = parameter.lower, parameter.upper
-        if math.isinf(low) or math.isinf(high):
-            size = abs(firsts[place]) or 1.0
-            scaled = _UNBOUNDED[0] * (_UNBOUNDED[1] / _UNBOUNDED[0]) ** unit[:, place]
-            drawn[:, place] = np.clip(math.copysign(size, firsts[place]) * scaled, low, high)
-        elif low > 0.0:
-            drawn[:, place] = low * (high / low) ** unit[:, place]
-        else:
-            drawn[:, place] = low + (high - low) * unit[:, place]
-    return np.concatenate([firsts[None], drawn])
+    lower, upper = np.array([(one.lower, one.upper) for one in parameters]).T
+    is_bounded, sizes = np.isfinite(lower) & np.isfinite(upper), np.where(firsts == 0.0, 1.0, firsts)
+    low, high = (
+        np.where(is_bounded, end, factor * sizes) for end, factor in zip((lower, upper), _UNBOUNDED, strict=True)
+    )
+    drawn = [
+        np.clip(values_between(low, high, shares, firsts), lower, upper)
+        for shares in latin_hypercube(count - 1, len(parameters))
+    ]
+    return np.array([firsts, *drawn])
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,9 +170,9 @@ class _FittedSides:
     def point(self, numbers: FloatArray) -> _EstimatePoint:
         """Return the cost of these numbers with its derivatives; the cost is infinite if a side has no finite value."""
         residuals, slopes = self._linearise(numbers)
-        with np.errstate(all="ignore"):
-            cost = 0.5 * float(residuals @ residuals)
-            gradient, normal = slopes @ residuals, slopes @ slopes.T
+        products = _scalar_products(np.concatenate([slopes, residuals[None]]))
+        cost, gradient = 0.5 * float(products[-1, -1]), products[-1, :-1].copy()
+        normal = np.ascontiguousarray(products[:-1, :-1])
         is_finite = math.isfinite(cost) and np.isfinite(gradient).all() and np.isfinite(normal).all()
         return _EstimatePoint(numbers, cost if is_finite else math.inf, gradient, normal)
 
@@ -211,20 +203,22 @@ class _FittedSides:
         """Return, for each parameter, the share of its effect that no other number can replace; None for a parameter
         without an effect."""
         _, slopes = self._linearise(point.numbers)
+        sizes = np.sqrt(np.diag(_scalar_products(slopes)))
+        units = slopes / np.where(sizes > 0.0, sizes, 1.0)[:, None]
         shares: list[float | None] = []
-        for place in range(len(point.numbers) - len(self.first)):
-            others = np.delete(slopes, place, axis=0)
-            sizes = np.linalg.norm(others, axis=1, keepdims=True)
-            _, values, directions = np.linalg.svd(others / np.where(sizes > 0.0, sizes, 1.0), full_matrices=False)
-            basis = directions[values > _DEPENDENT * values.max(initial=0.0)]
-            left = slopes[place] - basis.T @ (basis @ slopes[place])
-            whole = float(slopes[place] @ slopes[place])
-            shares.append(math.sqrt(float(left @ left) / whole) if whole > 0.0 else None)
+        for place in range(len(units) - len(self.first)):
+            columns = np.concatenate([np.delete(units, place, axis=0), units[place][None]])
+            left = triangularize(columns, np.empty((len(units) - 1, len(units))))
+            shares.append(math.sqrt(left) if sizes[place] > 0.0 else None)
         return shares
 
 
-_DEPENDENT: Final = 1e-9
-"""Directions with a smaller singular value, relative to the largest one, are rounding errors."""
+def _scalar_products(rows: FloatArray) -> FloatArray:
+    """Return the scalar products (K, K) of the rows (K, R); they are added in the order of R."""
+    products = np.empty((len(rows), len(rows)))
+    for row, dots in zip(rows, products, strict=True):
+        scalar_products(row, rows, dots)
+    return products
 
 
 def _polynomial(dataset: Dataset, config: JobConfig, name: str) -> Program:

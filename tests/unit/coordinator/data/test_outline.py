@@ -80,6 +80,13 @@ def test_of_a_given_equation_its_unknown_part_is_searched_and_its_parameters_are
     assert describe(TABLE, GIVEN).split("\n")[-2:] == ["given: dx/dt = -k*x + ?(y)", "given: dy/dt = c/2 - a*y"]
 
 
+def test_parameters_of_an_observed_column_may_have_bounds_without_given_equations():
+    prior = PriorConfig(parameters={"a": ParameterConfig(lower=2.0)})
+    assert outline(TABLE, JobConfig(prior=prior, data=DataConfig(observe={"y": "a*x"}))).parameters == (
+        "a: at least 2, beginning at 2",
+    )
+
+
 def test_demanded_shapes_are_described():
     prior = GIVEN.prior.model_copy(update={"positive": ("?",), "monotone": {"x": ("increasing in y",)}})
     described = describe(TABLE, GIVEN.model_copy(update={"prior": prior})).split("\n")
@@ -114,6 +121,17 @@ def test_units_of_unknown_parts_and_parameters_follow_from_the_units_of_the_colu
     ]
     assert plan.as_dict()["equations"][0]["unit"] == "m/s"
     assert plan.warnings == ()
+
+
+def test_an_observed_column_has_its_own_unit_and_no_unit_of_a_rate():
+    def planned(side):
+        data = DataConfig(units={"x": "m", "y": "V", "t": "s"}, observe={"y": side})
+        return outline(TABLE, JobConfig(prior=PriorConfig(equations={"dx": "-k*x"}), data=data))
+
+    assert planned("a*x + b").parameters[1:] == ("a [V/m]: beginning at 1", "b [V]: beginning at 1")
+    assert planned("a*x + b").warnings == ()
+    (warning,) = planned("x + b").warnings
+    assert "the term x has the unit m instead of the unit V" in warning
 
 
 def test_given_terms_with_impossible_units_are_a_warning():

@@ -121,6 +121,8 @@ def test_an_equation_has_its_own_operators_and_variables_the_others_the_general_
         ({"equations": {"x": "(x + ?)**2"}}, ["write ? once, for the whole of it"]),
         ({"equations": {"x": "?*exp(?)"}}, ["write ? once, for the whole of it"]),
         ({"equations": {"x": "x + ʔ"}}, ["letter ʔ"]),
+        ({"equations": {"x": "x"}, "data": DataConfig(observe={"z": "c*+"})}, ["--observe for 'z'", "the text ends"]),
+        ({"equations": {"x": "x"}, "data": DataConfig(observe={"z": "ln*x"})}, ["--equation or --observe uses ln"]),
         ({"equations": {"dx/dt": "?"}, "data": DataConfig(order=2)}, ["'dx/dt'", "first derivative"]),
     ],
 )
@@ -289,6 +291,7 @@ def test_given_equations_are_prepared_beside_the_only_one_sought():
     [
         ("cos(t)", {}, ["time t", "--inputs t"]),
         ("z + c", {"states": ("x", "y")}, ["uses z", "neither a state nor an input", "--inputs"]),
+        ("c", {"observe": {"y": "t*x"}}, ["--equation or --observe uses the time t", "--inputs t"]),
     ],
 )
 def test_columns_that_are_no_variables_are_no_parameters(side, data, words):

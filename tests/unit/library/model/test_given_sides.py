@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import atoll
+from atoll.export.formats import as_csv
 from atoll.model.equations import constant_names
 from atoll.model.given_sides import GivenSides, program_of
 from atoll.text.render import pick, render, render_text
@@ -116,6 +117,19 @@ def test_text_says_which_parameters_are_on_a_bound_or_not_determined() -> None:
     assert "Y = 0.5 (at its bound, 0.4 to 0.5)" in render_text(Result.of(contents))
     constants[place] = {"value": 0.5, "fitted": 0.5, "identifiable": False}
     assert "Y = 0.5 (not determined)" in render_text(Result.of(contents))
+
+
+def test_a_front_has_the_label_of_the_unknown_part_that_was_searched_under_its_equation() -> None:
+    sides = {"x": "-?1(x)", "y": "?1(x) - ?2(y)", "z": "?2(y) - 0.5*z"}
+    contents = result(dict.fromkeys(sides, "1"))
+    contents = with_given(contents, given_entries(sides, {"?1": "0.5*x", "?2": "0.3*y"}, {}))
+    for entry in contents["equations"]:
+        entry["front"] = [{"expression": "0.4*x", "complexity": 3, "normalized_error": 0.1}]
+    of = Result.of(contents)
+    heads = [line.split("R2  ")[1] for line in render_text(of, fronts=True).splitlines() if "R2  " in line]
+    assert heads == ["expression of ?1", "expression of ?2", "expression"]
+    shown = [line.split(",")[1] for line in as_csv(of).splitlines() if line.endswith("0.4*x")]
+    assert shown == ["?1 in dx/dt", "?2 in dy/dt", "dz/dt"]
 
 
 def test_a_picked_unknown_part_stands_in_all_its_sides() -> None:

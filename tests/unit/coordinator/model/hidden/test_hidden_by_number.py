@@ -112,6 +112,9 @@ def test_an_equation_with_a_hidden_state_is_never_exact():
     refined = refine_all(preparation, config, {name: Pool(()) for name in ("x", "h")}, laws=laws)
     assert set(refined.equations) == {"x", "h"}
     assert all(one.grade in ("good", "doubtful") for one in refined.equations.values())
+    for one in refined.equations.values():
+        (constants,) = (check for check in one.checks if check.name == "constants")
+        assert (constants.outcome == "not applicable") == (not one.constants)
     assert any("No column measures h" in warning and "change of coordinates" in warning for warning in refined.warnings)
 
 

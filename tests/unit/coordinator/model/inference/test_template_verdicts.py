@@ -24,9 +24,9 @@ DRUG_SIDES = {"c": "-k*c - a*c + b*p", "p": "a*c - b*p"}
 RATES = {name: ParameterConfig(lower=0.01, upper=10.0) for name in "kab"}
 
 
-def refined(made: Table, sides, parameters=None, *, data=None, initial=None, pool=None, variables_of=None):
+def refined(made: Table, sides, parameters=None, *, data=None, initial=None, pool=None, variables_of=None, limits=None):
     """Return the refinement of a table by a template; `pool` has what a search might hand on, by equation."""
-    prior = PriorConfig(equations=sides, parameters=parameters or {}, initial=initial or {})
+    prior = PriorConfig(equations=sides, parameters=parameters or {}, initial=initial or {}, limits=limits or {})
     space = SpaceConfig(operators=("+", "-", "*"), variables_of=variables_of or {})
     config = JobConfig(prior=prior, data=data or DataConfig(), space=space)
     preparation = prepare(made, config)
@@ -105,6 +105,16 @@ def test_a_wrong_given_form_is_called_the_likely_reason():
     for equation in refinement.equations.values():
         assert "given term may be wrong" in equation.reason, equation.reason
         assert "easure more rows" not in equation.reason
+
+
+def test_a_demanded_shape_is_no_evidence_for_an_unknown_part():
+    made = table(PENDULUM, ([2.0, 0.0],), TIMES, noise=0.01)
+    sides = {"theta": "v", "v": "-7*sin(theta) - 0.3*v + ?(v)"}  # nothing is missing
+    refinement = refined(
+        made, sides, pool={"v": ("0.01*v*v", "-0.01*v*v", "0.01*v**4")}, variables_of={"v": ("v",)},
+        limits={"v": ("v -> inf: 1..1e30",)},
+    )  # fmt: skip
+    assert check(refinement, "v", "unknown part").outcome == "failed"
 
 
 def test_a_hidden_state_follows_its_true_course():
