@@ -14,7 +14,7 @@ from benchmarks.contests import ctf, llm_sr
 from benchmarks.harness.command_line import OUT, option, positive, program, seeds, verb, verbs, workers
 
 _PAIRS: Final = tuple(range(1, 10))
-_PROBLEMS: Final = (*llm_sr.PROBLEMS,)
+_PROBLEMS: Final = tuple(llm_sr.PROBLEMS)
 _COMMON: Final = (
     option("--data", type=Path, metavar="DIR", required=True, help="folder of the train sets"),
     option("--seed", type=int, default=0, help="seed of the searches (%(default)s)"),
@@ -39,9 +39,7 @@ _COMMON: Final = (
             "llm_sr",
             "the four problems of LLM-SR",
             *_COMMON,
-            option(
-                "--problems", choices=[*llm_sr.PROBLEMS], nargs="+", default=[*llm_sr.PROBLEMS], help="default: all"
-            ),
+            option("--problems", choices=_PROBLEMS, nargs="+", default=_PROBLEMS, help="default: all"),
             option("--config", metavar="job.toml", help="settings of the jobs; default: none"),
             option("--max-time", type=positive, metavar="SECONDS", help="end of a job; default: none"),
         ),

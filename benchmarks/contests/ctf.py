@@ -164,7 +164,7 @@ def run(options: Namespace) -> None:
     if options.out is not None and predictions:
         path = options.out.with_suffix(".npz")
         np.savez_compressed(path, allow_pickle=False, **predictions)
-        say(f"the predictions of pairs 1 to 9 are in {path}")
+        say(f"the predictions of pairs {', '.join(str(pair) for pair in options.pairs)} are in {path}")
     record.write(scores=scored, laws={name: asdict(found) for name, found in laws_found.items()})
 
 

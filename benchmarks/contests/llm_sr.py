@@ -133,13 +133,13 @@ def search(name: str, split: str, options: Namespace) -> Outcome:
     is_held_out = problem.splits[split](columns)
     own, other = ({key: values[rows] for key, values in columns.items()} for rows in (~is_held_out, is_held_out))
     variables = [key for key in columns if key != problem.target]
-    given = {"max_time": options.max_time, "config": options.config}
-    limit = {name: value for name, value in given.items() if value is not None}
+    settings = {"max_time": options.max_time, "config": options.config}
+    settings = {option: value for option, value in settings.items() if value is not None}
     began = time.monotonic()
     try:
         model = atoll.discover(
             own, target=problem.target, inputs=variables, workers=options.workers, seed=options.seed, progress=False,
-            **limit,
+            **settings,
         )  # fmt: skip
     except AtollError as error:
         return Outcome(name, split, len(own[problem.target]), time.monotonic() - began, failure=str(error))
@@ -156,7 +156,7 @@ def search(name: str, split: str, options: Namespace) -> Outcome:
 
 
 def run(options: Namespace) -> None:
-    """Search all problems with both splits and print the errors beside the published ones."""
+    """Search all problems with both splits and print the errors next to the published ones."""
     record, outcomes = Record("contests", options.words, options.out), list[Outcome]()
     for name in options.problems:
         for split in PROBLEMS[name].splits:

@@ -1,9 +1,10 @@
 """Universal differential equations of glycolysis (Philipps et al. 2025, npj Systems Biology and Applications 11:101).
 
 Seven states, of which two are measured; twelve parameters; the degradation of A3 is unknown. A part of the rows up to
-the time 1.5 is given, and the rest is foretold up to the time 5.
+the time 1.5 is given, and the states are predicted up to the time 5.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -69,8 +70,6 @@ def truth(times: FloatArray) -> FloatArray:
 
 
 def _with_values(text: str) -> str:
-    import re
-
     return re.sub(r"[A-Za-z_]\w*", lambda match: repr(VALUES[match[0]]) if match[0] in VALUES else match[0], text)
 
 
@@ -98,7 +97,7 @@ def request_of(key: GlycolysisKey) -> tuple[Table, JobConfig]:
         equations=dict(GIVEN),
         parameters={name: ParameterConfig(lower=low, upper=high) for name, (low, high) in BOUNDS.items()},
         initial={name: ParameterConfig(start=value) for name, value in zip(STATES, START, strict=True)},
-        limits={"A3": ("A3 -> 0: 0",)},  # what is not there is not degraded
+        limits={"A3": ("A3 -> 0: 0",)},  # without A3, nothing is degraded
     )
     hidden = tuple(name for name in STATES if name not in ("N2", "A3"))
     config = configured(key.seed)
@@ -141,7 +140,7 @@ def judge(key: GlycolysisKey, result: Mapping[str, Any], seconds: float, failure
     equations = {one["variable"]: one for one in result.get("equations", ())}
     texts = [equations.get(name, {}).get("expression") for name in STATES]
     of_a3 = equations.get("A3", {})
-    oscillates, frequency, amplitude = _foretold(texts)
+    oscillates, frequency, amplitude = _judge_oscillation(texts)
     unknowns = (of_a3.get("given") or {}).get("unknowns") or [{}]
     rest = unknowns[0].get("expression")
     implied = [one for one in of_a3.get("implied") or () if one.get("of") == "A3"]
@@ -151,7 +150,7 @@ def judge(key: GlycolysisKey, result: Mapping[str, Any], seconds: float, failure
     )
 
 
-def _foretold(texts: list[str | None]) -> tuple[bool, float | None, float | None]:
+def _judge_oscillation(texts: list[str | None]) -> tuple[bool, float | None, float | None]:
     """Return whether A3 oscillates beyond the given rows, and the relative errors of frequency and amplitude."""
     times = np.linspace(0.0, END, 2001)
     beyond = times > LAST_GIVEN
@@ -165,10 +164,10 @@ def _foretold(texts: list[str | None]) -> tuple[bool, float | None, float | None
         return False, None, None
     period, true_period = _period(times[beyond], found), _period(times[beyond], right)
     late = slice(len(found) // 2, None)
-    share = float(found[late].std() / right[late].std())
-    if period is None or true_period is None or share < _OSCILLATES:
+    ratio = float(found[late].std() / right[late].std())
+    if period is None or true_period is None or ratio < _OSCILLATES:
         return False, None, None
-    return True, true_period / period - 1.0, share - 1.0
+    return True, true_period / period - 1.0, ratio - 1.0
 
 
 def _period(times: FloatArray, values: FloatArray) -> float | None:

@@ -69,6 +69,8 @@ _FEWEST_ROWS: Final = 5
 _BIT: Final = 0.5
 """Width of a band, in widths of the measured range, of a forecast that is worth one bit."""
 _LARGEST: Final = 1e150
+_MOST_ROWS: Final = 1e12
+"""Largest duration in measured time steps that counts for the number of integration steps, which is an integer."""
 
 
 @dataclass(frozen=True)
@@ -307,7 +309,8 @@ def forecast(result: Result, request: ForecastRequest, table: Table | None = Non
     if model.components:
         return _forecast_process(model, request, table, u)
     law = KnownLaw.of(result, table)
-    last = _chosen(law, request.trajectory)
+    trajectories = dict(law.trajectories())
+    last = trajectories[_chosen([*trajectories], request.trajectory)]
     weighted: Sequence[WeightedSystem] = ()
     if request.has_rivals:
         weighted = alternatives_of(result, law.fitted, ())
@@ -356,14 +359,14 @@ def forecast(result: Result, request: ForecastRequest, table: Table | None = Non
     )
 
 
-def _chosen(law: KnownLaw, name: str | None) -> TrajectoryMeasurements:
-    by_name = dict(law.trajectories())
+def _chosen(names: Sequence[str], name: str | None) -> str:
+    """Return the name of a trajectory; None: the last one. Raises UsageError for an unknown name."""
     if name is None:
-        return [*by_name.values()][-1]
-    if name not in by_name:
-        known = ", ".join(by_name)
-        raise UsageError(f"there is no trajectory {name!r}; the trajectories are {known}{did_you_mean(name, by_name)}")
-    return by_name[name]
+        return names[-1]
+    if name not in names:
+        known = ", ".join(names)
+        raise UsageError(f"there is no trajectory {name!r}; the trajectories are {known}{did_you_mean(name, names)}")
+    return name
 
 
 def _shown_course(measurements: TrajectoryMeasurements) -> FloatArray:
@@ -531,7 +534,7 @@ def _paths(
     slopes (U, G).
     """
     fit, measurements, states, times = window.fit, window.measurements, len(law.states), course[0]
-    rows = max(float(len(times)), (times[-1] - times[0]) / law.measurements.step)
+    rows = min(max(float(len(times)), float(times[-1] - times[0]) / law.measurements.step), _MOST_ROWS)
     limits, whole = np.tile([-_LARGEST, _LARGEST], (states, 1)), np.array([[0, len(times)]], dtype=np.int64)
     paths, found = np.empty((len(starts), len(times), len(law.shown))), np.empty((states, len(times)))
     for draw, (start, constants) in enumerate(zip(starts, values, strict=True)):
@@ -560,11 +563,12 @@ def _forecast_process(model: ModelCore, request: ForecastRequest, table: Table |
         raise UsageError(
             "the result has no measurements", python="give them as data", command="give the data file with --data"
         )
-    name = [*paths][-1] if request.trajectory is None else request.trajectory
-    if name not in paths:
-        raise UsageError(f"there is no trajectory {name!r}; the trajectories are {', '.join(paths)}")
+    name = _chosen([*paths], request.trajectory)
     rows, count = paths[name], len(model.states)
-    row = rows[:, np.flatnonzero(np.isfinite(rows).all(axis=0))[-1]]
+    complete = np.flatnonzero(np.isfinite(rows).all(axis=0))
+    if not len(complete):
+        raise UsageError(f"no row of trajectory {name!r} has a value of every state and input; give other rows")
+    row = rows[:, complete[-1]]
     times = request.times(float(row[0]))
     inputs, notes = _inputs_after(model, dict(zip(model.inputs, row[1 + count :].tolist(), strict=True)), times, u)
     ensemble = ensemble_of(model, row[1 : 1 + count], times, inputs, (request.draws, request.seed))

@@ -207,6 +207,18 @@ def test_a_process_is_forecast_by_its_paths() -> None:
     assert 0.5 * (upper - lower)[-1] == pytest.approx(1.96 * np.sqrt(0.25 / 2.0), rel=0.1)  # dx = (1 - x) dt + 0.5 dW
 
 
+def test_a_process_without_a_complete_row_is_a_sentence() -> None:
+    contents = process_result()
+    contents["data"]["trajectories"] = [{"name": "1", "times": [0.0], "measured": {"x": [None]}, "inputs": {}}]
+    contents["system"] |= {"kind": "process", "states": ["x"]}
+    with pytest.raises(UsageError, match="no row of trajectory '1' has a value of every state"):
+        Model(contents).forecast(1.0)
+
+
+def test_a_forecast_of_any_finite_duration_ends() -> None:
+    assert forecast(line(), ForecastRequest(1e308, draws=2)).t[-1] == pytest.approx(1e308)
+
+
 def test_tables_have_the_median_and_both_bands() -> None:
     found = forecast(line(), ForecastRequest(4.0, step=2.0, draws=100))
     rows = [*csv.reader(io.StringIO(found.to_csv()))]
