@@ -128,8 +128,12 @@ class DataConfig(Frozen):
 
     @property
     def hidden_count(self) -> int | None:
-        """The number of hidden states if `hidden` is a number; None if it names the states."""
-        return int(self.hidden[0]) if len(self.hidden) == 1 and self.hidden[0].isdecimal() else None
+        """The number of hidden states, 0 to 9, if `hidden` is a digit; None if it names the states.
+
+        The limit is set by hand: the courses of more states would be higher derivatives than noisy rows determine.
+        """
+        text = self.hidden[0] if len(self.hidden) == 1 else ""
+        return int(text) if len(text) == 1 and text.isdecimal() else None
 
 
 class SpaceConfig(Frozen):

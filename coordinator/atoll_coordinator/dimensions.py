@@ -125,20 +125,13 @@ def units_of_sides(
     """
     strict, shown = dict[str, Vector](), dict[str, Vector]()
     faults: dict[str, tuple[str, ...]] = {}
+    base_units = {name: expanded(unit) for name, unit in units.items()}
+    given_units = {name: dict(unit.powers) for name, unit in units.items()}
     for equation, program in sides.items():
         left = lefts.get(equation)
-        checked = _Inference(
-            program, names, {name: expanded(unit) for name, unit in units.items()}, units, _solved=strict, tag=equation
-        )
+        checked = _Inference(program, names, base_units, units, _solved=strict, tag=equation)
         checked.close(None if left is None else expanded(left), left)
-        written = _Inference(
-            program,
-            names,
-            {name: dict(unit.powers) for name, unit in units.items()},
-            units,
-            _solved=shown,
-            tag=equation,
-        )
+        written = _Inference(program, names, given_units, units, _solved=shown, tag=equation)
         written.close(None if left is None else dict(left.powers), left)
         strict, shown = checked._solved, written._solved
         if checked.faults:

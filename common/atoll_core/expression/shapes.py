@@ -29,13 +29,14 @@ _LIMIT: Final = re.compile(
 )
 FORMS: Final = "positive, increasing in S, decreasing in S, S -> 0: 0 or S -> inf: 0..2"
 _MOST_ROWS: Final = 128
-"""Most measured rows at which shapes are tested; there are as many points between them."""
+"""Most measured rows at which shapes are tested; there are as many points between them. Set by hand."""
 _PRIMES: Final = (1, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53)
 _FAR: Final = 1e6
-"""A variable that tends to infinity is tested at this multiple of its largest measured value."""
+"""A variable that tends to infinity is tested at this multiple of its largest measured value. Set by hand, so that
+S/(K + S) differs from its limit by less than the tolerance if K is at most 1,000 times the largest S."""
 _TOLERANCE: Final = 1e-3
 """Share of the largest value by which an expression may miss its shape: constants are fitted with errors, and smaller
-differences do not matter in predictions."""
+differences do not matter in predictions. Set by hand."""
 
 
 @dataclass(frozen=True)

@@ -410,6 +410,8 @@ def _template_options(template: object, others: Mapping[str, object]) -> dict[st
         return {}
     if not isinstance(template, Template):
         raise UsageError(f"template must be an atoll.Template, but {shown(template)} was given")
+    if not template.equations:
+        raise UsageError("template has no equations; give at least one, such as {'dx/dt': '-k*x + ?'}")
     both = next((name for name in ("equation", "parameter") if others.get(name) is not None), None)
     if both is not None:
         raise UsageError(f"template and {both} both describe given equations; leave one of them out")

@@ -103,10 +103,10 @@ class Discoverer:
 
     @property
     def parameters_(self) -> dict[str, float]:
-        """The fitted values of the parameters of a template, by name; empty without a template."""
+        """The fitted values of the parameters of a template and of observed columns, by name; empty without them."""
         model = self._model
-        given = [equation.given for equation in model.equations if equation.given is not None]
-        names = {name for side in given for name in side.parameters}
+        sides = [part.given for part in (*model.equations, *model.result.observations)]
+        names = {name for side in sides if side is not None for name in side.parameters}
         return {name: one.value for name, one in model.params.items() if name in names}
 
     def equations(self, precision: int = DIGITS) -> list[str]:

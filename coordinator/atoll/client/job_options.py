@@ -325,7 +325,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("step", "data.step", number, "0.1", "time between rows, if no column has times"),
         Option(
             "hidden", "data.hidden", hidden_states, "h",
-            "states of given equations that no column measures; without equations, their number",
+            "states of given equations that no column measures; without equations, their number, 1 to 9",
         ),
         Option(
             "observe", "data.observe", partial(by_equation, example="y=a*h + b", noun="the column"), "y=a*h + b",

@@ -62,7 +62,6 @@ def progress(result: Result) -> dict[str, Any]:
 
 def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str, Any]:
     symbols, given = tuple(names), given_words(equation, names)
-    is_given = given is not None
     constants = constants_line(equation.constants if given is None else given.constants)
 
     def written(expression: str | None) -> dict[str, Any]:
@@ -71,18 +70,16 @@ def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str
         typeset = _mathml(equation.lhs, equation.variable, expression, symbols)
         return {"expression": _rounded(expression, symbols), "mathml": typeset}
 
-    side = {} if given is None else _given_side(equation, symbols, given)
-
     return {
         "variable": equation.variable,
         "lhs": equation.lhs,
         **written(equation.expression),
-        **side,
+        **({} if given is None else _given_side(equation, symbols, given)),
         "constants": constants.removeprefix("constants: ") if constants else None,
         "origin": equation.origin,
         "candidates": [
             {
-                "expression": _rounded(candidate.expression, symbols, is_given=is_given),
+                "expression": _rounded(candidate.expression, symbols, is_given=given is not None),
                 "nats": candidate.nats,
                 "r2": r2_text(candidate.r2),
                 "held_out_r2": None if candidate.held_out_r2 is None else r2_text(candidate.held_out_r2),

@@ -199,7 +199,9 @@ def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> s
         lines.append(f"read as {table.read_as}")
     if roles.time is not None:
         lines.append(f"time {with_unit(roles.time)}: {_times(measurements, roles.time)}")
-    named = [("states", roles.states), ("derivatives", roles.derivatives), ("inputs", roles.inputs)]
+    states = tuple(name for name in roles.states if name not in roles.observed)
+    named = [("states", states), ("hidden states", roles.hidden), ("derivatives", roles.derivatives)]
+    named.append(("inputs", roles.inputs))
     if roles.target is not None:
         named = [("target", (roles.target,)), ("inputs", roles.inputs)]
     named.append(("weights", () if roles.weights is None else (roles.weights,)))
@@ -209,6 +211,7 @@ def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> s
     prior, side = resolved.prior, roles.left_hand_side
     lines += [f"known: {side(name)} = {text}" for name, text in prior.known.items()]
     lines += [f"given: {side(name)} = {text}" for name, text in prior.equations.items()]
+    lines += [f"observed: {with_unit(name)} = {text}" for name, text in resolved.data.observe.items()]
     lines += [f"guess: {side(name)} = {text}" for name, texts in prior.guesses.items() for text in texts]
     lines += [f"required: {side(name)} has {', '.join(names)}" for name, names in resolved.space.required_of.items()]
     lines += [f"bounds: {side(name)}: {'; '.join(texts)}" for name, texts in prior.bounds.items()]

@@ -249,7 +249,7 @@ class Preparation:
     source: Source | None = None
     counted: Dataset | None = None
     parameters: tuple[float, ...] = ()
-    minima: "FoundMinima | None" = None
+    minima: FoundMinima | None = None
     parts: Mapping[str, Program] = field(default_factory=dict)
 
 

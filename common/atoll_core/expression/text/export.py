@@ -26,7 +26,7 @@ _LATEX_UNITS: Final = {" ": r"\ ", "°": r"{}^{\circ}", "µ": r"\mu ", "μ": r"\
 _UNKNOWN: Final = re.compile(r"\?(\d*)")
 """The name of an unknown part of a given equation."""
 GIVEN_DIGITS: Final = 15
-"""The most digits of a number that a person has written."""
+"""Significant digits that every floating-point number keeps, so that a given number is displayed as it was written."""
 _RAISED: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺"
 _LOWERED: Final = str.maketrans(_RAISED, "0123456789-+")
 _UNIT_PART: Final = re.compile(

@@ -214,7 +214,8 @@ def _check_hidden_states(roles: Roles, config: DataConfig, columns: Sequence[str
         if name in columns:
             raise UsageError(f"--hidden names '{name}', which is a column; a hidden state has none, so remove it")
         if not _is_symbol(name):
-            raise UsageError(f"--hidden names '{name}', which cannot be the name of a state; write a name such as h")
+            advice = "write a name such as h, or a number of states from 1 to 9"
+            raise UsageError(f"--hidden names '{name}', which cannot be the name of a state; {advice}")
     twice = next((name for name in config.hidden if config.hidden.count(name) > 1), None)
     if twice is not None:
         raise UsageError(f"--hidden names '{twice}' twice; name it once")

@@ -87,6 +87,19 @@ def test_parameters_of_an_observed_column_may_have_bounds_without_given_equation
     )
 
 
+def test_hidden_states_and_observed_columns_are_described():
+    data = DataConfig(hidden=("h",), observe={"y": "a*h"})
+    prior = PriorConfig(equations={"dx": "h - x", "dh": "-h"})
+    lines = describe(TABLE, JobConfig(prior=prior, data=data)).split("\n")
+    assert lines[-5:] == [
+        "states: x",
+        "hidden states: h",
+        "given: dx/dt = h - x",
+        "given: dh/dt = -h",
+        "observed: y = a*h",
+    ]
+
+
 def test_demanded_shapes_are_described():
     prior = GIVEN.prior.model_copy(update={"positive": ("?",), "monotone": {"x": ("increasing in y",)}})
     described = describe(TABLE, GIVEN.model_copy(update={"prior": prior})).split("\n")

@@ -300,3 +300,27 @@ def test_columns_that_are_no_variables_are_no_parameters(side, data, words):
     with pytest.raises(UsageError) as caught:
         prepare(table, config_of(equations={"dx": side}, data=DataConfig(**data)))
     assert [word for word in words if word not in str(caught.value)] == []
+
+
+@pytest.mark.parametrize(
+    ("equations", "data", "initial", "words"),
+    [
+        ({}, {"hidden": ("h",)}, {}, ["--hidden names 'h'", "no equation", "dh/dt=…"]),
+        ({"dh": "-h"}, {"hidden": ("h",)}, {}, ["every state needs a given equation", "'x' has none"]),
+        ({"dx": "-x", "dy": "y", "dh": "-h*x"}, {"hidden": ("h",)}, {}, ["nothing that is measured depends on", "'h'"]),
+        ({"dx": "?"}, {"hidden": ("x",)}, {}, ["--hidden names 'x'", "is a column"]),
+        ({}, {"hidden": ("10",)}, {}, ["--hidden names '10'", "from 1 to 9"]),
+        ({}, {"hidden": ("h", "h")}, {}, ["--hidden names 'h' twice"]),
+        ({}, {"observe": {"z": "x"}}, {}, ["--observe names 'z'", "x, y"]),
+        ({"dx": "-x"}, {}, {"z": {"start": 1.0}}, ["--initial names 'z'", "x, y"]),
+        ({"dx": "-x"}, {}, {"x": {"lower": 1.0, "upper": 0.0}}, ["--initial for 'x'", "1..0", "smaller one first"]),
+        ({"dx": "-x"}, {}, {"x": {"start": 3.0, "upper": 2.0}}, ["--initial for 'x' is 3", "outside of its bounds"]),
+        ({}, {}, {"x": {"start": 1.0}}, ["--initial belongs to given equations", "--equation"]),
+    ],
+)
+def test_wrong_hidden_states_observed_columns_and_initial_values_are_refused(equations, data, initial, words):
+    values = {name: ParameterConfig(**settings) for name, settings in initial.items()}
+    config = JobConfig(prior=PriorConfig(equations=equations, initial=values), data=DataConfig(**data))
+    with pytest.raises(UsageError) as caught:
+        prepare(table_of(oscillator()), config)
+    assert [word for word in words if word not in str(caught.value)] == []

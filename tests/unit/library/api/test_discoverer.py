@@ -9,6 +9,7 @@ from atoll.api import discoverer
 from atoll.api.discoverer import Discoverer
 from atoll.api.model import Model
 from atoll_core.errors import DataError, UsageError
+from tests.unit.library.experiments.made import two_compartments
 from tests.unit.library.model.results import bioreactor, result
 
 X = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 7.0]])
@@ -32,6 +33,11 @@ def test_parameters_of_a_template_have_their_names(monkeypatch: pytest.MonkeyPat
     fitted = Discoverer().fit(X[:, :2], np.arange(3.0), feature_names=["X", "S"])
     assert fitted.parameters_ == {"Y": 0.5}
     assert fitted.equations(3)[1] == "0.2*(3 - S) - S/(0.6 + 2*S)*X/0.5"
+
+
+def test_parameters_of_observed_columns_have_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(discoverer, "discover", lambda data, **options: Model(two_compartments()))
+    assert [*Discoverer().fit(X[:, :1], np.arange(3.0), feature_names=["y"]).parameters_] == ["k10", "k12", "k21", "V"]
 
 
 def test_lists_are_trajectories_with_inputs_and_derivatives(calls: list[tuple[Any, dict[str, Any]]]) -> None:

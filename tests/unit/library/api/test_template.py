@@ -52,6 +52,7 @@ def test_the_constructor_stores_what_it_gets_and_params_can_be_set():
     ("options", "words"),
     [
         ({"template": EQUATIONS}, ["atoll.Template"]),
+        ({"template": atoll.Template({}, {"c": 1})}, ["template has no equations"]),
         ({"template": atoll.Template(EQUATIONS), "equation": EQUATIONS}, ["template and equation"]),
         ({"template": atoll.Template(EQUATIONS), "parameter": "c"}, ["template and parameter"]),
         ({"template": atoll.Template(EQUATIONS, {"c": (1, 2, 3)})}, ["parameter", "two bounds for c", "(1, 2, 3)"]),

@@ -130,12 +130,12 @@ def test_a_hidden_state_has_a_name_that_no_column_has():
     ("data", "message"),
     [
         ({"hidden": ("0",)}, "the number 0"),
-        ({"hidden": ("1",), "target": "x"}, "hidden"),
-        ({"hidden": ("1",), "stochastic": True}, "hidden"),
-        ({"hidden": ("1",), "order": 2}, "hidden"),
-        ({"hidden": ("1",), "per_trajectory": True}, "hidden"),
-        ({"hidden": ("1",), "offsets": ("x",)}, "offsets"),
-        ({"hidden": ("1",), "only": ("x",)}, "only"),
+        ({"hidden": ("1",), "target": "x"}, "hidden and target exclude"),
+        ({"hidden": ("1",), "stochastic": True}, "hidden and stochastic exclude"),
+        ({"hidden": ("1",), "order": 2}, "hidden and order=2 exclude"),
+        ({"hidden": ("1",), "per_trajectory": True}, "hidden and per_trajectory exclude"),
+        ({"hidden": ("1",), "offsets": ("x",)}, "hidden and offsets exclude"),
+        ({"hidden": ("1",), "only": ("x",)}, "hidden and only exclude"),
     ],
 )
 def test_what_makes_no_sense_with_a_hidden_state_is_refused(data, message):
