@@ -28,7 +28,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.command_line import option, program, whole
-from tests.unit.coordinator.model.shooting.given import Bounds, given_system, measured_columns, ranges
+from tests.unit.coordinator.model.shooting.given import Bounds, for_states, given_system, measured_columns, ranges
 
 _RATE: Final = "k1*S1*A3/(1 + (A3/K1)**4)"
 
@@ -102,7 +102,7 @@ def problem_of(form: GivenForm, rows: int, noise: float, seed: int) -> tuple[Sta
     values = exact + sizes[:, None] * np.random.default_rng(seed).standard_normal(exact.shape)
     names = tuple(form.sides)
     columns = measured_columns(values, times, [names[place] for place in form.measured], np.maximum(sizes, 1e-8))
-    measurements = columns.for_states(names, form.measured, ranges(times, *form.start_bounds))
+    measurements = for_states(columns, names, form.measured, ranges(times, *form.start_bounds))
     system, numbers = given_system(form.sides, names, form.bounds)
     return StartsProblem(measurements, 1e-6 if noise else 1e-8, 60, system, None), numbers
 

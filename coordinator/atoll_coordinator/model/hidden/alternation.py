@@ -38,12 +38,11 @@ from atoll_coordinator.model.shooting.many_starts import StartPoint, StartsProbl
 from atoll_coordinator.model.sparse.atoms import polynomial_libraries, product_atoms
 from atoll_coordinator.model.sparse.regression import SparseRegression
 from atoll_coordinator.model.sparse.rows import RegressionRows
-from atoll_coordinator.model.template.hidden_states import HiddenCourse
+from atoll_coordinator.model.template.hidden_states import HiddenCourse, states_and_rates
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError
-from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import MAX_NODES, Program, structure
 
 _ROUNDS: Final = 5
@@ -240,17 +239,12 @@ def _course_of(
     """Return the hidden states and their rates by trajectory, with `states` (D, N) of the trajectories that are not
     held out, and `slopes` (D, N) in addition to the rates by the equations."""
     hidden = [task.variables.index(name) for name in task.recording.hidden]
-    values, rates, ends = list[FloatArray](), list[FloatArray](), {False: 0, True: 0}
-    for part in task.recording.trajectories:
-        fit, begin = fits[part.held_out], ends[part.held_out]
-        ends[part.held_out] = begin + len(part.times)
-        rows, measurements = slice(begin, begin + len(part.times)), fit.estimator.measurements
-        own = fit.simulated if part.held_out else states
-        points = np.concatenate([own, measurements.inputs])[:, rows]
-        points = np.ascontiguousarray(points[[measurements.variables.index(name) for name in task.dataset.names]])
-        by_law = np.array([values_of(fit.system.programs[index], points) for index in hidden])
-        values.append(np.ascontiguousarray(own[hidden, rows]))
-        rates.append(by_law if part.held_out else by_law + slopes[hidden, rows])
+    values, rates = list[FloatArray](), list[FloatArray]()
+    own = {held_out: fit.simulated for held_out, fit in fits.items()} | {False: states}
+    parts = zip(task.recording.trajectories, states_and_rates(task, fits, own), strict=True)
+    for part, (course, by_law, rows) in parts:
+        values.append(np.ascontiguousarray(course[hidden]))
+        rates.append(by_law[hidden] if part.held_out else by_law[hidden] + slopes[hidden, rows])
     return Course(coordinates, tuple(values), tuple(rates))
 
 

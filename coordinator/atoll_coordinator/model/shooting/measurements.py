@@ -1,10 +1,9 @@
 """The measured trajectories as arrays for fits: all rows one after another, and the pieces that are simulated. Pure.
 
 `measurements_of` collects values, weights and inputs of a `Recording` for the states of one system; `thin`, `part`,
-`pieces` and `strided` return subsets. `for_states` turns the measurements of columns into measurements for a system
-whose states are not all columns: hidden states have no measured values, and a column may be computed from several
+`pieces` and `strided` return subsets. Hidden states have no measured values, and a column may be computed from several
 states. Doubts: states without an equation become inputs with their smoothed values. The errors of the smoothed values
-do not affect the weights. Before a fit, nobody knows the size of a hidden state: it is guessed from its initial value.
+do not affect the weights.
 
 Letters: N rows of all trajectories, S states, D states with an equation here, M columns computed from states, O
     measured columns, K states with an offset, U inputs, B pieces, T trajectories.
@@ -225,46 +224,6 @@ class TrajectoryMeasurements:
         lower = np.where(is_first[:, None], self.initial.lower[owners], -np.inf)
         return lower, np.where(is_first[:, None], self.initial.upper[owners], np.inf)
 
-    def for_states(
-        self, states: Sequence[str], observed: Sequence[int], initial: InitialRanges | None = None,
-        course: FloatArray | None = None,
-    ) -> "TrajectoryMeasurements":  # fmt: skip
-        """Return these measurements of O columns for a system of D states.
-
-        States that are no column are hidden. The course of a hidden state is the middle of the bounds on its initial
-        value (the geometric mean of positive bounds); without bounds it is 0.
-
-        Args:
-            states: the names of the states (D).
-            observed: for each column, the index of the state that was measured. Indices from D on are the columns that
-                are computed from states.
-            initial: bounds on the initial states of all trajectories.
-            course: estimated states (D, N), such as a first simulation; values of measured states are not used.
-        """
-        places = np.array(observed, np.int64)
-        is_state = places < len(states)
-        columns, rows = np.flatnonzero(is_state), places[is_state]
-        hidden = tuple(index for index in range(len(states)) if index not in rows)
-        smoothed = self._guessed_course(len(states), initial) if course is None else course.copy()
-        smoothed[rows] = self.smoothed[columns]
-        scales = np.empty(len(states))
-        scales[rows] = self.scales[columns]
-        scales[list(hidden)] = _sizes_of(smoothed[list(hidden)])
-        resting = self.resting
-        if resting is not None and not is_state.all():
-            resting = resting & is_state[:, None]
-        return replace(
-            self, smoothed=smoothed, observed=places, scales=scales, resting=resting, hidden=hidden, initial=initial,
-            variables=(*states, *self.variables[len(self.smoothed) :]),
-            column_scales=None if is_state.all() else self.scales,
-        )  # fmt: skip
-
-    def _guessed_course(self, states: int, initial: InitialRanges | None) -> FloatArray:
-        """Return states (D, N) that keep the middle of the bounds on their initial values."""
-        if initial is None:
-            return np.zeros((states, self.rows))
-        return np.ascontiguousarray(middle_of(initial.lower, initial.upper)[self.owners_of_rows].T)
-
     def with_course(self, course: FloatArray) -> "TrajectoryMeasurements":
         """Return the measurements with the values of the hidden states in `course` (D, N), such as a simulation."""
         hidden = list(self.hidden)
@@ -340,15 +299,6 @@ class TrajectoryMeasurements:
             times=np.ascontiguousarray(self.times[rows]),
             **arrays,
         )
-
-
-def middle_of(lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the middle of bounds: the geometric mean of bounds of equal sign, else the mean. An infinite bound is
-    left out; between two of them, the middle is 0."""
-    with np.errstate(all="ignore"):
-        means = np.where(lower * upper > 0.0, np.sign(lower) * np.sqrt(lower * upper), 0.5 * (lower + upper))
-    ends = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 0.0))
-    return np.asarray(np.where(np.isfinite(means), means, ends))
 
 
 def _sizes_of(values: FloatArray) -> FloatArray:

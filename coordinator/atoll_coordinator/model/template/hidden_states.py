@@ -10,7 +10,7 @@ Doubtful: the course belongs to the present law. If the unknown part is not near
 targets of the search with it. Refining fits the found law again, with the initial values of hidden states.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -209,24 +209,31 @@ def _along_trajectories(
     task: ModellingTask, fits: Mapping[bool, TrajectoryFit], slots: Mapping[str, Program], minima: FoundMinima
 ) -> HiddenCourse:
     """Return the states and rates of fits at all rows, in the order of the recording's trajectories."""
-    variables, count = task.variables, len(task.variables)
-    states, rates = list[FloatArray](), list[FloatArray]()
+    parts = list(states_and_rates(task, fits, {held_out: fit.simulated for held_out, fit in fits.items()}))
+    states, rates = (np.concatenate([part[place] for part in parts], axis=1) for place in (0, 1))
+    values = fits[False].system.parameter_values
+    parameters = tuple(float(f"{value:.{_DIGITS - 1}e}") for value in values.tolist())
+    found = dict(zip(task.variables, fits[False].system.searched(0), strict=True))
+    return HiddenCourse(task.variables, states, rates, parameters, {name: found[name] for name in slots}, minima)
+
+
+def states_and_rates(
+    task: ModellingTask, fits: Mapping[bool, TrajectoryFit], states: Mapping[bool, FloatArray]
+) -> Iterator[tuple[FloatArray, FloatArray, slice]]:
+    """Yield, for each trajectory of the recording, the states (D, R), their rates (D, R) by the equations of its fit,
+    and its rows.
+
+    `fits` and `states` (D, N) are those of held-out trajectories (True) and of the others (False).
+    """
     used = {False: 0, True: 0}
     for part in task.recording.trajectories:
         fit, first = fits[part.held_out], used[part.held_out]
         used[part.held_out] = end = first + len(part.times)
-        measurements = fit.estimator.measurements
-        points = np.concatenate([fit.simulated[:count], measurements.inputs])[:, first:end]
+        measurements, rows = fit.estimator.measurements, slice(first, end)
+        own = states[part.held_out][:, rows]
+        points = np.concatenate([own, measurements.inputs[:, rows]])
         points = points[[measurements.variables.index(name) for name in task.dataset.names]]
-        states.append(fit.simulated[:count, first:end])
-        rates.append(np.array([values_of(program, points) for program in fit.system.programs[:count]]))
-    values = fits[False].system.parameter_values
-    parameters = tuple(float(f"{value:.{_DIGITS - 1}e}") for value in values.tolist())
-    found = dict(zip(variables, fits[False].system.searched(0), strict=True))
-    return HiddenCourse(
-        variables, np.concatenate(states, axis=1), np.concatenate(rates, axis=1), parameters,
-        {name: found[name] for name in slots}, minima,
-    )  # fmt: skip
+        yield own, np.array([values_of(program, points) for program in fit.system.programs[: len(own)]]), rows
 
 
 def linear_part(

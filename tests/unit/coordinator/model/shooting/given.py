@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll_coordinator.model.shooting.measurements import InitialRanges, TrajectoryMeasurements, middle_of
+from atoll_coordinator.model.shooting.measurements import InitialRanges, TrajectoryMeasurements
 from atoll_coordinator.model.shooting.system import OdeSystem, Place, system_of
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.operators import CONSTANT, VARIABLE
@@ -64,3 +64,38 @@ def ranges(times: FloatArray, *bounds: Bounds) -> InitialRanges:
     """Return the bounds of the initial state of one trajectory."""
     lower, upper = np.array(bounds).T
     return InitialRanges(times[:1], lower[None], upper[None])
+
+
+def for_states(
+    columns: TrajectoryMeasurements,
+    states: Sequence[str],
+    observed: Sequence[int],
+    initial: InitialRanges | None = None,
+) -> TrajectoryMeasurements:
+    """Return the measurements of `columns` for a system of D states.
+
+    `observed` has for each column the index of its state; indices from D on are computed columns. Other states are
+    hidden: their course is the middle of the bounds on their initial values, or 0.
+    """
+    places = np.array(observed, np.int64)
+    is_state = places < len(states)
+    smoothed, scales = np.zeros((len(states), columns.rows)), np.ones(len(states))
+    smoothed[places[is_state]], scales[places[is_state]] = columns.smoothed[is_state], columns.scales[is_state]
+    made = replace(
+        columns, smoothed=smoothed, observed=places, scales=scales, initial=initial,
+        hidden=tuple(index for index in range(len(states)) if index not in observed),
+        variables=(*states, *columns.variables[len(columns.smoothed) :]),
+        column_scales=None if is_state.all() else columns.scales,
+    )  # fmt: skip
+    if initial is None:
+        return made.with_course(np.zeros_like(smoothed))
+    return made.with_course(middle_of(initial.lower, initial.upper)[columns.owners_of_rows].T)
+
+
+def middle_of(lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return the middle of bounds: the geometric mean of bounds of equal sign, else the mean. An infinite bound is
+    left out; between two of them, the middle is 0."""
+    with np.errstate(all="ignore"):
+        means = np.where(lower * upper > 0.0, np.sign(lower) * np.sqrt(lower * upper), 0.5 * (lower + upper))
+    ends = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 0.0))
+    return np.asarray(np.where(np.isfinite(means), means, ends))

@@ -12,15 +12,14 @@ from atoll_coordinator.model.shooting.many_starts import StartPoint, StartsProbl
 from atoll_coordinator.model.shooting.measurements import (
     TrajectoryMeasurements,
     measurements_of,
-    middle_of,
 )
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.points_between import latin_hypercube
-from atoll_coordinator.model.shooting.system import OdeSystem, system_of
+from atoll_coordinator.model.shooting.system import OdeSystem
 from atoll_core.data.dataset import FloatArray
 from tests.batches import ScatteredBatches
-from tests.unit.coordinator.model.shooting.given import FREE, Bounds, given_system, measured_columns, ranges
-from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, Known, recording
+from tests.unit.coordinator.model.shooting.given import FREE, Bounds, for_states, given_system, measured_columns, ranges
+from tests.unit.coordinator.model.shooting.made import Known, recording
 
 # A drug in two compartments; only the first one is measured.
 
@@ -42,7 +41,7 @@ def drug_fit(start: tuple[Bounds, Bounds], noise: float = 0.0, **bounds: Bounds)
     values = drug()[:1] + noise * np.random.default_rng(1).standard_normal((1, len(HOURS)))
     system, names = given_system(DRUG, ("c", "p"), dict.fromkeys(DRUG_VALUES, (0.01, 10.0)) | bounds)
     columns = measured_columns(values, HOURS, ["c"], max(noise, 1e-9))
-    measurements = columns.for_states(("c", "p"), [0], ranges(HOURS, *start))
+    measurements = for_states(columns, ("c", "p"), [0], ranges(HOURS, *start))
     fit = MultipleShooting(measurements, 1e-9).fit(system, None, 60)
     assert fit is not None
     return fit, dict(zip(names, fit.system.values.tolist(), strict=True))
@@ -92,7 +91,7 @@ def mixed(groups: int = 1) -> tuple[MultipleShooting, OdeSystem]:
     times = 0.2 * np.arange(12.0)
     known = Known(("x", "h"), lambda t, z: [-z[0] + 0.5 * z[1], z[0] - z[1]])
     rows = measurements_of(recording(known, [[1.0, 0.5], [0.3, 2.0]], [times, times]), [0, 1])
-    states = rows.for_states(("x", "h"), [0, 2], None)
+    states = for_states(rows, ("x", "h"), [0, 2])
     system, _ = given_system(MIXED, ("x", "h"), dict.fromkeys("rsab", (0.1, 10.0)), ["u"])
     waves = np.sin(rows.times)[None]
     states = replace(states, inputs=waves, input_slopes=np.cos(rows.times)[None], variables=("x", "h", "u"))
@@ -144,24 +143,12 @@ def test_constants_of_columns_are_fitted_with_the_constants_of_equations():
     sides = DRUG | {"y": "m*p + n"}
     system, names = given_system(sides, ("c", "p"), dict.fromkeys("kab", (0.01, 10.0)) | dict.fromkeys("mn", FREE))
     columns = measured_columns(np.concatenate([drug()[:1], values]), HOURS, ["c", "y"], 1e-9)
-    measurements = columns.for_states(("c", "p"), [0, 2], ranges(HOURS, FREE, (0.0, 0.0)))
+    measurements = for_states(columns, ("c", "p"), [0, 2], ranges(HOURS, FREE, (0.0, 0.0)))
     fit = MultipleShooting(measurements, 1e-9).fit(system, None, 60)
     assert fit is not None
     expected = DRUG_VALUES | {"m": 0.7, "n": 2.0}
     assert dict(zip(names, fit.system.values.tolist(), strict=True)) == pytest.approx(expected, rel=1e-5)
     assert [len(program) for program in fit.system.programs][2] == len(fit.system.observation_programs[0])
-
-
-def test_columns_that_are_states_give_equal_bits():
-    made = recording(LOTKA, [[0.4, 1.5], [1.5, 0.3]], 0.1 * np.arange(40.0), 0.01)
-    plain = measurements_of(made, [0, 1])
-    named = plain.for_states(("x", "y"), [0, 1])
-    system = system_of([LOTKA.parsed(text) for text in LOTKA_TEXT], ("x", "y"), ("x", "y"))
-    first, second = (MultipleShooting(rows, 1e-6).fit(system, None, 10) for rows in (plain, named))
-    assert first is not None
-    assert second is not None
-    assert np.array_equal(first.system.values, second.system.values)
-    assert np.array_equal(first.starts, second.starts)
 
 
 def test_steps_in_logarithms_keep_signs_and_are_short():
@@ -206,7 +193,7 @@ def test_a_prior_keeps_what_the_data_do_not_determine_and_moves_little_else():
 
 def test_parts_of_hidden_measurements_keep_the_initial_ranges_of_their_first_rows():
     columns = measured_columns(drug()[:1], HOURS, ["c"], 0.01)
-    measurements = columns.for_states(("c", "p"), [0], ranges(HOURS, FREE, (0.0, 0.0)))
+    measurements = for_states(columns, ("c", "p"), [0], ranges(HOURS, FREE, (0.0, 0.0)))
     lower, upper = measurements.pieces([(0, 10, 0), (20, 30, 0)]).start_ranges(np.array([[0, 10], [10, 20]]))
     assert lower[:, 1].tolist() == [0.0, -np.inf]
     assert upper[:, 1].tolist() == [0.0, np.inf]
@@ -218,17 +205,12 @@ def test_parts_of_hidden_measurements_keep_the_initial_ranges_of_their_first_row
 
 def test_the_course_of_a_hidden_state_gives_its_scale():
     columns = measured_columns(drug()[:1], HOURS, ["c"], 0.01)
-    measurements = columns.for_states(("c", "p"), [0], ranges(HOURS, FREE, (0.01, 4.0)))
+    measurements = for_states(columns, ("c", "p"), [0], ranges(HOURS, FREE, (0.01, 4.0)))
     assert measurements.smoothed[1] == pytest.approx(0.2)
     assert measurements.scales[1] == pytest.approx(0.2)
     again = measurements.with_course(drug())
     assert again.scales == pytest.approx(drug().std(axis=1))
     assert np.array_equal(again.smoothed[0], measurements.smoothed[0])
-
-
-def test_the_middle_of_bounds():
-    lower, upper = np.array([0.1, -10.0, -1.0, -np.inf, 2.0, -np.inf]), np.array([10.0, -0.1, 3.0, np.inf, np.inf, 5.0])
-    assert middle_of(lower, upper) == pytest.approx([1.0, -1.0, 1.0, 0.0, 2.0, 5.0])
 
 
 # Many starts.
@@ -244,7 +226,7 @@ def nerve(noise: float = 0.0) -> tuple[TrajectoryMeasurements, OdeSystem, list[s
     values = values + noise * np.random.default_rng(3).standard_normal(values.shape)
     columns = measured_columns(values, NERVE_TIMES, ["v"], max(noise, 1e-8))
     system, names = given_system(NERVE_TEXT, ("v", "w"), NERVE_BOUNDS)
-    return columns.for_states(("v", "w"), [0], ranges(NERVE_TIMES, FREE, (-2.0, 2.0))), system, names
+    return for_states(columns, ("v", "w"), [0], ranges(NERVE_TIMES, FREE, (-2.0, 2.0))), system, names
 
 
 def test_a_nerve_is_found_from_most_of_sixteen_starts():
@@ -280,7 +262,7 @@ def test_starts_are_fitted_alike_by_threads_and_workers():
     values = drug()[:1] + 0.02 * np.random.default_rng(2).standard_normal((1, len(HOURS)))
     system, _ = given_system(DRUG, ("c", "p"), dict.fromkeys("kab", (0.01, 10.0)))
     columns = measured_columns(values, HOURS, ["c"], 0.02)
-    measurements = columns.for_states(("c", "p"), [0], ranges(HOURS, FREE, (0.0, 0.0)))
+    measurements = for_states(columns, ("c", "p"), [0], ranges(HOURS, FREE, (0.0, 0.0)))
     results = []
     with spreading(None, 2, Deadline()) as threads:
         for spread in (None, threads, Spread(ScatteredBatches(3))):
@@ -303,7 +285,7 @@ def test_a_chaotic_system_is_found_from_one_of_three_states():
     noise = 0.01 * values[0].std()
     seen = values[:1] + noise * np.random.default_rng(5).standard_normal((1, len(times)))
     columns = measured_columns(seen, times, ["x"], noise)
-    measurements = columns.for_states(known.states, [0], ranges(times, FREE, (-50.0, 50.0), (0.0, 60.0)))
+    measurements = for_states(columns, known.states, [0], ranges(times, FREE, (-50.0, 50.0), (0.0, 60.0)))
     found = fit_from_many_starts(MultipleShooting(measurements, 1e-6), system)
     assert found is not None
     expected = {"s": 10.0, "r": 28.0, "b": 8 / 3}
@@ -321,7 +303,7 @@ def test_starts_that_cannot_be_integrated_are_counted_as_work():
 def test_without_bounds_there_is_one_start():
     system, _ = given_system(DRUG, ("c", "p"), dict.fromkeys("kab", FREE))
     columns = measured_columns(drug()[:1], HOURS, ["c"], 0.01)
-    measurements = columns.for_states(("c", "p"), [0], ranges(HOURS, FREE, (0.0, 0.0)))
+    measurements = for_states(columns, ("c", "p"), [0], ranges(HOURS, FREE, (0.0, 0.0)))
     found = fit_from_many_starts(MultipleShooting(measurements, 1e-6), system.with_values(np.array([0.3, 0.5, 0.25])))
     assert found is not None
     assert found.starts == 1
@@ -335,7 +317,7 @@ def test_a_stiff_hidden_state_is_fitted_with_the_implicit_method():
         {"s": "-k*s", "i": "k*s - 4000*i", "p": "4000*i"}, ("s", "i", "p"), {"k": (0.01, 10.0)}
     )
     columns = measured_columns(product[None], times, ["p"], 1e-4)
-    measurements = columns.for_states(("s", "i", "p"), [2], ranges(times, (1.0, 1.0), (0.0, 0.0), (0.0, 0.0)))
+    measurements = for_states(columns, ("s", "i", "p"), [2], ranges(times, (1.0, 1.0), (0.0, 0.0), (0.0, 0.0)))
     found = fit_from_many_starts(MultipleShooting(measurements, 1e-5), system)
     assert found is not None
     assert found.fit.is_stiff
