@@ -55,13 +55,14 @@ def plot_forecast(
     model: "ModelCore", columns: Mapping[str, npt.NDArray[np.float64]], measured: Mapping[str, npt.NDArray[np.float64]],
     axes: object = None,
 ) -> Axes:  # fmt: skip
-    """Plot a forecast: the measured values, the median, and the 50 % and 95 % bands of each state.
+    """Plot a forecast: measured values, the median, and the 50 % and 95 % bands of each state and computed column.
 
-    `columns` (N,) are the columns of a forecast, `measured` (R,) the measured states and their times, by name.
+    `columns` (N,) are the columns of a forecast, `measured` (R,) the measured columns and their times, by name.
     """
     time, by_symbol = model.time, model.result.columns_by_symbol
-    each = _axes_over_time(model, [by_symbol.get(state, state) for state in model.states], axes)
-    for at, state in zip(each, model.states, strict=True):
+    states = (*model.states, *model.observed.programs)
+    each = _axes_over_time(model, [by_symbol.get(state, state) for state in states], axes)
+    for at, state in zip(each, states, strict=True):
         for suffix in ("", "50"):
             ends = (columns[f"{state}_{end}{suffix}"] for end in ("lower", "upper"))
             at.fill_between(columns[time], *ends, color="C1", alpha=0.3)

@@ -89,7 +89,7 @@ class Adapted:
             if self.executor is broken and self.make is not None:
                 try:
                     self.executor = self.make()
-                except UsageError as error:  # what was given was right at first
+                except UsageError as error:  # the executor could be made before
                     raise ExecutorError(str(error)) from error
 
     def close(self, *, is_done: bool) -> None:

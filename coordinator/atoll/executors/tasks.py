@@ -201,10 +201,11 @@ class StopSign:
     def set(self) -> None:
         """Let the calls end. If the sign was sent to other processes, its file exists until this process ends."""
         self._event.set()
-        if self._file:
-            self._write()
+        self._write()
 
     def _write(self) -> None:
+        if not self._file:  # the sign was not sent, or there is no folder of temporary files
+            return
         with contextlib.suppress(OSError):  # then calls in other processes compute to their end
             Path(self._file).touch(exist_ok=True)
             atexit.register(_remove_seen, Path(self._file), time.monotonic() + _SEEN_S)

@@ -6,7 +6,7 @@ import pytest
 
 from atoll.api.model import Model
 from atoll_core.errors import UsageError
-from tests.unit.library.experiments.made import measured
+from tests.unit.library.experiments.made import measured, two_compartments
 from tests.unit.library.model.results import result
 
 
@@ -45,6 +45,16 @@ def test_a_forecast_is_drawn_with_two_bands_after_its_measurements() -> None:
     assert median.get_ydata() == pytest.approx(forecast["x"])
     assert rows.get_xdata() == pytest.approx(t)
     assert len(axes.collections) == 2
+
+
+def test_a_forecast_has_the_measured_columns_that_are_computed_from_hidden_states() -> None:
+    matplotlib.use("agg")
+    model = Model(two_compartments())
+    forecast = model.forecast(2.0, draws=5)
+    axes = model.plot_forecast(forecast)
+    assert [at.get_ylabel() for at in axes] == ["c", "p", "y"]
+    assert [len(at.lines) for at in axes] == [1, 1, 2]
+    assert axes[2].lines[0].get_ydata() == pytest.approx(forecast["y"])
 
 
 def test_a_phase_plane_and_a_front_are_drawn_into_given_axes(model: Model) -> None:

@@ -61,9 +61,11 @@ def test_without_a_folder_for_temporary_files_a_copy_is_never_set(monkeypatch: p
     monkeypatch.setattr(tempfile, "gettempdir", fail)
     sign = StopSign()
     copy = pickle.loads(pickle.dumps(sign))
+    monkeypatch.setattr(Path, "touch", lambda *_, **__: pytest.fail("a file was written"))
     sign.set()
     assert sign.is_set
     assert not copy.is_set
+    assert not pickle.loads(pickle.dumps(sign)).is_set
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may look into every folder")
