@@ -78,4 +78,4 @@ def test_a_worker_remembers_the_terms_of_some_jobs_that_have_ended_and_no_more(
     for worker in world.workers.values():
         assert list(worker.session._terms)[-4:] == [(f"job{number}", name) for number in (4, 5) for name in "xy"]
         assert len(worker.session._terms) <= 4 + 2
-        assert worker.session._jobs == {}
+        assert worker.session.jobs() == ()

@@ -105,7 +105,8 @@ class Discoverer:
     def parameters_(self) -> dict[str, float]:
         """The fitted values of the parameters of a template and of observed columns, by name; empty without them."""
         model = self._model
-        sides = [part.given for part in (*model.equations, *model.result.observations)]
+        sides = [equation.given for equation in model.equations]
+        sides += [observation.given for observation in model.result.observations]
         names = {name for side in sides if side is not None for name in side.parameters}
         return {name: one.value for name, one in model.params.items() if name in names}
 
