@@ -127,6 +127,7 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
         names = (*names, *(component_name(*pair) for pair in combinations_with_replacement(roles.states, 2)))
     sides, only = _sides(config, names, symbols), config.data.only
     given = sides.single("--known", config.prior.known) | sides.single("--equation", config.prior.equations)
+    given |= dict.fromkeys(roles.by_run, "0")
     equations = tuple(name for name in names if not only or name in only or name in given)
     resolved = resolve_prior(config, equations, symbols)
     if not config.data.hidden_count:
@@ -164,8 +165,9 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     equations = sides.single("--equation", config.prior.equations)
     template = _checked_template(config, equations, known, names)
     if template is not None:
-        space = space.model_copy(update={"variables_of": _variables_of_unknowns(template, space.variables_of)})
-    given = [name for name in equations if template is not None and template.is_given(name)]
+        by_run = [symbols[name] for name in config.prior.by_run]
+        space = space.model_copy(update={"variables_of": _variables_of_unknowns(template, space.variables_of, by_run)})
+    given = [name for name in variables if template is not None and template.is_given(name)]
     sought = [name for name in variables if name not in known and name not in given]
     bounds = _resolved_bounds(config.prior.bounds, sides, sought)
     shapes = _resolved_shapes(config.prior, sides, template)
@@ -249,12 +251,18 @@ def _checked_template(
 
 
 def _variables_of_unknowns(
-    template: EquationTemplate, allowed: Mapping[str, tuple[str, ...]]
+    template: EquationTemplate, allowed: Mapping[str, tuple[str, ...]], by_run: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the allowed variables by equation, with the variables that unknowns name: ``?(v, u)``."""
+    """Return the allowed variables by equation, with the variables that unknowns name: ``?(v, u)``.
+
+    An unknown part may depend on a parameter that differs by run only if the user names the parameter.
+    """
     variables = dict(allowed)
     for unknown in template.unknowns:
         if unknown.variables is None:
+            if by_run:
+                others = tuple(name for name in template.names if name not in by_run)
+                variables.setdefault(unknown.home, others)
             continue
         others = variables.setdefault(unknown.home, unknown.variables)
         if set(others) != set(unknown.variables):

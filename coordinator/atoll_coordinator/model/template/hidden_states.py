@@ -18,7 +18,7 @@ import numpy as np
 
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import FoundMinima, Preparation, Recording, Trajectory
-from atoll_coordinator.data.templates import template_of
+from atoll_coordinator.data.templates import parameter_of, template_of
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.candidates import CandidateSet
@@ -58,7 +58,7 @@ def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spre
     recording = preparation.recording
     if recording is None:
         return preparation
-    recording = replace(recording, initial=initial_values(config))
+    recording = _with_parameters_by_run(replace(recording, initial=initial_values(config)), config)
     preparation = replace(preparation, recording=recording)
     template = template_of(config, preparation.dataset.names)
     if template is None or not (recording.hidden or recording.observed):
@@ -77,7 +77,22 @@ def initial_values(config: JobConfig) -> tuple[tuple[str, float, float], ...]:
         lower = one.start if is_given else one.lower
         upper = one.start if is_given else one.upper
         found.append((name, -np.inf if lower is None else lower, np.inf if upper is None else upper))
+    for name in config.prior.by_run:
+        parameter = parameter_of(name, config.prior.parameters[name])
+        found.append((name, parameter.lower, parameter.upper))
     return tuple(found)
+
+
+def _with_parameters_by_run(recording: Recording, config: JobConfig) -> Recording:
+    """Return the recording in which the course of each parameter that differs by run is its start value."""
+    parts = list[Trajectory]()
+    for part in recording.trajectories:
+        smoothed = part.smoothed.copy()
+        for name in config.prior.by_run:
+            first = parameter_of(name, config.prior.parameters[name]).first_value
+            smoothed[recording.states.index(name)] = first
+        parts.append(replace(part, smoothed=smoothed))
+    return replace(recording, trajectories=tuple(parts)) if config.prior.by_run else recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +261,9 @@ def linear_part(
     multiples of `first`.
     """
     named = config.space.variables_of.get(equation)
+    by_run = config.prior.by_run
+    if by_run and named is not None and {*named} == {*template.names} - {*by_run}:
+        named = None  # nothing was named: these are all variables that it may depend on
     symbols = named if named is not None else (symbol,)
     terms: list[Expression] = [(VARIABLE, template.names.index(symbol)) for symbol in symbols]
     return sum_of(terms, [first * (place + 1) for place, _ in enumerate(terms)])
