@@ -150,7 +150,7 @@ def compare(
         model.require_one_group()
     sides = [[equation.lhs for equation in model.equations] for model in models]
     on = _regressions if models[0].is_regression else _dynamics
-    has_columns = any(result.hidden or result.observations for result in (first, second))
+    has_columns = any(result.unmeasured or result.observations for result in (first, second))
     if has_columns or sorted(sides[0]) != sorted(sides[1]) or models[0].is_regression != models[1].is_regression:
         columns = [_observed_columns(model) for model in models]
         if not columns[0] or columns[0] != columns[1]:
@@ -253,7 +253,7 @@ def _observed_columns(model: ModelCore) -> frozenset[str]:
 
 def _measured_columns(result: Result) -> tuple[str, ...]:
     """Return the measured columns that a law of trajectories predicts."""
-    states = (equation.variable for equation in result.equations if equation.variable not in result.hidden)
+    states = (equation.variable for equation in result.equations if equation.variable not in result.unmeasured)
     return (*states, *(one.column for one in result.observations))
 
 
@@ -273,7 +273,7 @@ def _observed(holder: Result, other: Result, letter: str, table: Table | None) -
     there = other.model_copy(update={"data": holder.data, "smoothing": holder.smoothing, "noise": holder.noise})
     measured = measured_of(there, table).with_piece(displayed.measured.longest)
     measured = replace(measured, rows=displayed.measured.rows, source=displayed.measured.source)
-    fitted = fit_equations(measured, equations_of(other), starts_of(other, measured) if other.hidden else None)
+    fitted = fit_equations(measured, equations_of(other), starts_of(other, measured) if other.unmeasured else None)
     return _compare_fits(displayed, holder, fitted, other, letter, _measured_columns(holder))
 
 

@@ -32,6 +32,7 @@ from atoll_coordinator.model.inference.final_model import FinalModel, estimate_e
 from atoll_coordinator.model.inference.long_run import assess_long_run
 from atoll_coordinator.model.inference.prediction import AlternativeSystem, compare_predictions, draw_systems
 from atoll_coordinator.model.inference.remarks import warn_of_random_walk
+from atoll_coordinator.model.inference.run_values import values_by_run
 from atoll_coordinator.model.inference.template_checks import TemplateChecks
 from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
@@ -89,6 +90,12 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     for index, prediction in enumerate(predictions):
         r2 = held_out_r2[final.columns[index]]
         equation = _describe_equation(final, index, constants[index], by_group[index], r2, prediction)
+        if task.variables[index] in task.config.prior.by_run:
+            runs = values_by_run(task.variables[index], final.shown_fit, spread, errors.degrees_of_freedom)
+            if held_out_simulation is not None:
+                there = task.variables[index], *held_out_simulation, errors.degrees_of_freedom
+                runs += values_by_run(*there, held_out=True)
+            equation = replace(equation, runs=runs)
         given = final, long_run, index, equation, r2, compared
         is_plain = final.comparison.template is None and not task.recording.hidden
         compared.append(

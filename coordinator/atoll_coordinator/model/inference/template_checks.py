@@ -60,6 +60,8 @@ class TemplateChecks(TrajectoryChecks):
         measurements, most = self.measurements, SETTINGS.inference.part
         if self.index not in measurements.hidden:
             return Finding("not applicable", "its state is measured")
+        if self.name in self.final.task.config.prior.by_run:
+            return Finding("not applicable", "it is a parameter that differs by run")
         if self.errors is None:
             return Finding("not made", "the errors of the hidden state are not known")
         place = len(measurements.observed) + measurements.hidden.index(self.index)
@@ -167,6 +169,9 @@ class TemplateChecks(TrajectoryChecks):
             for constant, name in zip(constants, names, strict=False)
             if constant.fitted is not None
         ]
+        loose_run = self._check_runs()
+        if loose_run is not None:
+            return loose_run
         if not fitted:
             return Finding("not applicable", "no number of the equation is fitted")
         for constant, name in fitted:
@@ -182,6 +187,26 @@ class TemplateChecks(TrajectoryChecks):
         if not any(constant.fitted is not None for constant in self.shown.constants):
             return Finding("passed", "all parameters of computed columns are determined by the data", 0.0, 0.0)
         return super().check_constants()
+
+    def _check_runs(self) -> Finding | None:
+        """Return the first fault of a parameter that differs by run; None if there is none.
+
+        Held-out trajectories do not count, since they did not determine the equations.
+        """
+        programs = [self.shown.program, *(column.program for column in self.observed)]
+        used = {self.final.task.dataset.names[index] for program in programs for index in variables_of(program)}
+        for other in (self, *self.equations):
+            if other is not self and other.name not in used:
+                continue
+            for one in other.shown.runs:
+                bounds = f"--parameter \"{other.name}=… by run\""
+                if one.at_bound and not one.held_out:
+                    reason = f"the best value of {other.name} in run {one.run} lies beyond its bound {one.estimate:.3g}"
+                    return Finding("failed", reason, advice=f"widen the bounds with {bounds}")
+                if not one.identifiable and not one.held_out:
+                    reason = f"the rows of run {one.run} do not determine its value of the parameter {other.name}"
+                    return Finding("failed", reason, 1.0, 0.0, advice="let the runs share it, or leave this run out")
+        return None
 
     def check_alternative_equations(self) -> Finding | None:
         """Check that no other unknown part describes the data about as well."""

@@ -200,7 +200,12 @@ def fit_course(preparation: Preparation, config: JobConfig, template: EquationTe
     fits = {False: found.fit}
     if any(part.held_out for part in recording.trajectories):
         other = task.make_comparison(task.measurements(task.variables, held_out=True), task.variables)
-        simulated = other.estimator.fit(found.fit.system.with_fixed_constants(), None, SETTINGS.effort.steps)
+        fixed = found.fit.system.with_fixed_constants()
+        if config.prior.by_run:  # their values in these trajectories may be far from the start value
+            best = fit_from_many_starts(other.estimator, fixed, config.seed)
+            simulated = None if best is None else best.fit
+        else:
+            simulated = other.estimator.fit(fixed, None, SETTINGS.effort.steps)
         if simulated is None:
             raise DataError("the held-out trajectories cannot be simulated by the given equations; leave --holdout out")
         fits[True] = simulated
