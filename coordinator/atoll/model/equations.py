@@ -369,9 +369,9 @@ def words_of(constant: Constant) -> ConstantWords:
 def words_of_run(one: RunValue) -> ConstantWords:
     """Return the value of a parameter in one run, for display; its error determines the digits."""
     words = _words_of_parameter(one.replaced(value=one.estimate))
-    if one.std_error is None or one.at_bound or _is_rounding(one):
-        return words
-    return replace(words, number=fitted_text(one), notes=() if one.identifiable else ("not determined",))
+    if not one.identifiable:
+        return replace(words, notes=("not determined",))
+    return words if one.at_bound or _is_rounding(one) else replace(words, number=fitted_text(one), notes=())
 
 
 def fitted_text(constant: Constant) -> str:

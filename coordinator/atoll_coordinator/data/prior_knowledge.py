@@ -243,6 +243,9 @@ def _checked_template(
     both = next((name for name in equations if name in known), None)
     if both is not None:
         raise UsageError(f"--known and --equation both give the equation of '{both}'; leave one of the two out")
+    both = next((name for name in config.prior.by_run if name in equations or name in known), None)
+    if both is not None:
+        raise UsageError(f"--parameter '{both} by run' is constant in each run; leave the equation of '{both}' out")
     prior = config.prior.model_copy(update={"equations": equations})
     template = template_of(config.model_copy(update={"prior": prior}), names)
     if template is not None:

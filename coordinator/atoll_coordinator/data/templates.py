@@ -46,10 +46,9 @@ def with_parameters_by_run(roles: Roles, config: JobConfig, columns: Sequence[st
         UsageError: the name cannot be the name of a state, or a job of this kind can have no such parameter.
     """
     for name in config.prior.by_run:
-        other = name in columns or not is_symbol(name)
-        if other or name in roles.hidden:
-            what = "a column" if name in columns else "the name of a function" if other else "a hidden state, too"
-            raise UsageError(f"--parameter '{name} by run' names {what}; choose another name")
+        found = "a column" if name in columns else "a hidden state" if name in roles.hidden else ""
+        if found or not is_symbol(name):
+            raise UsageError(f"--parameter '{name} by run' has the name of {found or 'a function'}; choose another name")
         if name in config.prior.initial:
             raise UsageError(f"--initial names '{name}', a parameter; write its bounds with --parameter")
     if config.prior.by_run and roles.order == 2:

@@ -60,8 +60,8 @@ _WITHOUT_EQUATIONS: Final = (
     ("stochastic", "the likelihood of a step has no given equations"),
     ("target", "parameters are fitted to trajectories, and rows of an explicit regression are not trajectories"),
     ("derivatives", "parameters are fitted to trajectories, and not to given derivatives"),
-    ("group", "given equations with constants by group are not possible yet"),
-    ("per_trajectory", "given equations with constants by trajectory are not possible yet"),
+    ("group", "name the parameters that differ with --parameter 'c by run', or submit one job for each group"),
+    ("per_trajectory", "name the parameters that differ, as in --parameter 'c by run'"),
 )
 """Options that exclude equations given with ``--equation``, and why."""
 _WITHOUT_SHAPES: Final = (

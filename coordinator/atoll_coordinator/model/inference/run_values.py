@@ -9,7 +9,7 @@ import numpy as np
 
 from atoll_coordinator.model.constants.standard_errors import ConstantErrors, estimate_covariance, student_quantile_95
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
-from atoll_coordinator.result.equations import RunValue
+from atoll_coordinator.result.equations import Constant, RunValue
 from atoll_core.data.dataset import FloatArray
 
 
@@ -46,7 +46,13 @@ def values_by_run(
         {run: float(reach[run]) for run in np.flatnonzero(on_bound).tolist()},
     )  # fmt: skip
     names = [measurements.names[owner] for owner in measurements.owners.tolist()]
+    described = [known.describe(number, float(value)) for number, value in enumerate(values)]
     return tuple(
-        RunValue(run=run, held_out=held_out, **dict(known.describe(number, float(values[number]))))
-        for number, run in enumerate(names)
+        RunValue(run=run, held_out=held_out, **dict(one.replaced(identifiable=_is_determined(one))))
+        for run, one in zip(names, described, strict=True)
     )
+
+
+def _is_determined(one: Constant) -> bool:
+    """Tell whether an interval does not contain 0, and is shorter than the range between the bounds."""
+    return bool(one.identifiable) and (one.interval is None or one.interval != one.bounds)
