@@ -22,7 +22,7 @@ import numpy as np
 
 from atoll.model.core import config_of
 from atoll.model.equations import differing_groups, match_constants, numbers_of
-from atoll.model.given_sides import ConstantSource, GivenSides, over_variables, program_of
+from atoll.model.given_sides import ConstantSource, GivenSides, program_of
 from atoll_coordinator.data.recording import Method, Recording, StateSmoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.composed_system import composed_system
@@ -407,22 +407,6 @@ class EquationSet:
         programs = (*self.programs[:place], program, *self.programs[place + 1 :])
         given = None if self.given is None else self.given.with_slots(programs)
         return replace(self, programs=programs, bounds=bounds, are_as_written=False, given=given)
-
-    def over(self, names: tuple[str, ...], variables: Sequence[str]) -> "EquationSet":
-        """Return the same equations over other symbols, and in the order of other `variables`."""
-        order = [self.variables.index(variable) for variable in variables]
-        places = [names.index(name) if name in names else -1 for name in self.names]
-        given = None if self.given is None else self.given.over(names, variables)
-        programs = tuple(over_variables(self.programs[place], places) for place in order)
-        return replace(
-            self,
-            names=names,
-            variables=tuple(variables),
-            programs=programs if given is None else given.slots,
-            fixed=frozenset(place for place, old in enumerate(order) if old in self.fixed),
-            bounds={place: self.bounds[old] for place, old in enumerate(order) if old in self.bounds},
-            given=given,
-        )
 
     def system(self, measurements: TrajectoryMeasurements, order: int) -> OdeSystem:
         """Return the system of the explicit programs; for order 2, the rates of the positions are the velocities."""

@@ -9,7 +9,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -146,49 +145,22 @@ class GivenSides:
 
     def without_side(self, index: int, program: Program) -> "Self | None":
         """Return the equations with a searched program instead of the side `index`; None if no given side is left."""
-        template, name = self.template, self.template.equations[index]
-        texts = {other: text for other, text in template.texts.items() if other != name}
-        return self._with_template(texts, template.names, self._by_variable(), {name: program})
-
-    def over(self, names: Sequence[str], equations: Sequence[str]) -> Self:
-        """Return the same equations over other symbols and in another order."""
-        places = [names.index(name) if name in names else -1 for name in self.template.names]
-        slots = {variable: over_variables(slot, places) for variable, slot in self._by_variable().items()}
-        template = replace(self.template, equations=(*equations, *self.template.observed))
-        moved = replace(self, template=template)
-        changed = moved._with_template(self.template.texts, names, slots)
-        assert changed is not None
-        return changed
-
-    def _by_variable(self) -> dict[str, Program]:
-        return dict(zip(self.equations, self.slots, strict=True))
-
-    def _with_template(
-        self,
-        texts: Mapping[str, str],
-        names: Sequence[str],
-        slots: Mapping[str, Program],
-        replacements: Mapping[str, Program] = MappingProxyType({}),
-    ) -> "Self | None":
-        """Return the equations with these given sides.
-
-        `slots` are the searched programs by variable, and `replacements` the programs that replace whole sides.
-        """
+        old, name = self.template, self.template.equations[index]
+        texts = {other: text for other, text in old.texts.items() if other != name}
         if not texts:
             return None
-        old, known = self.template, {one.name: one for one in self.template.parameters}
+        known = {one.name: one for one in old.parameters}
         used = {one.name for other in texts for one in map(old.parameters.__getitem__, old.parameters_in(other))}
         parameters = {name: one for name, one in known.items() if name in used}
-        template = read_template(texts, parameters, names, old.observed)
-        template = replace(template, equations=old.equations)
+        template = replace(read_template(texts, parameters, old.names, old.observed), equations=old.equations)
         values = dict(zip(known, self.values.tolist(), strict=True))
+        slots = dict(zip(self.equations, self.slots, strict=True))
         parts = {one.label: slots[one.home] for one in old.unknowns}
-        moved = {one.home: parts[one.label] for one in template.unknowns if one.label != "?"}
-        programs = {**slots, **moved, **replacements}
+        slots |= {one.home: parts[one.label] for one in template.unknowns if one.label != "?"} | {name: program}
         return replace(
             self,
             template=template,
-            slots=tuple(programs[name] for name in self.equations),
+            slots=tuple(slots[equation] for equation in self.equations),
             values=np.array([values[one.name] for one in template.parameters]),
         )
 
