@@ -22,7 +22,7 @@ import numpy as np
 
 from atoll.model.core import config_of
 from atoll.model.equations import differing_groups, match_constants, numbers_of
-from atoll.model.given_sides import ConstantSource, GivenSides, over_variables, program_of
+from atoll.model.given_sides import GivenSides, program_of
 from atoll_coordinator.data.recording import Method, Recording, StateSmoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.composed_system import composed_system
@@ -43,6 +43,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UsageError
 from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.template import ConstantSource, written_sources
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
@@ -409,22 +410,6 @@ class EquationSet:
         given = None if self.given is None else self.given.with_slots(programs)
         return replace(self, programs=programs, bounds=bounds, are_as_written=False, given=given)
 
-    def over(self, names: tuple[str, ...], variables: Sequence[str]) -> "EquationSet":
-        """Return the same equations over other symbols, and in the order of other `variables`."""
-        order = [self.variables.index(variable) for variable in variables]
-        places = [names.index(name) if name in names else -1 for name in self.names]
-        given = None if self.given is None else self.given.over(names, variables)
-        programs = tuple(over_variables(self.programs[place], places) for place in order)
-        return replace(
-            self,
-            names=names,
-            variables=tuple(variables),
-            programs=programs if given is None else given.slots,
-            fixed=frozenset(place for place, old in enumerate(order) if old in self.fixed),
-            bounds={place: self.bounds[old] for place, old in enumerate(order) if old in self.bounds},
-            given=given,
-        )
-
     def system(self, measurements: TrajectoryMeasurements, order: int) -> OdeSystem:
         """Return the system of the explicit programs; for order 2, the rates of the positions are the velocities."""
         programs = [explicit.program for explicit in self.explicit]
@@ -477,7 +462,7 @@ def _searched_constants(equation: Equation, place: int, given: GivenSides | None
     """Return the constants of the program that was searched for an equation."""
     if given is None or not given.is_given(place):
         return [*equation.constants]
-    sources = zip(equation.constants, given.sources(place), strict=True)
+    sources = zip(equation.constants, given.composition.sources(place), strict=True)
     return [constant for constant, source in sources if source.home == place]
 
 
@@ -519,34 +504,29 @@ def _constants_of_sides(
     """Return the fitted constants of equations with given sides. `called` has the names of all numbers by variable."""
     whole = equations.whole
     assert whole is not None
-    written = {
+    names: dict[ConstantSource | None, str] = {
         source: name
         for place, variable in enumerate(equations.variables)
-        for source, name in zip(given.sources(place), called[variable], strict=True)
+        for source, name in zip(given.composition.sources(place), called[variable], strict=True)
     }
     constants: dict[ConstantSource, FreeConstant] = {}
-    for place, variable in enumerate(equations.variables):
-        for source in whole.sources(place) if place not in equations.fixed else ():
-            if source in constants or (source.parameter is None and source.home is None):
+    for place, variable in enumerate((*equations.variables, *whole.observations)):
+        sources = whole.composition.sources(place)
+        for index, written in written_sources(sources, equations.explicit) if place not in equations.fixed else ():
+            source = sources[index]
+            if source in constants:
                 continue
-            if source.home is None:
-                constants[source] = FreeConstant(written[source], variable, 1.0, True)
-                continue
-            explicit, home = equations.explicit[source.home], equations.variables[source.home]
-            number = constant_places(explicit.program).index(source.place)
-            origin = explicit.origins[number]
-            if origin is None:
-                term = explicit.terms[explicit.origins[:number].count(None)]
-                of = to_infix(term, equations.names, digits=4)
-                constants[source] = FreeConstant(f"1 of {of} (d{home})", home, 1.0, False)
-            else:
-                before = ConstantSource(None, source.home, constant_places(equations.programs[source.home])[origin])
-                constants[source] = FreeConstant(written[before], home, 1.0, True)
-    for place, column in enumerate(whole.observations, len(equations.variables)):
-        for source in whole.sources(place):
-            if source.parameter is not None and source not in constants:
+            if source.parameter is not None:
                 name = whole.template.parameters[source.parameter].name
-                constants[source] = FreeConstant(name, column, 1.0, True)
+                constants[source] = FreeConstant(name, variable, 1.0, True)
+                continue
+            assert source.home is not None
+            home, explicit = equations.variables[source.home], equations.explicit[source.home]
+            name = names.get(written, "")
+            if written is None:
+                term = explicit.terms[explicit.origins[: source.number].count(None)]
+                name = f"1 of {to_infix(term, equations.names, digits=4)} (d{home})"
+            constants[source] = FreeConstant(name, home, 1.0, written is not None)
     return tuple(constants.values())
 
 

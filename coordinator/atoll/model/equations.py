@@ -16,13 +16,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from atoll.model.given_sides import ConstantSource, GivenSides, program_of
+from atoll.model.given_sides import GivenSides, program_of
 from atoll_coordinator.result.base import Pair
 from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation, Observation, RunValue
 from atoll_coordinator.result.findings import Group, Noise
 from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
 from atoll_core.expression.program import constant_places
+from atoll_core.expression.template import ConstantSource
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
@@ -213,7 +214,7 @@ def numbers_of(result: Result) -> dict[str, list[EquationNumber]]:
         is_given = sides is not None and equation.given is not None
         values = _numbers_in(equation, result.names, is_given=is_given)
         if sides is not None and is_given:
-            called = [names.of(source, sides) for source in sides.sources(index)]
+            called = [names.of(source, sides) for source in sides.composition.sources(index)]
         else:
             called = [names.next() for _ in values]
         numbers[equation.variable] = [EquationNumber(name, *pair) for name, pair in zip(called, values, strict=True)]

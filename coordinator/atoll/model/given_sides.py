@@ -9,7 +9,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -19,7 +18,15 @@ from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
-from atoll_core.expression.template import ZERO, Composition, EquationTemplate, Place, TemplateParameter, read_template
+from atoll_core.expression.template import (
+    ZERO,
+    Composition,
+    EquationTemplate,
+    Place,
+    TemplateParameter,
+    read_template,
+    written_sources,
+)
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
@@ -30,16 +37,6 @@ def program_of(equation: Equation | GroupEquation | Observation, names: Sequence
     if equation.program:
         return Program.from_bytes(bytes.fromhex(equation.program), len(names))
     return from_infix(equation.expression or "", names)
-
-
-@dataclass(frozen=True)
-class ConstantSource:
-    """The origin of a constant of a side: a parameter by its index, or constant `place` (a node) of the unknown part of
-    the equation `home`. A number of the user's text has neither."""
-
-    parameter: int | None = None
-    home: int | None = None
-    place: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,63 +143,24 @@ class GivenSides:
 
     def without_side(self, index: int, program: Program) -> "Self | None":
         """Return the equations with a searched program instead of the side `index`; None if no given side is left."""
-        template, name = self.template, self.template.equations[index]
-        texts = {other: text for other, text in template.texts.items() if other != name}
-        return self._with_template(texts, template.names, self._by_variable(), {name: program})
-
-    def over(self, names: Sequence[str], equations: Sequence[str]) -> Self:
-        """Return the same equations over other symbols and in another order."""
-        places = [names.index(name) if name in names else -1 for name in self.template.names]
-        slots = {variable: over_variables(slot, places) for variable, slot in self._by_variable().items()}
-        template = replace(self.template, equations=(*equations, *self.template.observed))
-        moved = replace(self, template=template)
-        changed = moved._with_template(self.template.texts, names, slots)
-        assert changed is not None
-        return changed
-
-    def _by_variable(self) -> dict[str, Program]:
-        return dict(zip(self.equations, self.slots, strict=True))
-
-    def _with_template(
-        self,
-        texts: Mapping[str, str],
-        names: Sequence[str],
-        slots: Mapping[str, Program],
-        replacements: Mapping[str, Program] = MappingProxyType({}),
-    ) -> "Self | None":
-        """Return the equations with these given sides.
-
-        `slots` are the searched programs by variable, and `replacements` the programs that replace whole sides.
-        """
+        old, name = self.template, self.template.equations[index]
+        texts = {other: text for other, text in old.texts.items() if other != name}
         if not texts:
             return None
-        old, known = self.template, {one.name: one for one in self.template.parameters}
+        known = {one.name: one for one in old.parameters}
         used = {one.name for other in texts for one in map(old.parameters.__getitem__, old.parameters_in(other))}
         parameters = {name: one for name, one in known.items() if name in used}
-        template = read_template(texts, parameters, names, old.observed)
-        template = replace(template, equations=old.equations)
+        template = replace(read_template(texts, parameters, old.names, old.observed), equations=old.equations)
         values = dict(zip(known, self.values.tolist(), strict=True))
+        slots = dict(zip(self.equations, self.slots, strict=True))
         parts = {one.label: slots[one.home] for one in old.unknowns}
-        moved = {one.home: parts[one.label] for one in template.unknowns if one.label != "?"}
-        programs = {**slots, **moved, **replacements}
+        slots |= {one.home: parts[one.label] for one in template.unknowns if one.label != "?"} | {name: program}
         return replace(
             self,
             template=template,
-            slots=tuple(programs[name] for name in self.equations),
+            slots=tuple(slots[equation] for equation in self.equations),
             values=np.array([values[one.name] for one in template.parameters]),
         )
-
-    def sources(self, index: int) -> list[ConstantSource]:
-        """Return the origin of each constant of a side, in node order."""
-        known: dict[int, ConstantSource] = {}
-        for parameter, places in enumerate(self.composition.parameters):
-            known |= {node: ConstantSource(parameter) for equation, node in places if equation == index}
-        for home, by_node in enumerate(self.composition.places):
-            if self.template.is_given(self.template.equations[home]):
-                continue
-            for slot_node, places in by_node.items():
-                known |= {node: ConstantSource(None, home, slot_node) for equation, node in places if equation == index}
-        return [known.get(node, ConstantSource()) for node in constant_places(self.composition.programs[index])]
 
     def explicit_sides(self, variable: str) -> Iterator[tuple[tuple[Program, IntArray], list[int | None]]]:
         """Yield ways in which the constants of a side may have been fitted: with factors of 1 in its unknown parts as
@@ -212,29 +170,13 @@ class GivenSides:
         constants of the written side (None: a factor of 1).
         """
         index = self.template.equations.index(variable)
-        numbers = {source: number for number, source in enumerate(self.sources(index))}
+        numbers = {source: number for number, source in enumerate(self.composition.sources(index))}
         for make in (make_coefficients_explicit, as_written):
             explicit = [make(slot) for slot in self.slots]
-            sides = self.with_slots([one.program for one in explicit])
-            places, origins = list[int](), list[int | None]()
-            for place, source in enumerate(sides.sources(index)):
-                if source.parameter is None and source.home is None:
-                    continue  # a number of the user's text is not fitted
-                origin: int | None = numbers.get(source)
-                if source.home is not None:
-                    nodes = constant_places(explicit[source.home].program)
-                    before = explicit[source.home].origins[nodes.index(source.place)]
-                    written = None if before is None else constant_places(self.slots[source.home])[before]
-                    origin = None if written is None else numbers[ConstantSource(None, source.home, written)]
-                places.append(place)
-                origins.append(origin)
-            yield (sides.programs[index], np.array(places, np.int64)), origins
-
-    def unknown_parts(self, index: int) -> dict[str, Program]:
-        """Return the unknown parts in the side of an equation, by label."""
-        template = self.template
-        unknowns = [template.unknowns[place] for place in template.unknowns_in(template.equations[index])]
-        return {one.label: self.slots[template.equations.index(one.home)] for one in unknowns}
+            composed = self.with_slots([one.program for one in explicit]).composition
+            fitted = [*written_sources(composed.sources(index), explicit)]
+            places = np.array([place for place, _ in fitted], np.int64)
+            yield (composed.programs[index], places), [None if one is None else numbers[one] for _, one in fitted]
 
     def describe(self, equation: Equation, index: int, before: Sequence[Constant] = ()) -> Equation:
         """Return an equation of a result with the side of this index.
@@ -244,10 +186,10 @@ class GivenSides:
         """
         given = equation.given
         assert given is not None
-        program, sources = self.programs[index], self.sources(index)
+        program = self.programs[index]
         values = program.constants[constant_places(program)].tolist()
         bounds = {name: before[place].bounds for name, place in given.parameters.items() if place < len(before)}
-        called = [None if one.parameter is None else self.template.parameters[one.parameter].name for one in sources]
+        called = self.template.parameter_names(self.composition.sources(index))
         constants = [
             Constant(value=value, bounds=bounds.get(name or "")) for value, name in zip(values, called, strict=True)
         ]
@@ -266,7 +208,7 @@ class GivenSides:
         names = self.template.names
         return tuple(
             UnknownPart(label=label, expression=to_infix(part, names), program=part.to_bytes().hex())
-            for label, part in self.unknown_parts(index).items()
+            for label, part in self.template.parts_of(self.equations[index], self.slots).items()
         )
 
 

@@ -534,7 +534,7 @@ def _complete_given_sides(result: Result, equations: Sequence[Equation], picks: 
     for place, (equation, before) in enumerate(zip(equations, result.equations, strict=True)):
         if not sides.is_given(place):
             changed.append(equation)
-        elif any(source.home in homes for source in sides.sources(place)) or place in homes:
+        elif any(source.home in homes for source in sides.composition.sources(place)) or place in homes:
             emptied = equation.model_copy(update=dict.fromkeys(_OF_FIT_ONLY) | dict.fromkeys(_LISTS_OF_FIT_ONLY, ()))
             changed.append(picked.describe(emptied, place, before.constants))
         else:

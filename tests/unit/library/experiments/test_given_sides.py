@@ -10,11 +10,10 @@ from scipy.integrate import solve_ivp
 
 from atoll.experiments.comparison import compare
 from atoll.experiments.designs import Design, DesignPredictor
-from atoll.experiments.fits import EquationSetFit, constants_of, equations_of, fit_displayed, fit_equations, measured_of
+from atoll.experiments.fits import EquationSetFit, constants_of, fit_displayed, fit_equations, measured_of
 from atoll.experiments.identifiability import identify
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.library.experiments.made import Course, measured
 from tests.unit.library.model.results import BIOREACTOR, given_entries, with_given
@@ -150,17 +149,3 @@ def test_a_template_is_compared_with_free_equations(result: Result) -> None:
     (on,) = compare(result, free).data
     assert [side.constants for side in on.sides] == [3, 7]
     assert abs(on.nats) < 20.0
-
-
-def test_equations_move_to_other_symbols_and_another_order(result: Result) -> None:
-    equations = equations_of(result)
-    moved = equations.over(("S", "u", "X"), ("S", "X"))
-    assert moved.given is not None
-    assert moved.given.programs[1].nodes()[0][1] in (0, 2)
-    point = {"X": 0.7, "S": 1.3, "u": 9.0}
-    for variable in ("X", "S"):
-        before = values_of(equations.written_sides[equations.variables.index(variable)], np.array([[0.7], [1.3]]))
-        after = values_of(
-            moved.written_sides[moved.variables.index(variable)], np.array([[point[name]] for name in moved.names])
-        )
-        assert before.tolist() == after.tolist()
