@@ -343,8 +343,8 @@ def suggest(
     if result.unmeasured or result.observations:
         names = ", ".join((*result.unmeasured, *(one.column for one in result.observations)))
         raise UsageError(
-            "experiments are only suggested for models whose states are all measured; hidden, by run, or computed from states: "
-            f"{names}; `coordinator analyse --identifiability` shows which constants are not determined"
+            "experiments are only suggested for models whose states are all measured; hidden, by run, or computed from "
+            f"states: {names}; `coordinator analyse --identifiability` shows which constants are not determined"
         )
     displayed = fit_displayed(measured_of(result, table), result)
     space = space_of(result, displayed.measured, request)

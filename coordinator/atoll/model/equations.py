@@ -153,6 +153,8 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
     parameters: dict[str, Parameter] = {}
     numbers, has_sides = numbers_of(result), GivenSides.of(result) is not None
     for equation in result.equations:
+        if equation.runs:
+            continue
         is_given = has_sides and equation.given is not None
         by_group = [
             (f"[{label} {group.group}]", _numbers_in(group, result.names, is_given=is_given))
@@ -170,8 +172,8 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
             known = one.constants[place]
             parameters.setdefault(name, _parameter(name, one.column, known.value or 0.0, known))
     for equation in result.equations:
-        for name, value in zip(run_names(equation), equation.runs, strict=True):
-            parameters[name] = _parameter(name, equation.variable, value.estimate, value)
+        for name, of_run in zip(run_names(equation), equation.runs, strict=True):
+            parameters[name] = _parameter(name, equation.variable, of_run.estimate, of_run)
     return parameters
 
 

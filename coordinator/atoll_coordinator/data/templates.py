@@ -26,9 +26,7 @@ def template_of(config: JobConfig, names: Sequence[str]) -> EquationTemplate | N
     prior = config.prior
     if not prior.equations and not prior.parameters and not config.data.observe:
         return None
-    parameters = {
-        name: parameter_of(name, one) for name, one in prior.parameters.items() if name not in prior.by_run
-    }
+    parameters = {name: parameter_of(name, one) for name, one in prior.parameters.items() if name not in prior.by_run}
     sides = {**prior.equations, **dict.fromkeys(prior.by_run, "0"), **config.data.observe}
     return read_template(sides, parameters, names, config.data.observe)
 
@@ -46,13 +44,13 @@ def with_parameters_by_run(roles: Roles, config: JobConfig, columns: Sequence[st
         UsageError: the name cannot be the name of a state, or a job of this kind can have no such parameter.
     """
     for name in config.prior.by_run:
-        found = "a column" if name in columns else "a hidden state" if name in roles.hidden else ""
-        if found or not is_symbol(name):
-            raise UsageError(f"--parameter '{name} by run' has the name of {found or 'a function'}; choose another name")
+        if name in columns or name in roles.hidden or not is_symbol(name):
+            what = "a column" if name in columns else "a hidden state" if name in roles.hidden else "a function"
+            raise UsageError(f"--parameter '{name} by run' has the name of {what}; choose another name")
         if name in config.prior.initial:
             raise UsageError(f"--initial names '{name}', a parameter; write its bounds with --parameter")
     if config.prior.by_run and roles.order == 2:
-        example = "\"dx/dt = x_dot\" and \"dx_dot/dt = -k*x\""
+        example = '"dx/dt = x_dot" and "dx_dot/dt = -k*x"'
         raise UsageError(
             "a parameter by run and --order 2 exclude each other; write the velocity as a state of its own: "
             f"{example}, with --hidden x_dot if it was not measured"

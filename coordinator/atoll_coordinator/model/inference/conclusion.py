@@ -86,16 +86,15 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     else:
         spread = simulated_standard_errors(measurements, final.free.fit, errors.finite_covariance, errors.scale)
     observations = _describe_observations(final, of_groups[0])
+    simulations = (final.shown_fit, spread), held_out_simulation or (None, None)
+    runs = values_by_run(task.config.prior.by_run, simulations, errors.degrees_of_freedom)
     compared: list[TrajectoryChecks] = []
     for index, prediction in enumerate(predictions):
         r2 = held_out_r2[final.columns[index]]
-        equation = _describe_equation(final, index, constants[index], by_group[index], r2, prediction)
-        if task.variables[index] in task.config.prior.by_run:
-            runs = values_by_run(task.variables[index], final.shown_fit, spread, errors.degrees_of_freedom)
-            if held_out_simulation is not None:
-                there = task.variables[index], *held_out_simulation, errors.degrees_of_freedom
-                runs += values_by_run(*there, held_out=True)
-            equation = replace(equation, runs=runs)
+        equation = replace(
+            _describe_equation(final, index, constants[index], by_group[index], r2, prediction),
+            runs=runs.get(task.variables[index], ()),
+        )
         given = final, long_run, index, equation, r2, compared
         is_plain = final.comparison.template is None and not task.recording.hidden
         compared.append(

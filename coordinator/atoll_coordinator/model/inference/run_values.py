@@ -5,6 +5,8 @@ those of the simulation at the first row, which contain the errors of the consta
 trajectory is not determined: the normal matrix of the initial state tells this.
 """
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
 from atoll_coordinator.model.constants.standard_errors import ConstantErrors, estimate_covariance, student_quantile_95
@@ -12,17 +14,27 @@ from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.result.equations import Constant, RunValue
 from atoll_core.data.dataset import FloatArray
 
+Simulation = tuple[TrajectoryFit | None, FloatArray | None]
+"""A fit of initial states (None: it failed), and the standard errors of its columns, then hidden states, by row (None:
+not known)."""
+
 
 def values_by_run(
-    name: str, fit: TrajectoryFit | None, errors: FloatArray | None, freedom: float, *, held_out: bool = False
-) -> tuple[RunValue, ...]:
-    """Return the values of the parameter `name` in the trajectories of a fit; empty without a fit.
+    names: Sequence[str], simulations: Sequence[Simulation], freedom: float
+) -> dict[str, tuple[RunValue, ...]]:
+    """Return the values of parameters by name: in the trajectories to which equations were fitted, then in the held-out
+    trajectories. `freedom` are the degrees of freedom of Student's t."""
+    return {
+        name: tuple(
+            value.replaced(held_out=bool(place))
+            for place, (fit, errors) in enumerate(simulations)
+            for value in (() if fit is None else _values_in(name, fit, errors, freedom))
+        )
+        for name in names
+    }
 
-    `errors` are the standard errors of simulated columns, then of hidden states, by row (None: not known). `freedom`
-    are the degrees of freedom of Student's t.
-    """
-    if fit is None:
-        return ()
+
+def _values_in(name: str, fit: TrajectoryFit, errors: FloatArray | None, freedom: float) -> Iterator[RunValue]:
     measurements, blocks = fit.estimator.measurements, fit.blocks
     state = measurements.variables.index(name)
     firsts, values = fit.segments[:, 0], fit.starts[:, state]
@@ -47,10 +59,8 @@ def values_by_run(
     )  # fmt: skip
     names = [measurements.names[owner] for owner in measurements.owners.tolist()]
     described = [known.describe(number, float(value)) for number, value in enumerate(values)]
-    return tuple(
-        RunValue(run=run, held_out=held_out, **dict(one.replaced(identifiable=_is_determined(one))))
-        for run, one in zip(names, described, strict=True)
-    )
+    for run, one in zip(names, described, strict=True):
+        yield RunValue(run=run, **dict(one.replaced(identifiable=_is_determined(one))))
 
 
 def _is_determined(one: Constant) -> bool:

@@ -195,16 +195,15 @@ class TemplateChecks(TrajectoryChecks):
         """
         programs = [self.shown.program, *(column.program for column in self.observed)]
         used = {self.final.task.dataset.names[index] for program in programs for index in variables_of(program)}
-        for other in (self, *self.equations):
-            if other is not self and other.name not in used:
-                continue
-            for one in other.shown.runs:
-                if not one.identifiable and not one.held_out:
-                    reason = f"the rows of run {one.run} do not determine its value of the parameter {other.name}"
-                    return Finding("failed", reason, 1.0, 0.0, advice="let the runs share it, or leave this run out")
-                if one.at_bound and not one.held_out:
-                    reason = f"the best value of {other.name} in run {one.run} lies beyond its bound {one.estimate:.3g}"
-                    return Finding("failed", reason, advice=f'widen the bounds with --parameter "{other.name}=… by run"')
+        owners = [one for one in (self, *self.equations) if one is self or one.name in used]
+        values = [(one.name, value) for one in owners for value in one.shown.runs if not value.held_out]
+        for name, one in values:
+            if not one.identifiable:
+                reason = f"the rows of run {one.run} do not determine its value of the parameter {name}"
+                return Finding("failed", reason, 1.0, 0.0, advice="let the runs share it, or leave this run out")
+            if one.at_bound:
+                reason = f"the best value of {name} in run {one.run} lies beyond its bound {one.estimate:.3g}"
+                return Finding("failed", reason, advice=f'widen the bounds with --parameter "{name}=… by run"')
         return Finding("passed", "the rows of each run determine its value", 0.0, 0.0) if self.shown.runs else None
 
     def check_alternative_equations(self) -> Finding | None:
