@@ -199,6 +199,15 @@ def test_an_unknown_part_is_found_beside_a_parameter_by_run():
     assert all(contain(refinement.equations["l"].runs, (0.5, 1.0)))
 
 
+def test_a_wrong_law_of_rows_without_noise_is_judged_with_a_hidden_state():
+    law = Known(("theta", "v", "l"), lambda _, z: [z[1], -9.81 / z[2] * np.sin(z[0]) - 0.25 * z[1] * abs(z[1]), 0.0])
+    made = without(table(law, ([1.0, 0.0, 0.5], [1.5, 0.0, 1.0]), TIMES), "l")
+    lengths = {"l": ParameterConfig(lower=0.1, upper=10.0, by="run")}
+    refinement = refined(made, {"theta": "v", "v": "-9.81/l*sin(theta) - c*v"}, lengths)
+    assert "good" not in grades(refinement).values()
+    assert refinement.simulation.trajectories[0].values is not None
+
+
 def test_a_run_that_does_not_determine_its_value_is_named_and_not_good():
     refinement = runs([3.0, 0.3], [3.0, 1.0], [0.5, 0.7])  # the third run begins where it ends
     assert set(grades(refinement).values()) == {"doubtful"}
