@@ -13,6 +13,7 @@ from atoll.api.model import Model
 from atoll.api.tables import numbers_of
 from atoll.model.arguments import GivenInputs, numbers, read_columns
 from atoll.model.equations import DIGITS, run_names
+from atoll.model.given_sides import fitted_parameters
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError, UsageError
 from atoll_core.redaction import without_secrets
@@ -107,12 +108,9 @@ class Discoverer:
 
         A parameter that differs by run has a value for each: ``l[run 2]``.
         """
-        model = self._model
-        sides = [equation.given for equation in model.equations]
-        sides += [observation.given for observation in model.result.observations]
-        names = {name for side in sides if side is not None for name in side.parameters}
-        names |= {name for equation in model.equations for name in run_names(equation)}
-        return {name: one.value for name, one in model.params.items() if name in names}
+        params, result = self._model.params, self._model.result
+        by_run = [name for equation in result.equations for name in run_names(equation)]
+        return {name: params[name].value for name in (*fitted_parameters(result), *by_run)}
 
     def equations(self, precision: int = DIGITS) -> list[str]:
         """Return the right-hand sides, with constants of `precision` significant digits."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from atoll.model.core import config_of
 from atoll.model.equations import differing_groups, match_constants, numbers_of
-from atoll.model.given_sides import GivenSides, program_of
+from atoll.model.given_sides import GivenSides
 from atoll_coordinator.data.recording import Method, Recording, StateSmoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.composed_system import composed_system
@@ -31,7 +31,7 @@ from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, bounded_c
 from atoll_coordinator.model.shooting.many_starts import fit_from_many_starts
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
-from atoll_coordinator.model.shooting.system import OdeSystem, system_of, variable_program
+from atoll_coordinator.model.shooting.system import OdeSystem, variable_program
 from atoll_coordinator.model.template.hidden_states import initial_values
 from atoll_coordinator.result.base import Curve
 from atoll_coordinator.result.equations import Constant, Equation
@@ -346,24 +346,34 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class EquationSet:
-    """Right-hand sides of the states with an equation: `programs` over `names`, the symbols of the result.
+    """Right-hand sides of the states with an equation, and which of their numbers are fitted.
 
-    `explicit` are the same programs with unwritten coefficients of 1 as constants, unless `are_as_written`. The
+    The `programs` of `given` are the searched ones: whole right-hand sides or, for sides that the user gave, unknown
+    parts. `explicit` are the same programs with unwritten coefficients of 1 as constants, unless `are_as_written`. The
     constants of `fixed` equations (by index) are not fitted. `bounds` has, by index of an equation, the user's bounds
-    (lower, upper) on all its constants.
-
-    If the user gave sides with parameters or unknown parts, they are in `given`. The `programs` are then the searched
-    ones: unknown parts, and whole sides without an unknown part of their own. Numbers of the user's text are not
-    fitted, and a parameter, or a constant of an unknown part, is one number in all sides.
+    (lower, upper) on all constants of its program. Numbers of the user's text are not fitted, and a parameter, or a
+    constant of an unknown part, is one number in all sides.
     """
 
-    names: tuple[str, ...]
-    variables: tuple[str, ...]
-    programs: tuple[Program, ...]
+    given: GivenSides
     fixed: frozenset[int]
     bounds: Mapping[int, tuple[tuple[float, float], ...]]
     are_as_written: bool = False
-    given: GivenSides | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The variables of the programs: the symbols of the result."""
+        return self.given.template.names
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """The states with an equation."""
+        return self.given.equations
+
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """The searched programs."""
+        return self.given.slots
 
     @cached_property
     def explicit(self) -> tuple[ExplicitCoefficients, ...]:
@@ -379,88 +389,60 @@ class EquationSet:
 
     def is_searched(self, place: int) -> bool:
         """Tell whether the program of an equation was searched: the side is not given without an unknown part."""
-        return self.given is None or not self.given.template.is_given(self.variables[place])
+        return not self.given.template.is_given(self.variables[place])
 
     @cached_property
-    def whole(self) -> GivenSides | None:
-        """The given sides with the explicit programs in their unknown parts."""
-        return None if self.given is None else self.given.with_slots([one.program for one in self.explicit])
-
-    @property
-    def sides(self) -> tuple[Program, ...]:
-        """The whole right-hand sides that are fitted, with unwritten coefficients of 1 as constants."""
-        return tuple(one.program for one in self.explicit) if self.whole is None else self.whole.programs
-
-    @property
-    def written_sides(self) -> tuple[Program, ...]:
-        """The whole right-hand sides as they are written."""
-        return self.programs if self.given is None else self.given.programs
+    def whole(self) -> GivenSides:
+        """The right-hand sides that are fitted, with unwritten coefficients of 1 as constants."""
+        return self.given.with_slots([one.program for one in self.explicit])
 
     def with_equation(self, place: int, program: Program) -> "EquationSet":
         """Return the same set with another equation at index `place`, which has no bounds, and is not a given side."""
-        if self.given is None or not self.given.is_given(place):
+        if not self.given.is_given(place):
             return self.with_searched(place, program)
-        given, changed = self.given.without_side(place, program), self.with_searched(place, program)
-        return replace(changed, given=given, programs=changed.programs if given is None else given.slots)
+        return replace(self._without_bounds(place), given=self.given.without_side(place, program))
 
     def with_searched(self, place: int, program: Program) -> "EquationSet":
         """Return the same set with another searched program at index `place`, which has no bounds."""
+        given = self.given.with_slots((*self.programs[:place], program, *self.programs[place + 1 :]))
+        return replace(self._without_bounds(place), given=given)
+
+    def _without_bounds(self, place: int) -> "EquationSet":
         bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
-        programs = (*self.programs[:place], program, *self.programs[place + 1 :])
-        given = None if self.given is None else self.given.with_slots(programs)
-        return replace(self, programs=programs, bounds=bounds, are_as_written=False, given=given)
+        return replace(self, bounds=bounds, are_as_written=False)
 
     def system(self, measurements: TrajectoryMeasurements, order: int) -> OdeSystem:
         """Return the system of the explicit programs; for order 2, the rates of the positions are the velocities."""
-        programs = [explicit.program for explicit in self.explicit]
-        count = len(programs) if order == 2 else 0
+        count, whole = len(self.programs) if order == 2 else 0, self.whole
         velocities = measurements.variables[count : 2 * count]
         leading = [variable_program(self.names.index(name)) for name in velocities]
-        if self.whole is not None:
-            return self._composed_system(self.whole, measurements.variables, leading)
-        fixed = [set[int]() for _ in range(count + len(programs))]
-        for place in self.fixed:
-            fixed[count + place].update(constant_places(programs[place]))
-        system = system_of([*leading, *programs], self.names, measurements.variables, fixed)
-        if not self.bounds:
-            return system
-        ends = [
-            (-math.inf, math.inf) if place not in self.bounds else self.bounds[place][number]
-            for place, explicit in enumerate(self.explicit)
-            for number in range(len(explicit.origins) if place not in self.fixed else 0)
-        ]
-        lower, upper = np.array(ends).reshape(-1, 2).T.copy()
-        return replace(system, lower=lower, upper=upper)
-
-    def _composed_system(self, whole: GivenSides, variables: Sequence[str], leading: Sequence[Program]) -> OdeSystem:
-        places = [[*constant_places(explicit.program)] for explicit in self.explicit]
+        nodes = [constant_places(explicit.program) for explicit in self.explicit]
         bounds = {
             there: self.bounds[home][number]
             for home in self.bounds
-            for number, node in enumerate(places[home])
+            for number, node in enumerate(nodes[home])
             for there in whole.composition.places[home].get(node, ())
         }
-        fixed = [set(nodes) if place in self.fixed else set[int]() for place, nodes in enumerate(places)]
-        return composed_system(whole.template, whole.composition, self.names, variables, leading, fixed, bounds)
+        fixed = [own if place in self.fixed else () for place, own in enumerate(nodes)]
+        system = composed_system(
+            whole.template, whole.composition, self.names, measurements.variables, leading, fixed, bounds
+        )
+        return system if whole.template.sides else replace(system, is_logarithmic=None)
 
 
 def equations_of(result: Result) -> EquationSet:
     """Return the displayed equations of a result."""
-    names, entries, given = result.names, result.equations, GivenSides.of(result)
-    programs = tuple(program_of(equation, names) for equation in entries) if given is None else given.slots
+    entries, given = result.equations, GivenSides.of(result)
     fixed = frozenset(
-        place
-        for place, equation in enumerate(entries)
-        if equation.origin == "known" and (given is None or not given.is_given(place))
+        place for place, equation in enumerate(entries) if equation.origin == "known" and not given.is_given(place)
     )
     ends = {place: _bounds(_searched_constants(equation, place, given)) for place, equation in enumerate(entries)}
-    bounds = {place: pairs for place, pairs in ends.items() if pairs and place not in fixed}
-    return EquationSet(names, tuple(equation.variable for equation in entries), programs, fixed, bounds, given=given)
+    return EquationSet(given, fixed, {place: pairs for place, pairs in ends.items() if pairs and place not in fixed})
 
 
-def _searched_constants(equation: Equation, place: int, given: GivenSides | None) -> list[Constant]:
+def _searched_constants(equation: Equation, place: int, given: GivenSides) -> list[Constant]:
     """Return the constants of the program that was searched for an equation."""
-    if given is None or not given.is_given(place):
+    if not given.is_given(place):
         return [*equation.constants]
     sources = zip(equation.constants, given.composition.sources(place), strict=True)
     return [constant for constant, source in sources if source.home == place]
@@ -476,8 +458,8 @@ def _bounds(constants: Sequence[Constant]) -> tuple[tuple[float, float], ...]:
 def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, ...]:
     """Return the fitted constants in the order of the system, with the names in the texts of the result."""
     called = {variable: [number.name for number in numbers] for variable, numbers in numbers_of(result).items()}
-    if equations.given is not None:
-        return _constants_of_sides(equations, equations.given, called)
+    if equations.given.template.sides:
+        return _constants_of_sides(equations, called)
     constants: list[FreeConstant] = []
     for place, (variable, explicit) in enumerate(zip(equations.variables, equations.explicit, strict=True)):
         program = equations.programs[place]
@@ -498,16 +480,13 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
     return tuple(constants)
 
 
-def _constants_of_sides(
-    equations: EquationSet, given: GivenSides, called: Mapping[str, Sequence[str]]
-) -> tuple[FreeConstant, ...]:
+def _constants_of_sides(equations: EquationSet, called: Mapping[str, Sequence[str]]) -> tuple[FreeConstant, ...]:
     """Return the fitted constants of equations with given sides. `called` has the names of all numbers by variable."""
     whole = equations.whole
-    assert whole is not None
     names: dict[ConstantSource | None, str] = {
         source: name
         for place, variable in enumerate(equations.variables)
-        for source, name in zip(given.composition.sources(place), called[variable], strict=True)
+        for source, name in zip(equations.given.composition.sources(place), called[variable], strict=True)
     }
     constants: dict[ConstantSource, FreeConstant] = {}
     for place, variable in enumerate((*equations.variables, *whole.observations)):
@@ -557,13 +536,12 @@ class EquationSetFit:
         count = len(system.outputs)
         programs = system.programs[count - len(self.equations.programs) : count]
         texts = {
-            equation.lhs: to_infix(program, names, digits=4, is_given=given is not None and given.is_given(place))
+            equation.lhs: to_infix(program, names, digits=4, is_given=given.is_given(place))
             for place, (equation, program) in enumerate(zip(result.equations, programs, strict=True))
         }
-        columns = () if given is None else given.observations
         return texts | {
             column: to_infix(program, names, digits=4, is_given=True)
-            for column, program in zip(columns, system.programs[count:], strict=True)
+            for column, program in zip(given.observations, system.programs[count:], strict=True)
         }
 
     @property

@@ -21,9 +21,10 @@ from atoll.model.equations import (
     displayed_equation,
     given_words,
     remark_on_groups,
+    side_words,
     words_of_run,
 )
-from atoll.model.given_sides import named_side, searched_parts, with_parameter_names
+from atoll.model.given_sides import fitted_parameters, named_side, searched_parts, with_parameter_names
 from atoll_coordinator.result.equations import Equation, Observation
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
@@ -68,13 +69,7 @@ def as_sympy(result: Result) -> str:
 
     Parameters of given sides are symbols too; a dictionary ``parameters`` has their values.
     """
-    sides = [(one.given, one.constants) for one in result.equations]
-    sides += [(one.given, one.constants) for one in result.observations]
-    parameters = {
-        name: constants[place].value
-        for given, constants in sides
-        for name, place in (given.parameters if given is not None else {}).items()
-    }
+    parameters = {name: constant.value for name, constant in fitted_parameters(result).items()}
     names = (*result.names, *parameters)
     remark = remark_on_groups(result)
     lines = [f"# {remark}"] if remark else []
@@ -118,20 +113,24 @@ def latex_lines(result: Result) -> list[str]:
         unit = displayed_equation(result, equation).unit
         unit = rf" \quad \left[{unit_to_latex(unit)}\right]" if unit else ""
         given = given_words(equation, names)
-        lines += [f"{left} &= {_side_latex(equation, names)}{unit}", *_parameters_latex(given)]
+        lines += [f"{left} &= {_side_latex(equation, names)}{unit}"]
+        lines += [] if given is None else _parameters_latex(given)
         fitted = equation.constants if given is None else given.constants
         constants = ",\\; ".join(map(_constant_latex, constant_words(fitted)))
         lines += [rf"&\quad \text{{constants: }} {constants}"] if constants else []
     for one in result.observations:
         left = left_side_to_latex(one.column, is_name=True)
-        lines += [f"{left} &= {_side_latex(one, names)}", *_parameters_latex(given_words(one, names))]
+        lines += [
+            f"{left} &= {_side_latex(one, names)}",
+            *_parameters_latex(side_words(one.given, one.constants, names)),
+        ]
     return lines
 
 
-def _parameters_latex(given: GivenWords | None) -> list[str]:
+def _parameters_latex(given: GivenWords) -> list[str]:
     """Return a line with the values of the parameters of a given side; no line without parameters."""
-    parameters = {} if given is None else given.parameters
-    values = ",\\; ".join(f"{name_to_latex(name)} = {_constant_latex(words)}" for name, words in parameters.items())
+    pairs = given.parameters.items()
+    values = ",\\; ".join(f"{name_to_latex(name)} = {_constant_latex(words)}" for name, words in pairs)
     return [rf"&\quad {values}"] if values else []
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from atoll_coordinator.result.equations import Constant, Equation, GroupEquation, Observation, UnknownPart
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray, IntArray
+from atoll_core.errors import UsageError
 from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
 from atoll_core.expression.template import (
@@ -52,33 +53,25 @@ class GivenSides:
     values: FloatArray
 
     @classmethod
-    def of(cls, result: Result) -> "Self | None":
-        """Return the given sides of a result; None if no side was given, or if the sides do not fit their parts."""
+    def of(cls, result: Result) -> Self:
+        """Return the equations of a result; the template has no sides if none was given.
+
+        Raises UsageError if the sides do not fit their parts.
+        """
         given = {equation.variable: equation.given for equation in result.equations if equation.given is not None}
-        given_columns = {one.column: one.given for one in result.observations if one.given is not None}
-        if not given and not given_columns:
-            return None
-        names = result.names
-        programs = [
-            ZERO if equation.expression is None else program_of(equation, names) for equation in result.equations
-        ]
-        texts = {name: side.text for name, side in (given | given_columns).items()}
-        template = read_template(texts, _parameters(result), names, tuple(given_columns))
+        columns, names = {one.column: one.given for one in result.observations}, result.names
+        texts = {name: side.text for name, side in (given | columns).items()}
+        template = read_template(texts, _parameters(result), names, tuple(columns))
         equations = tuple(equation.variable for equation in result.equations)
-        template = replace(template, equations=(*equations, *given_columns))
-        slots = list(programs)
-        programs += [program_of(one, names) for one in result.observations if one.given is not None]
-        for index, name in enumerate(equations):
-            unknown = template.unknown_of(name)
-            if unknown is not None:
-                part = next((one for one in given[name].unknowns if one.label == unknown.label), None)
-                if part is None:
-                    return None
-                slots[index] = _part_program(part.program, part.expression, names)
+        template = replace(template, equations=(*equations, *columns))
+        slots = [ZERO if equation.expression is None else program_of(equation, names) for equation in result.equations]
+        programs = [*slots, *(program_of(one, names) for one in result.observations)]
+        for unknown in template.unknowns:
+            parts = [part for part in given[unknown.home].unknowns if part.label == unknown.label]
+            slots[equations.index(unknown.home)] = _part_program(parts[0], names) if parts else ZERO
         empty = cls(template, tuple(slots), np.zeros(len(template.parameters)))
-        composed = empty.composition.programs
-        if [*map(structure, composed)] != [*map(structure, programs)]:
-            return None
+        if [*map(structure, empty.composition.programs)] != [*map(structure, programs)]:
+            raise UsageError("given equations of the result do not fit their unknown parts; was the result changed?")
         return empty.with_values_of(programs)
 
     @cached_property
@@ -141,12 +134,10 @@ class GivenSides:
             values=np.array([old if new is None else new for old, new in pairs]),
         )
 
-    def without_side(self, index: int, program: Program) -> "Self | None":
-        """Return the equations with a searched program instead of the side `index`; None if no given side is left."""
+    def without_side(self, index: int, program: Program) -> Self:
+        """Return the equations with a searched program instead of the side `index`."""
         old, name = self.template, self.template.equations[index]
         texts = {other: text for other, text in old.texts.items() if other != name}
-        if not texts:
-            return None
         known = {one.name: one for one in old.parameters}
         used = {one.name for other in texts for one in map(old.parameters.__getitem__, old.parameters_in(other))}
         parameters = {name: one for name, one in known.items() if name in used}
@@ -214,8 +205,7 @@ class GivenSides:
 
 def searched_parts(result: Result) -> dict[str, str]:
     """Return the labels of the unknown parts of a result by the equation under whose name they were searched."""
-    sides = GivenSides.of(result)
-    return {} if sides is None else {one.home: one.label for one in sides.template.unknowns}
+    return {one.home: one.label for one in GivenSides.of(result).template.unknowns}
 
 
 class NamedSide(NamedTuple):
@@ -243,7 +233,7 @@ def named_side(equation: Equation | Observation, names: Sequence[str]) -> NamedS
     home = equation.variable if isinstance(equation, Equation) else equation.column
     template = read_template({home: given.text}, declared, names)
     before = [*names, *(one.name for one in template.parameters)]
-    found = {part.label: _part_program(part.program, part.expression, names) for part in given.unknowns}
+    found = {part.label: _part_program(part, names) for part in given.unknowns}
     parts = {len(before) + place: found[one.label] for place, one in enumerate(template.unknowns)}
     labels = [one.label for one in template.unknowns]
     return NamedSide(template.sides[home], (*before, *labels), parts)
@@ -266,18 +256,24 @@ def over_variables(program: Program, places: Sequence[int]) -> Program:
     return replace(program, left=np.array(left, dtype=np.int16))
 
 
-def _part_program(encoded: str | None, expression: str, names: Sequence[str]) -> Program:
-    return from_infix(expression, names) if encoded is None else Program.from_bytes(bytes.fromhex(encoded), len(names))
+def _part_program(part: UnknownPart, names: Sequence[str]) -> Program:
+    if part.program is None:
+        return from_infix(part.expression, names)
+    return Program.from_bytes(bytes.fromhex(part.program), len(names))
 
 
-def _parameters(result: Result) -> Mapping[str, TemplateParameter]:
-    """Return the parameters in given sides of a result, by name, with their bounds."""
+def fitted_parameters(result: Result) -> dict[str, Constant]:
+    """Return the parameters in given sides of a result, and in columns that are computed from states, by name."""
+    sides: list[Equation | Observation] = [*result.equations, *result.observations]
+    given = [(one.given.parameters, one.constants) for one in sides if one.given is not None]
+    return {name: constants[place] for places, constants in given for name, place in places.items()}
+
+
+def _parameters(result: Result) -> dict[str, TemplateParameter]:
+    """Return the parameters of a result, by name, with their bounds."""
     parameters = {}
-    sides = [(one.given, one.constants) for one in result.equations]
-    sides += [(one.given, one.constants) for one in result.observations]
-    for given, constants in sides:
-        for name, place in (given.parameters if given is not None else {}).items():
-            low, high = constants[place].bounds or (None, None)
-            ends = -math.inf if low is None else low, math.inf if high is None else high
-            parameters[name] = TemplateParameter(name, *ends)
+    for name, constant in fitted_parameters(result).items():
+        low, high = constant.bounds or (None, None)
+        ends = -math.inf if low is None else low, math.inf if high is None else high
+        parameters[name] = TemplateParameter(name, *ends)
     return parameters

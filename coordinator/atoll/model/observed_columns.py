@@ -47,7 +47,7 @@ class ObservedColumns:
         for one in result.observations:
             programs[one.column] = program = over_variables(program_of(one, result.names), places)
             constants = constant_places(program)
-            for name, number in (one.given.parameters if one.given is not None else {}).items():
+            for name, number in one.given.parameters.items():
                 nodes[name] = (*nodes.get(name, ()), (one.column, constants[number]))
         return cls(programs, nodes)
 

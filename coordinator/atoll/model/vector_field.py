@@ -111,7 +111,7 @@ class VectorField:
             sides = dict(zip(sides, velocities, strict=True)) | dict(zip(velocities, sides.values(), strict=True))
         inputs = [name for name in symbols.values() if name not in sides]
         field, given = cls.of(sides, inputs, result.sizes(tuple(sides))), GivenSides.of(result)
-        return field if given is None else _with_given_sides(field, given, result)
+        return _with_given_sides(field, given, result) if given.template.sides else field
 
     @property
     def named_parameters(self) -> dict[str, Parameter]:
@@ -361,7 +361,7 @@ class JointErrors:
 
 
 def _with_coefficients(
-    result: Result, equation: Equation, known: Covariance, given: GivenSides | None
+    result: Result, equation: Equation, known: Covariance, given: GivenSides
 ) -> tuple[Program, npt.NDArray[np.int64]] | None:
     """Return a right-hand side that has the constants of the covariance, and their indices among its constants.
 
@@ -370,7 +370,7 @@ def _with_coefficients(
     if equation.program is None:
         return None
     origins = [place.constant for place in known.constants if place.variable == equation.variable]
-    if given is not None and equation.given is not None:
+    if equation.given is not None:
         return next((pair for pair, own in given.explicit_sides(equation.variable) if own == origins), None)
     program = program_of(equation, result.names)
     explicit = (make_coefficients_explicit(program), as_written(program))

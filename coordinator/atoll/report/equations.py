@@ -19,6 +19,7 @@ from atoll.model.equations import (
     rounded,
     run_names,
     side_text,
+    side_words,
 )
 from atoll.model.given_sides import named_side, searched_parts
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
@@ -106,9 +107,8 @@ def _equation(equation: Equation, findings: Findings) -> Element:
 def _observation(one: Observation, findings: Findings) -> Element:
     """Return a measured column that is computed from states, with its parameters."""
     names = findings.result.names
-    given = given_words(one, names)
-    parts = [paragraph(element("code", f"{one.column} = {side_text(one, names)}"), " (measured)")]
-    return element("div", *parts, *([] if given is None else _given(given)), class_="equation")
+    formula = paragraph(element("code", f"{one.column} = {side_text(one, names)}"), " (measured)")
+    return element("div", formula, *_given(side_words(one.given, one.constants, names)), class_="equation")
 
 
 def _given(given: GivenWords) -> list[Element]:

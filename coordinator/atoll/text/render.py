@@ -25,6 +25,7 @@ from atoll.model.equations import (
     rounded,
     run_names,
     side_text,
+    side_words,
     unit_text,
     with_errors,
     words_of,
@@ -521,8 +522,6 @@ def _complete_given_sides(result: Result, equations: Sequence[Equation], picks: 
     unknown part of its own has nothing to pick.
     """
     sides = GivenSides.of(result)
-    if sides is None:
-        return [*equations]
     slots, homes = [*sides.slots], set[int]()
     for place, equation in enumerate(equations):
         unknown = sides.template.unknown_of(equation.variable) if equation.variable in picks else None
@@ -602,8 +601,7 @@ def _equation_text(
 
 def observation_lines(one: Observation, names: Sequence[str]) -> list[str]:
     """Return a measured column that is computed from states, as the user wrote it too, and its parameters."""
-    given = given_words(one, names)
-    parameters = {} if given is None else given.parameters
+    parameters = side_words(one.given, one.constants, names).parameters
     return [observation_text(one, names), *(f"    {name} = {_words_text(words)}" for name, words in parameters.items())]
 
 

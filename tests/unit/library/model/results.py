@@ -54,6 +54,8 @@ def process_result(drift: str = "1-x", diffusion: str = "0.25", inputs: tuple[st
     """Return the content of the result.json of a process of one state that was measured in steps of 0.1 from 2."""
     contents = result({"x": drift, "[x]": diffusion}, inputs)
     del contents["symbols"]["[x]"]
+    for equation in contents["equations"]:  # a program is over the symbols
+        del equation["program"]
     ensemble = {"trajectory": "1", "times": [0.0, 0.5], "mean": {"x": [2.0, 1.6]}}
     return contents | {"process": {"step": 0.1, "ensemble": ensemble}}
 
