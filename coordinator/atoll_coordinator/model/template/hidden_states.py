@@ -77,9 +77,7 @@ def initial_values(config: JobConfig) -> tuple[tuple[str, float, float], ...]:
         lower = one.start if is_given else one.lower
         upper = one.start if is_given else one.upper
         found.append((name, -np.inf if lower is None else lower, np.inf if upper is None else upper))
-    for name in config.prior.by_run:
-        parameter = parameter_of(name, config.prior.parameters[name])
-        found.append((name, parameter.lower, parameter.upper))
+    found += [(name, *config.prior.parameters[name].ends) for name in config.prior.by_run]
     return tuple(found)
 
 
