@@ -6,7 +6,7 @@ parameter, or a constant of an unknown part. Letters: D equations, P parameters.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Self
@@ -30,7 +30,7 @@ from atoll_core.expression.template import (
 )
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
+from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
 
 
 def program_of(equation: Equation | GroupEquation | Observation, names: Sequence[str]) -> Program:
@@ -153,21 +153,26 @@ class GivenSides:
             values=np.array([values[one.name] for one in template.parameters]),
         )
 
-    def explicit_sides(self, variable: str) -> Iterator[tuple[tuple[Program, IntArray], list[int | None]]]:
-        """Yield ways in which the constants of a side may have been fitted: with factors of 1 in its unknown parts as
-        constants, and as it is written.
+    @cached_property
+    def _explicit(self) -> list[tuple[list[ExplicitCoefficients], Composition]]:
+        """The ways in which constants may have been fitted: with factors of 1 in the slots as constants, and as they
+        are written."""
+        ways = [[make(slot) for slot in self.slots] for make in (make_coefficients_explicit, as_written)]
+        return [(way, self.with_slots([one.program for one in way]).composition) for way in ways]
 
-        Each has the program, the indices of the fitted constants among its constants, and their numbers among the
-        constants of the written side (None: a factor of 1).
+    def explicit_side(self, variable: str, origins: Sequence[int | None]) -> tuple[Program, IntArray] | None:
+        """Return a side as it was fitted, and the indices of the fitted constants among its constants.
+
+        `origins` are their numbers among the constants of the written side (None: a factor of 1). None if neither way
+        fits to them.
         """
         index = self.template.equations.index(variable)
         numbers = {source: number for number, source in enumerate(self.composition.sources(index))}
-        for make in (make_coefficients_explicit, as_written):
-            explicit = [make(slot) for slot in self.slots]
-            composed = self.with_slots([one.program for one in explicit]).composition
+        for explicit, composed in self._explicit:
             fitted = [*written_sources(composed.sources(index), explicit)]
-            places = np.array([place for place, _ in fitted], np.int64)
-            yield (composed.programs[index], places), [None if one is None else numbers[one] for _, one in fitted]
+            if [None if one is None else numbers[one] for _, one in fitted] == origins:
+                return composed.programs[index], np.array([place for place, _ in fitted], np.int64)
+        return None
 
     def describe(self, equation: Equation, index: int, before: Sequence[Constant] = ()) -> Equation:
         """Return an equation of a result with the side of this index.
