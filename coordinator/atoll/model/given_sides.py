@@ -214,34 +214,30 @@ def searched_parts(result: Result) -> dict[str, str]:
 
 
 class NamedSide(NamedTuple):
-    """A side as the user wrote it: a program over `names`, which are variables, parameters and labels of unknown parts.
+    """A side for display: a program over `names`, which are variables and parameters, and then over unknown parts.
 
-    `parts` are the unknown parts that were found, by the index of their label.
+    `parts` has the label and the program of each unknown part, by the index of its variable. If the user gave the side,
+    it is displayed as it was written.
     """
 
     program: Program
     names: tuple[str, ...]
-    parts: Mapping[int, Program]
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """The names without the labels, which come last."""
-        return self.names[: len(self.names) - len(self.parts)]
+    parts: Mapping[int, tuple[str, Program]]
+    is_given: bool
 
 
-def named_side(equation: Equation | Observation, names: Sequence[str]) -> NamedSide | None:
-    """Return the side of an equation as the user wrote it; None if the user did not give it."""
+def named_side(equation: Equation | Observation, names: Sequence[str]) -> NamedSide:
+    """Return the side of an equation, in the form in which the user gave it if it was given."""
     given = equation.given
     if given is None:
-        return None
+        return NamedSide(from_infix(equation.expression or "", names), tuple(names), {}, is_given=False)
     declared = {name: TemplateParameter(name) for name in given.parameters}
     home = equation.variable if isinstance(equation, Equation) else equation.column
     template = read_template({home: given.text}, declared, names)
-    before = [*names, *(one.name for one in template.parameters)]
-    found = {part.label: _part_program(part, names) for part in given.unknowns}
-    parts = {len(before) + place: found[one.label] for place, one in enumerate(template.unknowns)}
-    labels = [one.label for one in template.unknowns]
-    return NamedSide(template.sides[home], (*before, *labels), parts)
+    before = (*names, *(one.name for one in template.parameters))
+    found = {part.label: (part.label, _part_program(part, names)) for part in given.unknowns}
+    parts = {place: found[one.label] for place, one in enumerate(template.unknowns, len(before))}
+    return NamedSide(template.sides[home], before, parts, is_given=True)
 
 
 def with_parameter_names(equation: Equation | Observation, names: Sequence[str]) -> tuple[Program, tuple[str, ...]]:
