@@ -45,7 +45,6 @@ from atoll_core.errors import AtollError, UsageError
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.template import ConstantSource, written_sources
 from atoll_core.expression.text.infix import to_infix
-from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
 
 _FEWEST_ROWS: Final = 5
@@ -457,56 +456,42 @@ def _bounds(constants: Sequence[Constant]) -> tuple[tuple[float, float], ...]:
 
 def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, ...]:
     """Return the fitted constants in the order of the system, with the names in the texts of the result."""
-    called = {variable: [number.name for number in numbers] for variable, numbers in numbers_of(result).items()}
-    if equations.given.template.sides:
-        return _constants_of_sides(equations, called)
-    constants: list[FreeConstant] = []
-    for place, (variable, explicit) in enumerate(zip(equations.variables, equations.explicit, strict=True)):
-        program = equations.programs[place]
-        values = program.constants[constant_places(program)].tolist()
-        text = from_infix(result.equations[place].expression or "", equations.names)
-        displayed = text.constants[constant_places(text)].tolist()
-        numbers = match_constants(values, displayed)
-        terms = iter(explicit.terms)
-        for origin in explicit.origins if place not in equations.fixed else ():
-            if origin is None:
-                of = to_infix(next(terms), equations.names, digits=4)
-                constants.append(FreeConstant(f"1 of {of} (d{variable})", variable, 1.0, False))
-                continue
-            number = numbers[origin]
-            name = called[variable][number] if number is not None else f"{values[origin]:.4g} (d{variable})"
-            sign = 1.0 if number is None or values[origin] * displayed[number] >= 0.0 else -1.0
-            constants.append(FreeConstant(name, variable, sign, True))
-    return tuple(constants)
-
-
-def _constants_of_sides(equations: EquationSet, called: Mapping[str, Sequence[str]]) -> tuple[FreeConstant, ...]:
-    """Return the fitted constants of equations with given sides. `called` has the names of all numbers by variable."""
-    whole = equations.whole
-    names: dict[ConstantSource | None, str] = {
-        source: name
-        for place, variable in enumerate(equations.variables)
-        for source, name in zip(equations.given.composition.sources(place), called[variable], strict=True)
-    }
+    names, whole = _names_in_texts(equations, result), equations.whole
     constants: dict[ConstantSource, FreeConstant] = {}
     for place, variable in enumerate((*equations.variables, *whole.observations)):
         sources = whole.composition.sources(place)
         for index, written in written_sources(sources, equations.explicit) if place not in equations.fixed else ():
             source = sources[index]
-            if source in constants:
+            if source.home is None:
+                name = whole.template.parameters[source.parameter or 0].name
+                constants.setdefault(source, FreeConstant(name, variable, 1.0, True))
                 continue
-            if source.parameter is not None:
-                name = whole.template.parameters[source.parameter].name
-                constants[source] = FreeConstant(name, variable, 1.0, True)
-                continue
-            assert source.home is not None
             home, explicit = equations.variables[source.home], equations.explicit[source.home]
-            name = names.get(written, "")
             if written is None:
                 term = explicit.terms[explicit.origins[: source.number].count(None)]
                 name = f"1 of {to_infix(term, equations.names, digits=4)} (d{home})"
-            constants[source] = FreeConstant(name, home, 1.0, written is not None)
+                constants[source] = FreeConstant(name, home, 1.0, False)
+            else:
+                constants[source] = FreeConstant(names[written][0], home, names[written][1], True)
     return tuple(constants.values())
+
+
+def _names_in_texts(equations: EquationSet, result: Result) -> dict[ConstantSource, tuple[str, float]]:
+    """Return the names of the constants of searched programs as they are written, and their signs in the texts."""
+    names: dict[ConstantSource, tuple[str, float]] = {}
+    for place, (variable, listed) in enumerate(numbers_of(result).items()):
+        if variable in equations.given.template.sides:
+            sources = equations.given.composition.sources(place)
+            names |= {source: (number.name, 1.0) for source, number in zip(sources, listed, strict=True)}
+            continue
+        program = equations.programs[place]
+        values = program.constants[constant_places(program)].tolist()
+        for number, written in enumerate(match_constants(values, [one.value for one in listed])):
+            value, shown = values[number], None if written is None else listed[written]
+            name = f"{value:.4g} (d{variable})" if shown is None else shown.name
+            sign = -1.0 if shown is not None and value * shown.value < 0.0 else 1.0
+            names[ConstantSource(None, place, number)] = name, sign
+    return names
 
 
 @dataclass(frozen=True, eq=False)

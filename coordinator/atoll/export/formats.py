@@ -31,7 +31,6 @@ from atoll_core.errors import UsageError
 from atoll_core.expression.text.export import left_side_to_latex, to_latex, unit_to_latex
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.names import name_to_latex
-from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import enumerated
 
 if TYPE_CHECKING:
@@ -136,14 +135,8 @@ def _parameters_latex(given: GivenWords) -> list[str]:
 
 def _side_latex(equation: Equation | Observation, names: Sequence[str]) -> str:
     """Return a right-hand side; a given side has its parameters by name, and a brace below its unknown parts."""
-    side = named_side(equation, names)
-    if side is None:
-        return to_latex(from_infix(equation.expression or "", names), names)
-    parts = {
-        place: rf"\underbrace{{{to_latex(part, names, is_given=True)}}}_{{{side.names[place]}}}"
-        for place, part in side.parts.items()
-    }
-    return to_latex(side.program, side.variables, is_given=True, parts=parts)
+    program, known, parts, is_given = named_side(equation, names)
+    return to_latex(program, known, is_given=is_given, parts=parts)
 
 
 def _constant_latex(words: ConstantWords) -> str:

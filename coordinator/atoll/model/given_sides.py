@@ -6,7 +6,7 @@ parameter, or a constant of an unknown part. Letters: D equations, P parameters.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Self
@@ -30,7 +30,7 @@ from atoll_core.expression.template import (
 )
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
+from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
 
 
 def program_of(equation: Equation | GroupEquation | Observation, names: Sequence[str]) -> Program:
@@ -153,21 +153,26 @@ class GivenSides:
             values=np.array([values[one.name] for one in template.parameters]),
         )
 
-    def explicit_sides(self, variable: str) -> Iterator[tuple[tuple[Program, IntArray], list[int | None]]]:
-        """Yield ways in which the constants of a side may have been fitted: with factors of 1 in its unknown parts as
-        constants, and as it is written.
+    @cached_property
+    def _explicit(self) -> list[tuple[list[ExplicitCoefficients], Composition]]:
+        """The ways in which constants may have been fitted: with factors of 1 in the slots as constants, and as they
+        are written."""
+        ways = [[make(slot) for slot in self.slots] for make in (make_coefficients_explicit, as_written)]
+        return [(way, self.with_slots([one.program for one in way]).composition) for way in ways]
 
-        Each has the program, the indices of the fitted constants among its constants, and their numbers among the
-        constants of the written side (None: a factor of 1).
+    def explicit_side(self, variable: str, origins: Sequence[int | None]) -> tuple[Program, IntArray] | None:
+        """Return a side as it was fitted, and the indices of the fitted constants among its constants.
+
+        `origins` are their numbers among the constants of the written side (None: a factor of 1). None if neither way
+        fits to them.
         """
         index = self.template.equations.index(variable)
         numbers = {source: number for number, source in enumerate(self.composition.sources(index))}
-        for make in (make_coefficients_explicit, as_written):
-            explicit = [make(slot) for slot in self.slots]
-            composed = self.with_slots([one.program for one in explicit]).composition
+        for explicit, composed in self._explicit:
             fitted = [*written_sources(composed.sources(index), explicit)]
-            places = np.array([place for place, _ in fitted], np.int64)
-            yield (composed.programs[index], places), [None if one is None else numbers[one] for _, one in fitted]
+            if [None if one is None else numbers[one] for _, one in fitted] == origins:
+                return composed.programs[index], np.array([place for place, _ in fitted], np.int64)
+        return None
 
     def describe(self, equation: Equation, index: int, before: Sequence[Constant] = ()) -> Equation:
         """Return an equation of a result with the side of this index.
@@ -209,34 +214,30 @@ def searched_parts(result: Result) -> dict[str, str]:
 
 
 class NamedSide(NamedTuple):
-    """A side as the user wrote it: a program over `names`, which are variables, parameters and labels of unknown parts.
+    """A side for display: a program over `names`, which are variables and parameters, and then over unknown parts.
 
-    `parts` are the unknown parts that were found, by the index of their label.
+    `parts` has the label and the program of each unknown part, by the index of its variable. If the user gave the side,
+    it is displayed as it was written.
     """
 
     program: Program
     names: tuple[str, ...]
-    parts: Mapping[int, Program]
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """The names without the labels, which come last."""
-        return self.names[: len(self.names) - len(self.parts)]
+    parts: Mapping[int, tuple[str, Program]]
+    is_given: bool
 
 
-def named_side(equation: Equation | Observation, names: Sequence[str]) -> NamedSide | None:
-    """Return the side of an equation as the user wrote it; None if the user did not give it."""
+def named_side(equation: Equation | Observation, names: Sequence[str]) -> NamedSide:
+    """Return the side of an equation, in the form in which the user gave it if it was given."""
     given = equation.given
     if given is None:
-        return None
+        return NamedSide(from_infix(equation.expression or "", names), tuple(names), {}, is_given=False)
     declared = {name: TemplateParameter(name) for name in given.parameters}
     home = equation.variable if isinstance(equation, Equation) else equation.column
     template = read_template({home: given.text}, declared, names)
-    before = [*names, *(one.name for one in template.parameters)]
-    found = {part.label: _part_program(part, names) for part in given.unknowns}
-    parts = {len(before) + place: found[one.label] for place, one in enumerate(template.unknowns)}
-    labels = [one.label for one in template.unknowns]
-    return NamedSide(template.sides[home], (*before, *labels), parts)
+    before = (*names, *(one.name for one in template.parameters))
+    found = {part.label: (part.label, _part_program(part, names)) for part in given.unknowns}
+    parts = {place: found[one.label] for place, one in enumerate(template.unknowns, len(before))}
+    return NamedSide(template.sides[home], before, parts, is_given=True)
 
 
 def with_parameter_names(equation: Equation | Observation, names: Sequence[str]) -> tuple[Program, tuple[str, ...]]:

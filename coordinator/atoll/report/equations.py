@@ -21,7 +21,7 @@ from atoll.model.equations import (
     side_text,
     side_words,
 )
-from atoll.model.given_sides import named_side, searched_parts
+from atoll.model.given_sides import searched_parts
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
 from atoll.report.markup import (
     COLORS,
@@ -84,9 +84,7 @@ def _equation(equation: Equation, findings: Findings) -> Element:
     if equation.expression is None:
         parts = [paragraph(f"{lhs}: no equation")]
     else:
-        names = findings.result.names
-        side = named_side(equation, names)
-        formula = equation_mathml(lhs, equation.variable, equation.expression, names, side)
+        formula = equation_mathml(equation, findings.result.names)
         parts = [scrolling(f"equation {lhs}", parse_mathml(formula))]
     if equation.runs:
         values = [element("li", element("code", line)) for line in run_lines(equation)]

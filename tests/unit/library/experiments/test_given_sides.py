@@ -10,13 +10,14 @@ from scipy.integrate import solve_ivp
 
 from atoll.experiments.comparison import compare
 from atoll.experiments.designs import Design, DesignPredictor
-from atoll.experiments.fits import EquationSetFit, constants_of, fit_displayed, fit_equations, measured_of
+from atoll.experiments.fits import EquationSetFit, constants_of, equations_of, fit_displayed, fit_equations, measured_of
 from atoll.experiments.identifiability import identify
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.library.experiments.made import Course, measured
 from tests.unit.library.model.results import BIOREACTOR, given_entries, with_given
+from tests.unit.library.model.results import result as result_of
 
 NOISE = 0.005
 TIMES = np.linspace(0.0, 15.0, 61)
@@ -149,3 +150,13 @@ def test_a_template_is_compared_with_free_equations(result: Result) -> None:
     (on,) = compare(result, free).data
     assert [side.constants for side in on.sides] == [3, 7]
     assert abs(on.nats) < 20.0
+
+
+def test_equal_constants_of_an_equation_beside_a_given_side_are_two_constants() -> None:
+    contents = result_of({"X": "1", "S": "2.0*X - 2.0*S"})
+    contents["equations"][0] |= given_entries(BIOREACTOR, {"?1": "S/(0.6 + 2.0*S)"}, {"Y": 0.5})["X"]
+    program = from_infix("2.0*X - 2.0*S", ["X", "S"], merges_constants=False)
+    contents["equations"][1]["program"] = program.to_bytes().hex()
+    of = Result.of(contents)
+    constants = constants_of(equations_of(of), of)
+    assert [one.variable for one in constants if one.is_written] == ["X", "X", "S", "S"]
