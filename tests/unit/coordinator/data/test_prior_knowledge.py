@@ -316,7 +316,6 @@ def test_columns_that_are_no_variables_are_no_parameters(side, data, words):
         ("k", {"equations": {"dx": "-k*x", "dk": "0"}}, {"hidden": ("k",)}, ["'k by run'", "a hidden state"]),
         ("k", {"equations": {"dx": "-k*x"}, "initial": {"k": {"start": 1.0}}}, {}, ["--initial names 'k'"]),
         ("k", {"equations": {"dx": "-k*x"}}, {"order": 2}, ["by run and --order 2", "velocity"]),
-        ("k", {"equations": {"dx": "-k*x"}}, {"per_trajectory": True}, ["per_trajectory", "'c by run'"]),
         ("h", {"equations": {"dx": "-x", "dy": "y", "du": "h"}}, {"hidden": ("u",)}, ["nothing", "depends on", "'u'"]),
     ],
 )

@@ -147,6 +147,7 @@ def test_further_operators_may_be_tried_where_none_are_named(line: str, further:
     ("line", "words"),
     [
         ("--islands 0", ["--islands", "1", "0 was given"]),
+        ("--equation dx=-k*x --per-trajectory", ["--equation and --per-trajectory exclude each other", "'c by run'"]),
         ("--islands many", ["--islands", "whole number", "'many'"]),
         ("--seed -1", ["--seed", "greater than or equal to 0", "-1"]),
         ("--max-epochs 0", ["--max-epochs"]),
