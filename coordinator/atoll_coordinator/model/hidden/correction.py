@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.hidden.coordinates import Course
-from atoll_coordinator.model.hidden.smoother import Series, Smoother
+from atoll_coordinator.model.hidden.kalman_smoother import KalmanSmoother, Series
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
@@ -150,7 +150,7 @@ def is_determined(task: ModellingTask, model: FittedModel, fits: dict[bool, Traj
     return bool((variances.mean(axis=1) <= SETTINGS.inference.part * states.var(axis=1)).all())
 
 
-def _smoother_of(task: ModellingTask, model: FittedModel) -> Smoother:
+def _smoother_of(task: ModellingTask, model: FittedModel) -> KalmanSmoother:
     """Return the smoother of a system, with a force in each unknown part of its template."""
     measurements, system, template = task.measurements(task.variables), model.fit.system, task.template
     order = [measurements.variables.index(name) for name in task.dataset.names]
@@ -179,4 +179,4 @@ def _smoother_of(task: ModellingTask, model: FittedModel) -> Smoother:
         *(task.dataset.problem(name).target.standard_deviation for name in searched),
     ]
     noise = np.maximum(measurements.noise, SETTINGS.common.negligible * measurements.observed_scales)
-    return Smoother(rates, columns, len(task.variables), np.array(scales), noise)
+    return KalmanSmoother(rates, columns, len(task.variables), np.array(scales), noise)

@@ -60,7 +60,7 @@ class Series:
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothedSeries:
+class SmoothedCourse:
     """One trajectory: the course of `states` (D, R) and `forces` (U, R), and the `variances` (D, R) of the states."""
 
     states: FloatArray
@@ -69,7 +69,7 @@ class SmoothedSeries:
 
 
 @dataclass(frozen=True, eq=False)
-class Smoother:
+class KalmanSmoother:
     """A law with forces: `rates`, `columns`, the number of `states` D, scales of states and forces (S,), and the
     standard deviations (O,) of measured values."""
 
@@ -79,7 +79,7 @@ class Smoother:
     scales: FloatArray
     noise: FloatArray
 
-    def smooth(self, several: Sequence[Series], *, is_free: bool = False) -> list[SmoothedSeries] | None:
+    def smooth(self, several: Sequence[Series], *, is_free: bool = False) -> list[SmoothedCourse] | None:
         """Return the smoothed course of each trajectory; None if the filter fails.
 
         With `is_free`, the forces are so free that the law says nothing where it is unknown.
@@ -123,7 +123,7 @@ class Smoother:
             covariances.append(covariance)
         return _Filtered(means, covariances, predicted, ahead, transitions, misfit)
 
-    def _smooth(self, filtered: "_Filtered") -> SmoothedSeries:
+    def _smooth(self, filtered: "_Filtered") -> SmoothedCourse:
         mean, covariance = filtered.means[-1], filtered.covariances[-1]
         courses, variances = [mean], [np.diag(covariance)]
         for row in range(len(filtered.means) - 2, -1, -1):
@@ -135,7 +135,7 @@ class Smoother:
             variances.append(np.diag(covariance))
         course, of_course = np.array(courses[::-1]).T, np.array(variances[::-1]).T
         states = self.states
-        return SmoothedSeries(np.ascontiguousarray(course[:states]), course[states:], of_course[:states])
+        return SmoothedCourse(np.ascontiguousarray(course[:states]), course[states:], of_course[:states])
 
     def _update(
         self, mean: FloatArray, covariance: FloatArray, series: Series, row: int

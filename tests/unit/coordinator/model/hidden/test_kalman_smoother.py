@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.hidden.smoother import Series, Smoother
+from atoll_coordinator.model.hidden.kalman_smoother import KalmanSmoother, Series
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.6, 0.85, 1.0])
 NOISE = 0.1
@@ -14,7 +14,7 @@ def move(states, inputs, forces):
     return np.array([states[1], forces[0] + inputs[0]])
 
 
-SMOOTHER = Smoother(move, lambda states, _: states[:1], 2, np.array([1.0, 1.0, 3.0]), np.array([NOISE]))
+SMOOTHER = KalmanSmoother(move, lambda states, _: states[:1], 2, np.array([1.0, 1.0, 3.0]), np.array([NOISE]))
 
 
 def series(measured):
@@ -72,7 +72,7 @@ def test_the_force_is_as_free_as_the_measured_values_demand():
 
 
 def test_a_system_that_cannot_be_integrated_has_no_course():
-    broken = Smoother(
+    broken = KalmanSmoother(
         lambda states, *_: np.full_like(states, np.nan), SMOOTHER.columns, 2, SMOOTHER.scales, SMOOTHER.noise
     )
     assert broken.smooth([series(np.ones(8))]) is None
