@@ -177,6 +177,18 @@ def test_a_velocity_that_was_not_measured_shows_a_friction_that_is_not_linear():
     assert np.allclose(simulated.values["v"], truth, atol=0.03 * truth.max())
 
 
+def test_clean_rows_of_a_wrong_law_with_a_hidden_state_are_simulated():
+    system = Known(("x", "v"), lambda _, z: [z[1], -7.0 * np.sin(z[0]) - 0.4 * z[1] * abs(z[1])])
+    made = without(table(system, ([2.0, 0.0],), TIMES), "v")
+    bounds = {name: ParameterConfig(lower=0.01, upper=30.0) for name in "gc"}
+    initial = {"v": ParameterConfig(lower=-5.0, upper=5.0)}
+    refinement = refined(
+        made, {"x": "v", "v": "-g*sin(x) - c*v"}, bounds, data=DataConfig(hidden=("v",)), initial=initial
+    )
+    assert set(grades(refinement).values()) == {"doubtful"}
+    assert check(refinement, "x", "simulation").outcome == "passed"
+
+
 def test_equal_seeds_give_equal_bits_with_hidden_states():
     made = without(table(DRUG, ([10.0, 0.0],), DAYS, noise=0.01), "p")
     first, second = (refined(made, DRUG_SIDES, RATES, data=HIDDEN) for _ in range(2))
