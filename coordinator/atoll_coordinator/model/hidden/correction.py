@@ -134,7 +134,8 @@ def _series_of(task: ModellingTask, fits: dict[bool, TrajectoryFit]) -> list[Ser
             width = (ranges[1][place] - ranges[0][place]) / math.sqrt(12.0)  # of a uniform distribution
             spread = np.where(np.isfinite(width), width, spread)
         rows = slice(first, end)
-        several.append(Series(measurements.times[rows], measurements.inputs[:, rows], known[:, rows], start, spread))
+        times, inputs = measurements.times[rows], measurements.inputs[:, rows]
+        several.append(Series(times, inputs, known[:, rows], start, spread, float(times[-1] - times[0])))
     return several
 
 

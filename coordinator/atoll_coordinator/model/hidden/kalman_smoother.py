@@ -46,13 +46,15 @@ _ROWS_OF_TRIALS: Final = 512
 @dataclass(frozen=True, eq=False)
 class Series:
     """Measured values of one trajectory: `times` (R,), `inputs` (I, R), `measured` (O, R) with NaN where nothing was
-    measured; the first guess of the state `start` (D,), and its standard deviation `spread` (D,)."""
+    measured; the first guess of the state `start` (D,), and its standard deviation `spread` (D,). In the time `duration`,
+    the variance of a random walk grows by the factor."""
 
     times: FloatArray
     inputs: FloatArray
     measured: FloatArray
     start: FloatArray
     spread: FloatArray
+    duration: float
 
     def first_rows(self, count: int) -> "Series":
         """Return the first rows."""
@@ -102,7 +104,7 @@ class KalmanSmoother:
             return [self._smooth(one) for one in filtered]
 
     def _filter(self, series: Series, factor: float) -> "_Filtered":
-        duration, variances = float(series.times[-1] - series.times[0]), factor * self.scales**2
+        variances = factor * self.scales**2
         variances[: self.states] = 0.0
         mean = np.concatenate([series.start, np.zeros(len(self.scales) - self.states)])
         covariance = np.diag(np.concatenate([series.spread**2, variances[self.states :]]))
@@ -111,7 +113,7 @@ class KalmanSmoother:
             if row:
                 span = time - float(series.times[row - 1])
                 mean, transition = self._move(mean, series.inputs[:, row - 1 : row + 1], span)
-                covariance = transition @ covariance @ transition.T + np.diag(variances * (span / duration))
+                covariance = transition @ covariance @ transition.T + np.diag(variances * (span / series.duration))
                 transitions.append(transition)
             predicted.append(mean)
             ahead.append(covariance)

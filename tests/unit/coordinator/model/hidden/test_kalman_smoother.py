@@ -18,7 +18,7 @@ SMOOTHER = KalmanSmoother(move, lambda states, _: states[:1], 2, np.array([1.0, 
 
 
 def series(measured):
-    return Series(TIMES, 0.5 + TIMES[None], np.array([measured]), np.array([1.0, 0.0]), np.array([1.0, 2.0]))
+    return Series(TIMES, 0.5 + TIMES[None], np.array([measured]), np.array([1.0, 0.0]), np.array([1.0, 2.0]), 1.0)
 
 
 def posterior(measured, factor):
@@ -62,7 +62,7 @@ def test_the_force_is_as_free_as_the_measured_values_demand():
         position = 1.0 + np.concatenate([[0.0], np.cumsum(0.05 * velocity[:-1] + 0.00125 * force[:-1])])
         measured = position + NOISE * rng.standard_normal(len(times))
         start, spread = np.array([1.0, 0.0]), np.array([1.0, 1.0])
-        return Series(times, np.zeros((1, len(times))), measured[None], start, spread)
+        return Series(times, np.zeros((1, len(times))), measured[None], start, spread, 6.0)
 
     (still,) = SMOOTHER.smooth([made(np.zeros(121))])
     wave = 4.0 * np.sin(2.0 * times)
