@@ -46,8 +46,10 @@ _ROWS_OF_TRIALS: Final = 512
 @dataclass(frozen=True, eq=False)
 class Series:
     """Measured values of one trajectory: `times` (R,), `inputs` (I, R), `measured` (O, R) with NaN where nothing was
-    measured; the first guess of the state `start` (D,), and its standard deviation `spread` (D,). In the time `duration`,
-    the variance of a random walk grows by the factor."""
+    measured; the first guess of the state `start` (D,), and its standard deviation `spread` (D,).
+
+    In the time `duration`, the variance of a random walk grows by the factor times its squared scale.
+    """
 
     times: FloatArray
     inputs: FloatArray
