@@ -4,6 +4,7 @@ Two presets: ``default`` (all of Atoll's additions) and ``paper`` (Table II of S
 Fields that are ``None`` are set from the data when the job is prepared.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Final, Literal
 
@@ -182,6 +183,11 @@ class ParameterConfig(Frozen):
     lower: float | None = None
     upper: float | None = None
     start: float | None = None
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The lower and the upper bound; infinite without a bound."""
+        return -math.inf if self.lower is None else self.lower, math.inf if self.upper is None else self.upper
 
 
 class PriorConfig(Frozen):

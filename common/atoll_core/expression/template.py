@@ -16,7 +16,7 @@ Letters: V variables, P parameters, U unknowns, D equations.
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -36,6 +36,7 @@ from atoll_core.expression.program import (
     variables_of,
 )
 from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.unit_coefficients import ExplicitCoefficients
 from atoll_core.quoting import did_you_mean
 
 _UNKNOWN: Final = re.compile(r"\?(?P<number>\d*)(?P<arguments>\s*\([^()?]*\))?")
@@ -85,6 +86,16 @@ Place = tuple[int, int]
 """A constant: (equation, node in this equation)."""
 
 
+@dataclass(frozen=True)
+class ConstantSource:
+    """The origin of a constant of a side: a parameter by its index, or constant `number` of the program that was
+    searched for the equation `home`. A number of the user's text has neither."""
+
+    parameter: int | None = None
+    home: int | None = None
+    number: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class Composition:
     """The equations of a system with a template, composed of the searched programs and the parameters.
@@ -95,6 +106,7 @@ class Composition:
         slots: the searched program of each equation (D). Where nothing is searched, it is the right-hand side itself.
         places: for each slot, the places of each of its constants, by node.
         parameters: the places of each parameter (P).
+        given: the equations, by index, under whose name nothing is searched.
     """
 
     programs: tuple[Program, ...]
@@ -102,6 +114,32 @@ class Composition:
     slots: tuple[Program, ...]
     places: tuple[Mapping[int, tuple[Place, ...]], ...]
     parameters: tuple[tuple[Place, ...], ...]
+    given: frozenset[int]
+
+    def sources(self, index: int) -> list[ConstantSource]:
+        """Return the origin of each constant of a side, in node order."""
+        known = {place: ConstantSource(parameter) for parameter, own in enumerate(self.parameters) for place in own}
+        for home in {*range(len(self.slots))} - self.given:
+            for number, node in enumerate(constant_places(self.slots[home])):
+                known |= dict.fromkeys(self.places[home].get(node, ()), ConstantSource(None, home, number))
+        return [known.get((index, node), ConstantSource()) for node in constant_places(self.programs[index])]
+
+
+def written_sources(
+    sources: Sequence[ConstantSource], explicit: Sequence[ExplicitCoefficients]
+) -> Iterator[tuple[int, ConstantSource | None]]:
+    """Yield the index of each fitted constant of a side, and its origin in the side as it is written.
+
+    Args:
+        sources: the origins of all constants of the side, which was composed of the `explicit` programs.
+        explicit: the searched programs with written factors of one. Such a factor has the origin None.
+    """
+    for index, source in enumerate(sources):
+        if source.home is not None:
+            number = explicit[source.home].origins[source.number]
+            yield index, None if number is None else replace(source, number=number)
+        elif source.parameter is not None:
+            yield index, source
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +197,11 @@ class EquationTemplate:
         first, side = len(self.names) + len(self.parameters), self.sides.get(equation)
         return sorted(index - first for index in variables_of(side) if index >= first) if side is not None else []
 
+    def parts_of(self, equation: str, slots: Sequence[Program]) -> dict[str, Program]:
+        """Return the unknown parts in the side of this equation by label; `slots` are as in `compose`."""
+        unknowns = [self.unknowns[place] for place in self.unknowns_in(equation)]
+        return {one.label: slots[self.equations.index(one.home)] for one in unknowns}
+
     def solved_for(self, equation: str, unknown: int) -> Program | None:
         """Return the value of an unknown as a program, from the value of the left-hand side of this equation.
 
@@ -168,36 +211,26 @@ class EquationTemplate:
         """
         return _solve(self.sides[equation], len(self.names) + len(self.parameters) + unknown)
 
+    def parameter_names(self, sources: Sequence[ConstantSource]) -> tuple[str | None, ...]:
+        """Return the name of each constant that is a parameter; None for other constants."""
+        return tuple(None if one.parameter is None else self.parameters[one.parameter].name for one in sources)
+
     def first_program(self, equation: str) -> Program:
         """Return the side of this equation with the start values of its parameters; its unknown parts are 0."""
-        return self.complete(equation, {}, self.starts)[0]
-
-    def complete(
-        self, equation: str, slots: Mapping[str, Program], values: FloatArray
-    ) -> tuple[Program, tuple[str | None, ...]]:
-        """Return one side, and the name of each of its constants that is a parameter (None: it has none).
-
-        Args:
-            equation: the equation of the side.
-            slots: the programs of unknown parts, by home; missing ones are 0.
-            values: values (P,) of the parameters.
-        """
-        draft = _SideDraft(self, {**{unknown.home: ZERO for unknown in self.unknowns}, **slots}, values)
-        program = draft.compose(self.sides[equation])
-        names = {node: self.parameters[place].name for place, node in draft.parameters.items()}
-        return program, tuple(names.get(node) for node in constant_places(program))
+        return replace(self, equations=(equation,)).compose([], self.starts).programs[0]
 
     def compose(self, slots: Sequence[Program], values: FloatArray) -> Composition:
         """Return the right-hand sides of the equations (D).
 
         Args:
             slots: for each equation, the program of its unknown or, without a side, of the whole right-hand side.
-                Programs of sides without an unknown of their own are ignored, and may be missing at the end.
+                Programs of sides without an unknown of their own are ignored. Missing programs at the end are 0, and
+                so are unknowns at home in other equations.
             values: values (P,) of the parameters.
         """
         equations = self.equations
         slots = [*slots, *[ZERO] * (len(equations) - len(slots))]
-        by_equation = dict(zip(equations, slots, strict=True))
+        by_equation = {unknown.home: ZERO for unknown in self.unknowns} | dict(zip(equations, slots, strict=True))
         places: list[dict[int, tuple[Place, ...]]] = [{} for _ in equations]
         parameters: list[tuple[Place, ...]] = [() for _ in self.parameters]
         programs, fixed, held = list[Program](), list[frozenset[int]](), list[Program]()
@@ -219,10 +252,11 @@ class EquationTemplate:
                 if self.is_given(name):
                     places[index][node] = ((index, node),)
             for home, nodes in draft.constants.items():
-                own = places[equations.index(home)]
+                own = places[equations.index(home)] if home in equations else {}
                 for node, place in nodes.items():
                     own[node] = (*own.get(node, ()), (index, place))
-        return Composition(tuple(programs), tuple(fixed), tuple(held), tuple(places), tuple(parameters))
+        given = frozenset(index for index, name in enumerate(equations) if self.is_given(name))
+        return Composition(tuple(programs), tuple(fixed), tuple(held), tuple(places), tuple(parameters), given)
 
 
 def _solve(side: Program, variable: int) -> Program | None:

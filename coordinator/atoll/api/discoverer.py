@@ -13,6 +13,7 @@ from atoll.api.model import Model
 from atoll.api.tables import numbers_of
 from atoll.model.arguments import GivenInputs, numbers, read_columns
 from atoll.model.equations import DIGITS
+from atoll.model.given_sides import fitted_parameters
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError, UsageError
 from atoll_core.redaction import without_secrets
@@ -104,11 +105,8 @@ class Discoverer:
     @property
     def parameters_(self) -> dict[str, float]:
         """The fitted values of the parameters of a template and of observed columns, by name; empty without them."""
-        model = self._model
-        sides = [equation.given for equation in model.equations]
-        sides += [observation.given for observation in model.result.observations]
-        names = {name for side in sides if side is not None for name in side.parameters}
-        return {name: one.value for name, one in model.params.items() if name in names}
+        params = self._model.params
+        return {name: params[name].value for name in fitted_parameters(self._model.result)}
 
     def equations(self, precision: int = DIGITS) -> list[str]:
         """Return the right-hand sides, with constants of `precision` significant digits."""

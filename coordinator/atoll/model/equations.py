@@ -16,13 +16,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from atoll.model.given_sides import ConstantSource, GivenSides, program_of
+from atoll.model.given_sides import GivenSides, program_of
 from atoll_coordinator.result.base import Pair
 from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation, Observation
 from atoll_coordinator.result.findings import Group, Noise
 from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
 from atoll_core.expression.program import constant_places
+from atoll_core.expression.template import ConstantSource
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
@@ -93,7 +94,7 @@ def side_text(
 def observation_text(one: Observation, names: Sequence[str]) -> str:
     """Return a measured column that is computed from states, such as ``y = c/2.08  (observed: c/V)``."""
     text = f"{one.column} = {side_text(one, names)}"
-    return text if one.given is None else f"{text}  (observed: {one.given.text})"
+    return f"{text}  (observed: {one.given.text})"
 
 
 # ---------------------------------------------------------------------------------------------------------- constants
@@ -148,9 +149,9 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
     """
     label = result.data_settings.get("group") or "trajectory"
     parameters: dict[str, Parameter] = {}
-    numbers, has_sides = numbers_of(result), GivenSides.of(result) is not None
+    numbers = numbers_of(result)
     for equation in result.equations:
-        is_given = has_sides and equation.given is not None
+        is_given = equation.given is not None
         by_group = [
             (f"[{label} {group.group}]", _numbers_in(group, result.names, is_given=is_given))
             for group in equation.groups
@@ -163,7 +164,7 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
                 parameter = _parameter(f"{name}{suffix}", equation.variable, number, known)
                 parameters.setdefault(parameter.name, parameter)
     for one in result.observations:
-        for name, place in (one.given.parameters if one.given is not None else {}).items():
+        for name, place in one.given.parameters.items():
             known = one.constants[place]
             parameters.setdefault(name, _parameter(name, one.column, known.value or 0.0, known))
     return parameters
@@ -197,13 +198,13 @@ def numbers_of(result: Result) -> dict[str, list[EquationNumber]]:
     """Return the numbers of each equation by variable: of its text or, for a given side, of its program in node
     order."""
     sides = GivenSides.of(result)
-    names = _Names() if sides is None else _Names({one.name for one in sides.template.parameters})
+    names = _Names({one.name for one in sides.template.parameters})
     numbers: dict[str, list[EquationNumber]] = {}
     for index, equation in enumerate(result.equations):
-        is_given = sides is not None and equation.given is not None
+        is_given = equation.given is not None
         values = _numbers_in(equation, result.names, is_given=is_given)
-        if sides is not None and is_given:
-            called = [names.of(source, sides) for source in sides.sources(index)]
+        if is_given:
+            called = [names.of(source, sides) for source in sides.composition.sources(index)]
         else:
             called = [names.next() for _ in values]
         numbers[equation.variable] = [EquationNumber(name, *pair) for name, pair in zip(called, values, strict=True)]
@@ -213,7 +214,7 @@ def numbers_of(result: Result) -> dict[str, list[EquationNumber]]:
 class _Names:
     """The names c1, c2, … without the `taken` names; constants of the same unknown part have the same names."""
 
-    def __init__(self, taken: Collection[str] = ()) -> None:
+    def __init__(self, taken: Collection[str]) -> None:
         self._free = (name for name in map("c{}".format, itertools.count(1)) if name not in taken)
         self._known: dict[ConstantSource, str] = {}
 
@@ -323,12 +324,14 @@ class GivenWords:
     constants: tuple[Constant, ...]
 
 
-def given_words(equation: Equation | Observation, names: Sequence[str]) -> GivenWords | None:
+def given_words(equation: Equation, names: Sequence[str]) -> GivenWords | None:
     """Return the side that the user gave for display; None if there is none."""
-    given = equation.given
-    if given is None:
-        return None
-    constants, places = equation.constants, given.parameters
+    return None if equation.given is None else side_words(equation.given, equation.constants, names)
+
+
+def side_words(given: GivenSide, constants: Sequence[Constant], names: Sequence[str]) -> GivenWords:
+    """Return a given side with these constants for display."""
+    places = given.parameters
     rest = (constant for place, constant in enumerate(constants) if place not in places.values())
     return GivenWords(
         given.text,
@@ -458,7 +461,7 @@ def of_group(result: Result, group: Group) -> Result:
 def _given_of_group(result: Result, group: Group) -> dict[str, GivenSide]:
     """Return the given sides by variable; their unknown parts have the constants of the group."""
     sides, names, given = GivenSides.of(result), result.names, {}
-    if sides is None:
+    if not sides.template.sides:
         return {}
     own = {
         place: program_of(one, names)

@@ -18,8 +18,9 @@ from atoll.model.equations import (
     remark_on_groups,
     rounded,
     side_text,
+    side_words,
 )
-from atoll.model.given_sides import named_side, searched_parts
+from atoll.model.given_sides import searched_parts
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
 from atoll.report.markup import (
     COLORS,
@@ -82,9 +83,7 @@ def _equation(equation: Equation, findings: Findings) -> Element:
     if equation.expression is None:
         parts = [paragraph(f"{lhs}: no equation")]
     else:
-        names = findings.result.names
-        side = named_side(equation, names)
-        formula = equation_mathml(lhs, equation.variable, equation.expression, names, side)
+        formula = equation_mathml(equation, findings.result.names)
         parts = [scrolling(f"equation {lhs}", parse_mathml(formula))]
     given = given_words(equation, findings.result.names)
     parts += [] if given is None else _given(given)
@@ -102,9 +101,8 @@ def _equation(equation: Equation, findings: Findings) -> Element:
 def _observation(one: Observation, findings: Findings) -> Element:
     """Return a measured column that is computed from states, with its parameters."""
     names = findings.result.names
-    given = given_words(one, names)
-    parts = [paragraph(element("code", f"{one.column} = {side_text(one, names)}"), " (measured)")]
-    return element("div", *parts, *([] if given is None else _given(given)), class_="equation")
+    formula = paragraph(element("code", f"{one.column} = {side_text(one, names)}"), " (measured)")
+    return element("div", formula, *_given(side_words(one.given, one.constants, names)), class_="equation")
 
 
 def _given(given: GivenWords) -> list[Element]:

@@ -24,6 +24,7 @@ from atoll.model.equations import (
     r2_text,
     rounded,
     side_text,
+    side_words,
     unit_text,
     with_errors,
     words_of,
@@ -519,8 +520,6 @@ def _complete_given_sides(result: Result, equations: Sequence[Equation], picks: 
     unknown part of its own has nothing to pick.
     """
     sides = GivenSides.of(result)
-    if sides is None:
-        return [*equations]
     slots, homes = [*sides.slots], set[int]()
     for place, equation in enumerate(equations):
         unknown = sides.template.unknown_of(equation.variable) if equation.variable in picks else None
@@ -532,7 +531,7 @@ def _complete_given_sides(result: Result, equations: Sequence[Equation], picks: 
     for place, (equation, before) in enumerate(zip(equations, result.equations, strict=True)):
         if not sides.is_given(place):
             changed.append(equation)
-        elif any(source.home in homes for source in sides.sources(place)) or place in homes:
+        elif any(source.home in homes for source in sides.composition.sources(place)) or place in homes:
             emptied = equation.model_copy(update=dict.fromkeys(_OF_FIT_ONLY) | dict.fromkeys(_LISTS_OF_FIT_ONLY, ()))
             changed.append(picked.describe(emptied, place, before.constants))
         else:
@@ -598,8 +597,7 @@ def _equation_text(
 
 def observation_lines(one: Observation, names: Sequence[str]) -> list[str]:
     """Return a measured column that is computed from states, as the user wrote it too, and its parameters."""
-    given = given_words(one, names)
-    parameters = {} if given is None else given.parameters
+    parameters = side_words(one.given, one.constants, names).parameters
     return [observation_text(one, names), *(f"    {name} = {_words_text(words)}" for name, words in parameters.items())]
 
 

@@ -12,7 +12,6 @@ from atoll.display.curves import choose_trajectories, curves_of, label
 from atoll.display.notation import equation_mathml
 from atoll.model.arguments import initial_conditions
 from atoll.model.equations import GivenWords, given_words, r2_text, rounded, side_text
-from atoll.model.given_sides import named_side
 from atoll.model.simulation import SimulationResult
 from atoll.text.conclusion import conclusion
 from atoll.text.render import constants_line, given_lines
@@ -109,8 +108,7 @@ def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str
 
 def _given_side(equation: Equation, names: tuple[str, ...], given: GivenWords) -> dict[str, Any]:
     """Return a side with its parameters by name, and lines with the user's text and the values."""
-    expression = equation.expression or ""
-    typeset = equation_mathml(equation.lhs, equation.variable, expression, names, named_side(equation, names))
+    typeset = equation_mathml(equation, names)
     return {"expression": side_text(equation, names), "mathml": typeset, "given": given_lines(given)}
 
 
@@ -125,7 +123,7 @@ def _rounded(expression: str, names: tuple[str, ...], *, is_given: bool = False)
 @lru_cache(4_096)
 def _mathml(lhs: str, variable: str, expression: str, names: tuple[str, ...]) -> str | None:
     try:
-        return equation_mathml(lhs, variable, expression, names)
+        return equation_mathml(Equation(variable=variable, lhs=lhs, expression=expression), names)
     except AtollError:  # shown as text then
         return None
 

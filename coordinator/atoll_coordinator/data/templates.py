@@ -1,12 +1,10 @@
 """The template of a job: the given equations of its configuration, over the symbols of its dataset; and whether a job
 can have them. Pure."""
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 
-from atoll_coordinator.data.roles.names_and_options import check_given_equations
 from atoll_coordinator.data.roles.roles import RESERVED, Roles, assign_symbols
-from atoll_core.config import JobConfig, ParameterConfig
+from atoll_core.config import JobConfig
 from atoll_core.errors import UsageError
 from atoll_core.expression.program import tree_size, variables_of
 from atoll_core.expression.template import EquationTemplate, TemplateParameter, option_for, read_template
@@ -25,29 +23,13 @@ def template_of(config: JobConfig, names: Sequence[str]) -> EquationTemplate | N
     prior = config.prior
     if not prior.equations and not prior.parameters and not config.data.observe:
         return None
-    parameters = parameters_of(prior.parameters)
+    parameters = {name: TemplateParameter(name, *one.ends, one.start) for name, one in prior.parameters.items()}
     return read_template({**prior.equations, **config.data.observe}, parameters, names, config.data.observe)
 
 
-def parameters_of(given: Mapping[str, ParameterConfig]) -> dict[str, TemplateParameter]:
-    """Return the parameters of a configuration, by name."""
-    return {
-        name: TemplateParameter(
-            name,
-            -math.inf if one.lower is None else one.lower,
-            math.inf if one.upper is None else one.upper,
-            one.start,
-        )
-        for name, one in given.items()
-    }
-
-
 def check_names(config: JobConfig, columns: Sequence[str], roles: Roles) -> None:
-    """Raise UsageError if a job of this kind can have no given equations, or if a parameter has the name of a column.
-
-    Such a column is no variable: the time, or a column without a role.
-    """
-    check_given_equations(config)
+    """Raise UsageError if a parameter has the name of a column that is no variable: the time, or a column without a
+    role."""
     template = template_of(config, tuple(assign_symbols(roles.variables).values()))
     option = _options_of(config.data.observe)
     for parameter in () if template is None else template.parameters:
@@ -127,17 +109,11 @@ def _states_that_matter(template: EquationTemplate, roles: Roles, symbols: Mappi
 
 
 def check_initial_values(config: JobConfig, variables: Sequence[str]) -> None:
-    """Raise UsageError if an initial value belongs to no state with an equation, or if its bounds contradict it."""
+    """Raise UsageError if an initial value belongs to no state with an equation."""
     given = config.prior.initial
     if given and not (config.prior.equations or config.data.hidden):
         raise UsageError("--initial belongs to given equations; add --equation, or leave --initial out")
-    for name, one in given.items():
+    for name in given:
         if name not in variables:
             known = ", ".join(variables)
             raise UsageError(f"--initial names '{name}', but the states are {known}{did_you_mean(name, variables)}")
-        lower = -math.inf if one.lower is None else one.lower
-        upper = math.inf if one.upper is None else one.upper
-        if lower > upper:
-            raise UsageError(f"--initial for '{name}' has the bounds {lower:g}..{upper:g}; write the smaller one first")
-        if one.start is not None and not lower <= one.start <= upper:
-            raise UsageError(f"--initial for '{name}' is {one.start:g}, outside of its bounds; change one of them")

@@ -214,7 +214,7 @@ class Observation(Part):
     expression: Text = Field(description="the expression with its fitted constants")
     program: Text | None = Field(default=None, description="its operation list, hexadecimal")
     constants: tuple[Constant, ...] = Field(default=(), description="constants in the order of `program`")
-    given: GivenSide | None = Field(default=None, description="the expression as the user wrote it")
+    given: GivenSide = Field(description="the expression as the user wrote it")
 
 
 class DemandedShape(Part):

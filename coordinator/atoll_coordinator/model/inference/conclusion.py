@@ -203,16 +203,6 @@ def _describe_observations(final: FinalModel, errors: ConstantErrors) -> dict[st
     }
 
 
-def _unknown_parts(final: FinalModel, index: int) -> dict[str, Program]:
-    """Return the unknown parts of one equation, by label; empty without a template."""
-    template = final.comparison.template
-    if template is None:
-        return {}
-    name = template.equations[index]
-    unknowns = [template.unknowns[place] for place in template.unknowns_in(name)]
-    return {one.label: final.searched[template.equations.index(one.home)] for one in unknowns}
-
-
 def _combine_groups(value: float, constants: Sequence[Constant]) -> Constant:
     """Return a constant for all groups together: the shared constant, or else the mean over the groups, without a
     standard error."""
@@ -229,7 +219,7 @@ def _describe_equation(
 ) -> Refined:  # fmt: skip
     """Return one equation as it is shown, with its alternatives."""
     task, ranking = final.task, final.ranking
-    name, program = task.variables[index], final.programs[index]
+    name, program, template = task.variables[index], final.programs[index], final.comparison.template
     programs = [group_programs[index] for group_programs in final.by_group]
     problem = task.dataset.problem(name)
     error, mse = measure_grouped_errors(problem, programs or [final.searched[index]], task.config.evolution.loss)
@@ -249,7 +239,7 @@ def _describe_equation(
         else {},
         simple_together=together[index] if together else None,
         parameters=tuple(final.names[index]) if final.names else (),
-        unknowns=_unknown_parts(final, index),
+        unknowns={} if template is None else template.parts_of(name, final.searched),
     )
 
 

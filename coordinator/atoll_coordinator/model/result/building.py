@@ -398,23 +398,20 @@ def _complete_sides(
     template = template_of(config, preparation.dataset.names)
     if template is None:
         return dict(shown)
-    parts = {unknown.home: shown.get(unknown.home) for unknown in template.unknowns}
-    slots = {home: ZERO if one is None or one.parameters else one.program for home, one in parts.items()}
+    slots = [ZERO if one is None or one.parameters else one.program for one in shown.values()]
     values = np.array(preparation.parameters) if preparation.parameters else template.starts
+    template = replace(template, equations=tuple(shown))
+    composition = template.compose(slots, values)
     completed = dict(shown)
-    for name, equation in shown.items():
+    for index, (name, equation) in enumerate(shown.items()):
         if equation is None or equation.parameters or equation.unknowns or name not in template.sides:
             continue
-        program, parameters = template.complete(name, slots, values)
-        unknowns = {
-            template.unknowns[place].label: slots[template.unknowns[place].home] for place in template.unknowns_in(name)
-        }
         completed[name] = replace(
             equation,
-            program=program,
+            program=composition.programs[index],
             constants=(),
-            parameters=parameters,
-            unknowns=unknowns,
+            parameters=template.parameter_names(composition.sources(index)),
+            unknowns=template.parts_of(name, slots),
             unit_coefficients=(),
             units=None,  # the units found are those of the unknown part
         )

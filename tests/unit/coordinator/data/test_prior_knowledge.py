@@ -313,8 +313,8 @@ def test_columns_that_are_no_variables_are_no_parameters(side, data, words):
         ({}, {"hidden": ("h", "h")}, {}, ["--hidden names 'h' twice"]),
         ({}, {"observe": {"z": "x"}}, {}, ["--observe names 'z'", "x, y"]),
         ({"dx": "-x"}, {}, {"z": {"start": 1.0}}, ["--initial names 'z'", "x, y"]),
-        ({"dx": "-x"}, {}, {"x": {"lower": 1.0, "upper": 0.0}}, ["--initial for 'x'", "1..0", "smaller one first"]),
-        ({"dx": "-x"}, {}, {"x": {"start": 3.0, "upper": 2.0}}, ["--initial for 'x' is 3", "outside of its bounds"]),
+        ({"dx": "-x"}, {}, {"x": {"lower": 1.0, "upper": 0.0}}, ["initial x", "1 is not below 0"]),
+        ({"dx": "-x"}, {}, {"x": {"start": 3.0, "upper": 2.0}}, ["initial x", "3 is outside its bounds"]),
         ({}, {}, {"x": {"start": 1.0}}, ["--initial belongs to given equations", "--equation"]),
     ],
 )
