@@ -146,6 +146,8 @@ def written_sources(
 class EquationTemplate:
     """Sides of equations with parameters and unknowns, see the module.
 
+    Without sides, whole right-hand sides are searched.
+
     Attributes:
         names: the variables (V) of the programs.
         parameters: the parameters (P), in the order of their first occurrence.
@@ -156,10 +158,10 @@ class EquationTemplate:
         equations: names of the equations (D) of the system that is composed, see `for_equations`.
     """
 
-    names: tuple[str, ...]
-    parameters: tuple[TemplateParameter, ...]
-    unknowns: tuple[Unknown, ...]
-    sides: Mapping[str, Program]
+    names: tuple[str, ...] = ()
+    parameters: tuple[TemplateParameter, ...] = ()
+    unknowns: tuple[Unknown, ...] = ()
+    sides: Mapping[str, Program] = field(default_factory=dict)
     texts: Mapping[str, str] = field(default_factory=dict)
     observed: tuple[str, ...] = ()
     equations: tuple[str, ...] = ()
@@ -184,13 +186,13 @@ class EquationTemplate:
         used = set() if side is None else variables_of(side)
         return [place for place, _ in enumerate(self.parameters) if len(self.names) + place in used]
 
-    def for_equations(self, equations: Sequence[str]) -> "EquationTemplate | None":
-        """Return the template of the system of these equations; None if it has no side of them.
+    def for_equations(self, equations: Sequence[str]) -> "EquationTemplate":
+        """Return the template of the system of these equations.
 
         The parameters stay the same, so that their values keep their order.
         """
         sides = {name: side for name, side in self.sides.items() if name in equations}
-        return replace(self, sides=sides, equations=tuple(equations)) if sides else None
+        return replace(self, sides=sides, equations=tuple(equations))
 
     def unknowns_in(self, equation: str) -> list[int]:
         """Return the indices of the unknowns in the side of this equation."""
