@@ -18,7 +18,6 @@ from atoll.model.equations import (
     remark_on_groups,
     rounded,
     side_text,
-    side_words,
 )
 from atoll.model.given_sides import searched_parts
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
@@ -86,8 +85,8 @@ def _equation(equation: Equation, findings: Findings) -> Element:
         formula = equation_mathml(equation, findings.result.names)
         parts = [scrolling(f"equation {lhs}", parse_mathml(formula))]
     given = given_words(equation, findings.result.names)
-    parts += [] if given is None else _given(given)
-    errors = constants_line(equation.constants if given is None else given.constants)
+    parts += _given(given)
+    errors = constants_line(given.constants)
     if errors:
         parts.append(paragraph(errors[:1].upper() + errors[1:]))
     if verdict is not None:
@@ -102,11 +101,16 @@ def _observation(one: Observation, findings: Findings) -> Element:
     """Return a measured column that is computed from states, with its parameters."""
     names = findings.result.names
     formula = paragraph(element("code", f"{one.column} = {side_text(one, names)}"), " (measured)")
-    return element("div", formula, *_given(side_words(one.given, one.constants, names)), class_="equation")
+    return element("div", formula, *_given(given_words(one, names)), class_="equation")
 
 
 def _given(given: GivenWords) -> list[Element]:
-    """Return the side as the user wrote it, the values of its parameters, and its unknown parts."""
+    """Return the side as the user wrote it, the values of its parameters, and its unknown parts.
+
+    Nothing is returned for a side that was found.
+    """
+    if not given.text:
+        return []
     text, *values = given_lines(given)
     lead, _, side = text.partition(": ")
     items = [element("li", element("code", value)) for value in values]
