@@ -86,4 +86,30 @@ SYSTEMS: Final[Mapping[str, TemplateSystem]] = {
         values={"sigma": 10.0, "rho": 28.0, "beta": 8.0 / 3.0},
         hidden=("y", "z"), initial={"y": (-30.0, 30.0), "z": (0.0, 50.0)},
     ),
+    "pendulum from its angle": TemplateSystem(
+        truths={"theta": "v", "v": "-9.81/1.3*sin(theta) - 0.4*v*abs(v)"},
+        given={"theta": "v", "v": "-9.81/l*sin(theta) + ?(v)"},
+        starts=((2.0, 0.0), (1.0, 2.0)), duration=15.0, rows=300,
+        parameters={"l": (0.1, 10.0)}, values={"l": 1.3}, rests={"?": "-0.4*v*abs(v)"},
+        hidden=("v",), initial={"v": (-5.0, 5.0)},
+    ),
+    "van der Pol from x": TemplateSystem(
+        truths={"x": "v", "v": "1.2*(1 - x**2)*v - x"},
+        given={"x": "v", "v": "-k*x + ?(x,v)"},
+        starts=((0.5, 0.0), (2.5, 1.0)), duration=15.0, rows=300,
+        parameters={"k": (0.1, 10.0)}, values={"k": 1.0}, rests={"?": "1.2*(1 - x**2)*v"},
+        hidden=("v",), initial={"v": (-5.0, 5.0)},
+    ),
+    "bioreactor from X": TemplateSystem(
+        truths={"X": "(1.2*S/(0.4 + S) - 0.3)*X", "S": "0.3*(3 - S) - 1.2*S/(0.4 + S)*X/0.5"},
+        given={"X": "(?1(S) - 0.3)*X", "S": "0.3*(3 - S) - ?1(S)*X/0.5"},
+        starts=((0.1, 2.5), (0.05, 0.5)), duration=15.0, rows=300, rests={"?1": "1.2*S/(0.4 + S)"},
+        hidden=("S",), initial={"S": (0.0, 5.0)},
+    ),
+    "prey from its predator": TemplateSystem(
+        truths={"N": "N*(1 - N/6) - N/(1 + 0.5*N)*P", "P": "0.5*N/(1 + 0.5*N)*P - 0.4*P"},
+        given={"N": "N*(1 - N/6) - ?1(N)*P", "P": "0.5*?1(N)*P - 0.4*P"},
+        starts=((2.0, 1.0), (4.0, 0.5)), duration=15.0, rows=300, rests={"?1": "N/(1 + 0.5*N)"},
+        hidden=("N",), initial={"N": (0.1, 10.0)},
+    ),
 }  # fmt: skip

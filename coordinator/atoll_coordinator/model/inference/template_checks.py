@@ -141,10 +141,11 @@ class TemplateChecks(TrajectoryChecks):
             for constant, name in zip(constants, names, strict=False)
             if name is not None and constant.interval is not None and constant.identifiable
         }
-        for nats, values in minima.rivals:
-            for parameter, value in zip(template.parameters, values, strict=True):
+        for nats, values in self.final.other_minima:
+            for parameter, value in zip(template.parameters, values.tolist(), strict=True):
                 low, high = known.get(parameter.name, (None, None))
-                if low is not None and high is not None and not low <= value <= high:
+                is_rival = nats < SETTINGS.inference.distinct_nats
+                if is_rival and low is not None and high is not None and not low <= value <= high:
                     reason = (
                         f"another fit describes the rows about as well ({nats:.2g} nats) with {parameter.name} = "
                         f"{value:.3g}"

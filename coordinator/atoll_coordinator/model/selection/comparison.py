@@ -499,6 +499,10 @@ class ModelComparison:
         """Return `near` with another program for one equation, see `fit_from`."""
         return self.fit_from(near, _replace_program(near, equation, [program])[0], steps)
 
+    def fit_near(self, near: FittedModel, parameters: FloatArray, steps: int) -> FittedModel | None:
+        """Return `near` fitted from other values of the template's parameters; None if it cannot be simulated."""
+        return self._fit_from_start(replace(self._start_of(near), parameters=parameters), near.programs, steps)
+
     def narrow_down(
         self, near: FittedModel, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],
         until: float = math.inf,

@@ -86,6 +86,7 @@ def subtract_solver_errors(task: ModellingTask, fit: TrajectoryFit) -> Modelling
     if (
         not task.is_nearly_clean or recording.order != 1 or recording.inputs or recording.offsets or recording.groups
         or recording.states != task.variables or fit.system.sharing is not None
+        or recording.hidden or recording.observed  # a solver's first states are then not among the rows
     ):  # fmt: skip
         return None
     whole = measurements_of(recording, range(len(task.variables)), piece=max(map(len, _times(recording))))

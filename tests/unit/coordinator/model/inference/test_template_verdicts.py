@@ -8,8 +8,8 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.prior_knowledge import resolve_prior
 from atoll_coordinator.data.templates import template_of
+from atoll_coordinator.model.hidden.alternation import with_hidden_states
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.template.hidden_states import with_hidden_states
 from atoll_coordinator.model.template.unknown_targets import with_unknown_targets
 from atoll_core.config import DataConfig, JobConfig, ParameterConfig, PriorConfig, SpaceConfig
 from atoll_core.data.table import Table
@@ -158,6 +158,35 @@ def test_parameters_of_a_computed_column_are_checked():
     refinement = absorbed("a*c/b", ("ka", "ke", "a", "b"))  # only the ratio of a and b is determined
     assert set(grades(refinement).values()) == {"doubtful"}
     assert check(refinement, "g", "constants").outcome == "failed"
+
+
+def test_a_velocity_that_was_not_measured_shows_a_friction_that_is_not_linear():
+    """Van der Pol's equation: fits in which a linear function stands for the unknown part are far from the rows."""
+    system = Known(("x", "v"), lambda _, z: [z[1], 1.2 * (1.0 - z[0] ** 2) * z[1] - z[0]])
+    made = without(table(system, ([0.5, 0.0],), 0.05 * np.arange(300.0), noise=0.01), "v")
+    refinement = refined(
+        made, {"x": "v", "v": "-k*x + ?(x,v)"}, {"k": ParameterConfig(lower=0.1, upper=10.0)},
+        data=DataConfig(hidden=("v",)), initial={"v": ParameterConfig(lower=-5.0, upper=5.0)},
+        pool={"v": ("0.2*x", "v")}, variables_of={"v": ("x", "v")},
+    )  # fmt: skip
+    assert grades(refinement) == {"x": "good", "v": "good"}
+    # the fits with a linear function ended at another k, which is no rival of the law that was found
+    assert check(refinement, "v", "starting values").outcome == "passed"
+    simulated = refinement.simulation.trajectories[0]
+    truth = np.interp(simulated.times, 0.05 * np.arange(300.0), system.values([0.5, 0.0], 0.05 * np.arange(300.0))[1])
+    assert np.allclose(simulated.values["v"], truth, atol=0.03 * truth.max())
+
+
+def test_clean_rows_of_a_wrong_law_with_a_hidden_state_are_simulated():
+    system = Known(("x", "v"), lambda _, z: [z[1], -7.0 * np.sin(z[0]) - 0.4 * z[1] * abs(z[1])])
+    made = without(table(system, ([2.0, 0.0],), TIMES), "v")
+    bounds = {name: ParameterConfig(lower=0.01, upper=30.0) for name in "gc"}
+    initial = {"v": ParameterConfig(lower=-5.0, upper=5.0)}
+    refinement = refined(
+        made, {"x": "v", "v": "-g*sin(x) - c*v"}, bounds, data=DataConfig(hidden=("v",)), initial=initial
+    )
+    assert set(grades(refinement).values()) == {"doubtful"}
+    assert check(refinement, "x", "simulation").outcome == "passed"
 
 
 def test_equal_seeds_give_equal_bits_with_hidden_states():
