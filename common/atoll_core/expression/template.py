@@ -35,7 +35,7 @@ from atoll_core.expression.program import (
     dependent_nodes,
     variables_of,
 )
-from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.text.parsing import from_infix, names_in
 from atoll_core.expression.unit_coefficients import ExplicitCoefficients
 from atoll_core.quoting import did_you_mean
 
@@ -43,7 +43,6 @@ _UNKNOWN: Final = re.compile(r"\?(?P<number>\d*)(?P<arguments>\s*\([^()?]*\))?")
 _LETTER: Final = "ʔ"
 """The letter that stands for the question mark of an unknown while a side is parsed. It is as long, so that positions
 in error messages stay right."""
-_NAME: Final = re.compile(r"[^\W\d]\w*")
 _RESERVED: Final = frozenset({*FUNCTIONS.values(), "Abs", "tan", "cot", "pi"})
 
 
@@ -146,6 +145,8 @@ def written_sources(
 class EquationTemplate:
     """Sides of equations with parameters and unknowns, see the module.
 
+    Without sides, whole right-hand sides are searched.
+
     Attributes:
         names: the variables (V) of the programs.
         parameters: the parameters (P), in the order of their first occurrence.
@@ -156,10 +157,10 @@ class EquationTemplate:
         equations: names of the equations (D) of the system that is composed, see `for_equations`.
     """
 
-    names: tuple[str, ...]
-    parameters: tuple[TemplateParameter, ...]
-    unknowns: tuple[Unknown, ...]
-    sides: Mapping[str, Program]
+    names: tuple[str, ...] = ()
+    parameters: tuple[TemplateParameter, ...] = ()
+    unknowns: tuple[Unknown, ...] = ()
+    sides: Mapping[str, Program] = field(default_factory=dict)
     texts: Mapping[str, str] = field(default_factory=dict)
     observed: tuple[str, ...] = ()
     equations: tuple[str, ...] = ()
@@ -184,13 +185,13 @@ class EquationTemplate:
         used = set() if side is None else variables_of(side)
         return [place for place, _ in enumerate(self.parameters) if len(self.names) + place in used]
 
-    def for_equations(self, equations: Sequence[str]) -> "EquationTemplate | None":
-        """Return the template of the system of these equations; None if it has no side of them.
+    def for_equations(self, equations: Sequence[str]) -> "EquationTemplate":
+        """Return the template of the system of these equations.
 
         The parameters stay the same, so that their values keep their order.
         """
         sides = {name: side for name, side in self.sides.items() if name in equations}
-        return replace(self, sides=sides, equations=tuple(equations)) if sides else None
+        return replace(self, sides=sides, equations=tuple(equations))
 
     def unknowns_in(self, equation: str) -> list[int]:
         """Return the indices of the unknowns in the side of this equation."""
@@ -382,7 +383,7 @@ def read_template(
         what = option_for(equation, observed)
         if equation in observed and "?" in text:
             raise UsageError(f"{what} has an unknown part, which is possible in equations only; write a parameter")
-        for name in _names_in(_without_unknowns(text, what)):
+        for name in names_in(_without_unknowns(text, what)):
             if name not in names and name not in _RESERVED:
                 _check_parameter_name(name, names, parameters, what)
                 found.setdefault(name, parameters.get(name, TemplateParameter(name)))
@@ -485,13 +486,6 @@ def _without_unknowns(text: str, what: str) -> str:
 def _with_letters(text: str) -> str:
     """Return a side in which letters replace question marks, and blanks the arguments of unknowns."""
     return _UNKNOWN.sub(lambda match: f"{_LETTER}{match['number']}".ljust(len(match[0])), text)
-
-
-def _names_in(text: str) -> list[str]:
-    """Return the names in an expression, without the names of called functions and without exponents of numbers."""
-    numbers = re.compile(r"\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?")
-    plain = re.sub(r"(?<![\w])" + f"(?:{numbers.pattern})", lambda match: " " * len(match[0]), text)
-    return [match[0] for match in _NAME.finditer(plain) if not plain[match.end() :].lstrip().startswith("(")]
 
 
 def _arguments(match: re.Match[str], names: Sequence[str], what: str) -> tuple[str, ...] | None:

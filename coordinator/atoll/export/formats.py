@@ -21,7 +21,6 @@ from atoll.model.equations import (
     displayed_equation,
     given_words,
     remark_on_groups,
-    side_words,
     words_of_run,
 )
 from atoll.model.given_sides import fitted_parameters, named_side, searched_parts, with_parameter_names
@@ -112,17 +111,12 @@ def latex_lines(result: Result) -> list[str]:
         unit = displayed_equation(result, equation).unit
         unit = rf" \quad \left[{unit_to_latex(unit)}\right]" if unit else ""
         given = given_words(equation, names)
-        lines += [f"{left} &= {_side_latex(equation, names)}{unit}"]
-        lines += [] if given is None else _parameters_latex(given)
-        fitted = equation.constants if given is None else given.constants
-        constants = ",\\; ".join(map(_constant_latex, constant_words(fitted)))
+        lines += [f"{left} &= {_side_latex(equation, names)}{unit}", *_parameters_latex(given)]
+        constants = ",\\; ".join(map(_constant_latex, constant_words(given.constants)))
         lines += [rf"&\quad \text{{constants: }} {constants}"] if constants else []
     for one in result.observations:
         left = left_side_to_latex(one.column, is_name=True)
-        lines += [
-            f"{left} &= {_side_latex(one, names)}",
-            *_parameters_latex(side_words(one.given, one.constants, names)),
-        ]
+        lines += [f"{left} &= {_side_latex(one, names)}", *_parameters_latex(given_words(one, names))]
     return lines
 
 

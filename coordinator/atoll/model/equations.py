@@ -327,7 +327,8 @@ def with_errors(constants: Sequence[Constant]) -> list[Constant]:
 class GivenWords:
     """A side that the user gave, for display: its `text`, and the values of its `parameters` and `unknowns` by name.
 
-    `constants` are the constants of its unknown parts.
+    `constants` are the constants of its unknown parts. For a side that was found, these are all constants, and the
+    `text` is "".
     """
 
     text: str
@@ -336,13 +337,11 @@ class GivenWords:
     constants: tuple[Constant, ...]
 
 
-def given_words(equation: Equation, names: Sequence[str]) -> GivenWords | None:
-    """Return the side that the user gave for display; None if there is none."""
-    return None if equation.given is None else side_words(equation.given, equation.constants, names)
-
-
-def side_words(given: GivenSide, constants: Sequence[Constant], names: Sequence[str]) -> GivenWords:
-    """Return a given side with these constants for display."""
+def given_words(equation: Equation | Observation, names: Sequence[str]) -> GivenWords:
+    """Return the side of an equation, or of an observed column, for display."""
+    given, constants = equation.given, equation.constants
+    if given is None:
+        return GivenWords("", {}, {}, constants)
     places = given.parameters
     rest = (constant for place, constant in enumerate(constants) if place not in places.values())
     return GivenWords(

@@ -19,7 +19,6 @@ from atoll.model.equations import (
     rounded,
     run_names,
     side_text,
-    side_words,
 )
 from atoll.model.given_sides import searched_parts
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
@@ -90,8 +89,8 @@ def _equation(equation: Equation, findings: Findings) -> Element:
         values = [element("li", element("code", line)) for line in run_lines(equation)]
         parts = [paragraph(f"{equation.variable}, a parameter by run:"), element("ul", *values)]
     given = given_words(equation, findings.result.names)
-    parts += [] if given is None else _given(given)
-    errors = constants_line(equation.constants if given is None else given.constants)
+    parts += _given(given)
+    errors = constants_line(given.constants)
     if errors:
         parts.append(paragraph(errors[:1].upper() + errors[1:]))
     if verdict is not None:
@@ -106,11 +105,16 @@ def _observation(one: Observation, findings: Findings) -> Element:
     """Return a measured column that is computed from states, with its parameters."""
     names = findings.result.names
     formula = paragraph(element("code", f"{one.column} = {side_text(one, names)}"), " (measured)")
-    return element("div", formula, *_given(side_words(one.given, one.constants, names)), class_="equation")
+    return element("div", formula, *_given(given_words(one, names)), class_="equation")
 
 
 def _given(given: GivenWords) -> list[Element]:
-    """Return the side as the user wrote it, the values of its parameters, and its unknown parts."""
+    """Return the side as the user wrote it, the values of its parameters, and its unknown parts.
+
+    Nothing is returned for a side that was found.
+    """
+    if not given.text:
+        return []
     text, *values = given_lines(given)
     lead, _, side = text.partition(": ")
     items = [element("li", element("code", value)) for value in values]

@@ -25,7 +25,6 @@ from atoll.model.equations import (
     rounded,
     run_names,
     side_text,
-    side_words,
     unit_text,
     with_errors,
     words_of,
@@ -570,15 +569,14 @@ def _equation_text(
     if equation.runs:
         lines = [f"{equation.variable}: a parameter by run", *(f"    {line}" for line in run_lines(equation))]
     given = given_words(equation, names)
-    constants = None if with_tables else constants_line(equation.constants if given is None else given.constants)
-    if given is not None:
-        lines += [f"    {line}" for line in given_lines(given)]
-    elif with_tables or constants:
+    constants = None if with_tables else constants_line(given.constants)
+    lines += [f"    {line}" for line in given_lines(given)]
+    if not given.text and (with_tables or constants):
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
     lines += ["    its constants are fitted to all groups together"] if equation.is_of_all_groups else []
     lines += units_line(equation.units)
-    texts = [side_text(group, names, is_given=given is not None) for group in equation.groups]
+    texts = [side_text(group, names, is_given=bool(given.text)) for group in equation.groups]
     lines += groups_table(equation, texts, called)
     if equation.verdict is not None:
         lines.append(f"    {equation.verdict}: {equation.reason}")
@@ -586,11 +584,11 @@ def _equation_text(
     lines += [] if equation.runs else [f"    {_standing(equation)}"]
     most = None if with_tables else NEAREST
     if with_tables:
-        lines += constants_table(equation.constants, [] if given is None else called)
+        lines += constants_table(equation.constants, called if given.text else [])
         lines += together_line(equation.simple_together)
     if with_tables or equation.verdict != "exact":
         listed = candidates_table(
-            equation.candidates, lambda text: rounded(text, names, is_given=given is not None), most
+            equation.candidates, lambda text: rounded(text, names, is_given=bool(given.text)), most
         )
         lines += listed
         lines += ["    constants of candidates are fitted to all groups together"] if listed and texts else []
@@ -601,7 +599,7 @@ def _equation_text(
 
 def observation_lines(one: Observation, names: Sequence[str]) -> list[str]:
     """Return a measured column that is computed from states, as the user wrote it too, and its parameters."""
-    parameters = side_words(one.given, one.constants, names).parameters
+    parameters = given_words(one, names).parameters
     return [observation_text(one, names), *(f"    {name} = {_words_text(words)}" for name, words in parameters.items())]
 
 
@@ -613,10 +611,13 @@ def run_lines(equation: Equation) -> list[str]:
 
 
 def given_lines(given: GivenWords) -> list[str]:
-    """Return the side as the user wrote it, the values of its parameters, and its unknown parts."""
+    """Return the side as the user wrote it, the values of its parameters, and its unknown parts.
+
+    Nothing is returned for a side that was found.
+    """
     values = [f"{name} = {_words_text(words)}" for name, words in given.parameters.items()]
     parts = [f"{label} = {text}" for label, text in given.unknowns.items()]
-    return [f"given: {given.text}", *values, *parts]
+    return [f"given: {given.text}", *values, *parts] if given.text else []
 
 
 def _written_out(equation: Equation, names: Sequence[str]) -> list[str]:

@@ -61,7 +61,7 @@ def progress(result: Result) -> dict[str, Any]:
 
 def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str, Any]:
     symbols, given = tuple(names), given_words(equation, names)
-    constants = constants_line(equation.constants if given is None else given.constants)
+    constants = constants_line(given.constants)
 
     def written(expression: str | None) -> dict[str, Any]:
         if expression is None:
@@ -73,13 +73,13 @@ def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str
         "variable": equation.variable,
         "lhs": equation.lhs,
         **written(equation.expression),
-        **({} if given is None else _given_side(equation, symbols, given)),
+        **(_given_side(equation, symbols, given) if given.text else {}),
         **(_values_by_run(equation) if equation.runs else {}),
         "constants": constants.removeprefix("constants: ") if constants else None,
         "origin": equation.origin,
         "candidates": [
             {
-                "expression": _rounded(candidate.expression, symbols, is_given=given is not None),
+                "expression": _rounded(candidate.expression, symbols, is_given=bool(given.text)),
                 "nats": candidate.nats,
                 "r2": r2_text(candidate.r2),
                 "held_out_r2": None if candidate.held_out_r2 is None else r2_text(candidate.held_out_r2),

@@ -147,8 +147,7 @@ def outline(table: Table, config: JobConfig) -> Outline:
     )
     used = {name: unit for name, unit in units.items() if unit and name in roles.used}
     warnings = tuple(finding.sentence for finding in examination.findings)
-    parameters = () if template is None else template.parameters
-    described = tuple(_describe(parameter, implied.parameters.get(parameter.name)) for parameter in parameters)
+    described = tuple(_describe(one, implied.parameters.get(one.name)) for one in template.parameters)
     given = {f"{name}, by run": resolved.prior.parameters[name] for name in roles.by_run}
     described += tuple(_describe(parameter_of(name, one), None) for name, one in given.items())
     return Outline(
@@ -156,9 +155,9 @@ def outline(table: Table, config: JobConfig) -> Outline:
     )
 
 
-def _given_part(template: EquationTemplate | None, name: str, lhs: str) -> tuple[str | None, str, str]:
+def _given_part(template: EquationTemplate, name: str, lhs: str) -> tuple[str | None, str, str]:
     """Return the given side of an equation (None: not given), its unknown part, and the equation in MathML."""
-    if template is None or name not in template.sides:
+    if name not in template.sides:
         return None, "", ""
     labels = [unknown.label for unknown in template.unknowns]
     names = [*template.names, *(parameter.name for parameter in template.parameters), *labels]

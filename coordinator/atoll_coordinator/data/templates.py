@@ -13,8 +13,8 @@ from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.quoting import did_you_mean
 
 
-def template_of(config: JobConfig, names: Sequence[str]) -> EquationTemplate | None:
-    """Return the template over the symbols `names`; None without ``--equation`` and ``--observe``.
+def template_of(config: JobConfig, names: Sequence[str]) -> EquationTemplate:
+    """Return the template over the symbols `names`; it has no sides without ``--equation`` and ``--observe``.
 
     `config` is resolved: its equations are keyed by variable.
 
@@ -23,7 +23,7 @@ def template_of(config: JobConfig, names: Sequence[str]) -> EquationTemplate | N
     """
     prior = config.prior
     if not prior.equations and not prior.parameters and not config.data.observe:
-        return None
+        return EquationTemplate(tuple(names))
     parameters = {name: parameter_of(name, one) for name, one in prior.parameters.items() if name not in prior.by_run}
     sides = {**prior.equations, **dict.fromkeys(prior.by_run, "0"), **config.data.observe}
     return read_template(sides, parameters, names, config.data.observe)
@@ -60,7 +60,7 @@ def check_names(config: JobConfig, columns: Sequence[str], roles: Roles) -> None
     role."""
     template = template_of(config, tuple(assign_symbols(roles.variables).values()))
     option = _options_of(config.data.observe)
-    for parameter in () if template is None else template.parameters:
+    for parameter in template.parameters:
         name = parameter.name
         if name == roles.time:
             raise UsageError(f"{option} uses the time {name}, which is no variable; add --inputs {name}")
@@ -95,15 +95,15 @@ def check_template(template: EquationTemplate) -> None:
                 )
 
 
-def check_hidden_states(template: EquationTemplate | None, roles: Roles, symbols: Mapping[str, str]) -> None:
+def check_hidden_states(template: EquationTemplate, roles: Roles, symbols: Mapping[str, str]) -> None:
     """Raise UsageError if a hidden state has no given equation, or if nothing that is measured depends on it."""
     for name in roles.hidden:
-        if template is None or name not in template.sides:
+        if name not in template.sides:
             raise UsageError(
                 f"--hidden names '{name}', which has no equation; give one with --equation \"d{name}/dt=…\", or leave "
                 "--hidden out"
             )
-    if template is None or not roles.hidden:
+    if not roles.hidden:
         return
     for name in roles.states:
         if name not in roles.observed and name not in template.sides:

@@ -96,7 +96,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
             runs=runs.get(task.variables[index], ()),
         )
         given = final, long_run, index, equation, r2, compared
-        is_plain = final.comparison.template is None and not task.recording.hidden
+        is_plain = not final.comparison.template.sides and not task.recording.hidden
         compared.append(
             TrajectoryChecks(*given) if is_plain else TemplateChecks(*given, spread, [*observations.values()])
         )
@@ -140,7 +140,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
 def _explain_coordinates(final: FinalModel) -> tuple[str, ...]:
     """Return a sentence on what hidden states without given equations mean; nothing if there are none."""
     hidden = final.task.recording.hidden
-    if not hidden or final.comparison.template is not None:
+    if not hidden or final.comparison.template.sides:
         return ()
     names, one = " and ".join(hidden), len(hidden) == 1
     return (
@@ -225,7 +225,7 @@ def _describe_equation(
 ) -> Refined:  # fmt: skip
     """Return one equation as it is shown, with its alternatives."""
     task, ranking = final.task, final.ranking
-    name, program, template = task.variables[index], final.programs[index], final.comparison.template
+    name, program = task.variables[index], final.programs[index]
     programs = [group_programs[index] for group_programs in final.by_group]
     problem = task.dataset.problem(name)
     error, mse = measure_grouped_errors(problem, programs or [final.searched[index]], task.config.evolution.loss)
@@ -245,7 +245,7 @@ def _describe_equation(
         else {},
         simple_together=together[index] if together else None,
         parameters=tuple(final.names[index]) if final.names else (),
-        unknowns={} if template is None else template.parts_of(name, final.searched),
+        unknowns=final.comparison.template.parts_of(name, final.searched),
     )
 
 
@@ -261,7 +261,7 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
     def parts(searched: Sequence[Program], values: FloatArray) -> dict[str, Any]:
         """Return the unknown part of the equation, and the values of the template's parameters."""
         template = comparison.template
-        if template is None or template.unknown_of(template.equations[index]) is None:
+        if template.unknown_of(final.task.variables[index]) is None:
             return {}
         named = zip(template.parameters, values.tolist(), strict=True)
         return {"unknown": searched[index], "parameters": {one.name: value for one, value in named}}
@@ -274,7 +274,7 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
         r2 = compute_r2(comparison.estimator.measurements, alternative.model.fit, slice(None))[column]
         held_out_r2 = None if alternative.validated is None else alternative.validated[column]
         if nats <= SETTINGS.inference.distinct_nats and final.held_out_comparison is not None and not final.by_group:
-            parameters = None if comparison.template is None else model.fit.system.parameter_values
+            parameters = model.fit.system.parameter_values
             fit = fit_initial_states(final.held_out_comparison, programs, parameters=parameters)
             measurements = final.held_out_comparison.estimator.measurements
             held_out_r2 = -math.inf if fit is None else compute_r2(measurements, fit, slice(None))[column]

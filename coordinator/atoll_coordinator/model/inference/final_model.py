@@ -379,7 +379,7 @@ def _show_equations(
 def _compose_shown(comparison: ModelComparison, shown: ShownEquations) -> ShownEquations:
     """Return the whole right-hand sides of the equations; without a template, `shown` itself."""
     template = comparison.template
-    if template is None:
+    if not template.sides:
         return shown
     composed = compose_equations(template, shown.explicit, shown.programs, shown.rounded.simple)
     programs = comparison.equations_of(shown.fit)

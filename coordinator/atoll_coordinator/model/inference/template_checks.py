@@ -50,7 +50,7 @@ class TemplateChecks(TrajectoryChecks):
 
     def _doubt_given_terms(self, finding: Finding | None) -> Finding | None:
         size, template = super().check_residual_size(), self.final.comparison.template
-        are_doubtful = template is not None and bool(template.sides) and size is not None and size.outcome == "failed"
+        are_doubtful = bool(template.sides) and size is not None and size.outcome == "failed"
         if finding is None or finding.outcome != "failed" or not are_doubtful:
             return finding
         return finding._replace(advice=_DOUBT_GIVEN_TERMS)
@@ -81,7 +81,7 @@ class TemplateChecks(TrajectoryChecks):
         Any invertible function of the hidden state describes the measured columns as well, with other equations.
         """
         recording = self.final.task.recording
-        if self.final.comparison.template is not None or not recording.hidden:
+        if self.final.comparison.template.sides or not recording.hidden:
             return Finding("not applicable", "all states are measured, or their equations are given")
         names = self.final.task.dataset.names
         used = {names[index] for index in variables_of(self.shown.program)} | {self.name}
@@ -101,9 +101,7 @@ class TemplateChecks(TrajectoryChecks):
 
     def check_unknown_part(self) -> Finding:
         """Check that the unknown part of the equation describes more than nothing or a constant in its place."""
-        template = self.final.comparison.template
-        unknown = None if template is None else template.unknown_of(self.name)
-        if unknown is None:
+        if self.final.comparison.template.unknown_of(self.name) is None:
             return Finding("not applicable", "no unknown part is searched in this equation")
         gain, least = self.final.gain_of_unknown_part(self.index), SETTINGS.inference.chance_nats
         if gain >= least:
@@ -124,7 +122,7 @@ class TemplateChecks(TrajectoryChecks):
         its 95 % interval. Parameters that the data do not determine are not counted: `check_constants` reports them.
         """
         minima, template = self.final.task.minima, self.final.comparison.template
-        if template is None:
+        if not template.sides:
             return Finding("not applicable", "no equation was given")
         if minima is None:
             return Finding("not applicable", "the parameters were estimated from derivatives")
@@ -162,7 +160,7 @@ class TemplateChecks(TrajectoryChecks):
 
         A column that is computed from states is part of the model of each state, so its parameters count, too.
         """
-        if self.final.comparison.template is None:
+        if not self.final.comparison.template.sides:
             return super().check_constants()
         fitted = [
             (constant, name)
@@ -209,7 +207,6 @@ class TemplateChecks(TrajectoryChecks):
 
     def check_alternative_equations(self) -> Finding | None:
         """Check that no other unknown part describes the data about as well."""
-        template = self.final.comparison.template
-        if template is not None and template.is_given(self.name):
+        if self.final.comparison.template.is_given(self.name):
             return Finding("not applicable", "the form of the equation was given")
         return super().check_alternative_equations()

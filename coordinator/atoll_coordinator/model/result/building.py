@@ -397,7 +397,7 @@ def _complete_sides(
     Its parameters have the values by the derivatives, and unknown parts that were not found are 0.
     """
     template = template_of(config, preparation.dataset.names)
-    if template is None:
+    if not template.sides:
         return dict(shown)
     slots = [ZERO if one is None or one.parameters else one.program for one in shown.values()]
     values = np.array(preparation.parameters) if preparation.parameters else template.starts
@@ -421,8 +421,7 @@ def _complete_sides(
 
 def _describe_shapes(config: JobConfig, dataset: Dataset, variable: str, shown: Refined) -> tuple[DemandedShape, ...]:
     """Return the shapes that the user demanded of an equation or of its unknown part; empty without a demand."""
-    template = template_of(config, dataset.names)
-    unknown = None if template is None else template.unknown_of(variable)
+    unknown = template_of(config, dataset.names).unknown_of(variable)
     program = shown.program if unknown is None else shown.unknowns.get(unknown.label, shown.program)
     points = shape_points(dataset.inputs)
     return tuple(
