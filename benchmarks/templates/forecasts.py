@@ -4,11 +4,11 @@
 given, searched with ``--hidden 1``. ``tanks``: cascaded tanks (Schoukens & Noël 2016, nonlinearbenchmark.org): the
 voltage of a pump is given, and the level of the lower tank is measured; of the 1,024 rows of the file for estimation
 the first 768 are given. They are searched with ``--hidden 1``, and with templates of two tanks: with unknown outflows,
-with an unknown lower tank, and with square roots as outflows, where only numbers are fitted. ``emps``: an
-electro-mechanical positioning system (Janot, Gautier & Brunot 2019, nonlinearbenchmark.org): the force signal is given
-and the position is measured; the friction is unknown, and the velocity is a hidden state. Of the 4,969 rows of the file
-the first 3,726 are given. A forecast begins at the simulated state of the last given row and uses no measured state
-after it.
+with an unknown lower tank, and with square roots as outflows, also with an overflow, where only numbers are fitted.
+``emps``: an electro-mechanical positioning system (Janot, Gautier & Brunot 2019, nonlinearbenchmark.org): the force
+signal is given and the position is measured; the friction is unknown, and the velocity is a hidden state. Of the 4,969
+rows of the file the first 3,726 are given. A forecast begins at the simulated state of the last given row and uses no
+measured state after it.
 """
 
 import csv
@@ -40,6 +40,21 @@ TANK_TEMPLATES: Final[Mapping[str, tuple[Mapping[str, str], Mapping[str, tuple[f
     "square roots given": (
         {"h": "k*u - a*sqrt(h)", "y": "a*sqrt(h) - b*sqrt(y - c)"},
         {"k": (0.005, 1.0), "a": (0.005, 1.0), "b": (0.005, 1.0), "c": (-5.0, 2.5)},
+    ),
+    "square roots and overflow given": (
+        {
+            "h": "k*u - a*sqrt(h) - s*(h - m + abs(h - m))",
+            "y": "a*sqrt(h) + r*s*(h - m + abs(h - m)) - b*sqrt(y - c)",
+        },
+        {
+            "k": (0.005, 1.0),
+            "a": (0.005, 1.0),
+            "b": (0.005, 1.0),
+            "c": (-5.0, 2.5),
+            "s": (0.01, 10.0),
+            "m": (1.0, 30.0),
+            "r": (0.1, 2.0),
+        },
     ),
 }
 """Ways to search the tanks with given equations: their sides, and the bounds of their parameters."""

@@ -577,7 +577,8 @@ def _equation_text(
     if equation.verdict is not None:
         lines.append(f"    {equation.verdict}: {equation.reason}")
         lines += checks_lines(equation.checks, is_listed=with_tables)
-    lines.append(f"    {_standing(equation)}")
+    if not (is_hidden and equation.why == "known"):  # a hidden state has no target
+        lines.append(f"    {_standing(equation)}")
     most = None if with_tables else NEAREST
     if with_tables:
         lines += constants_table(equation.constants, called if given.text else [])
