@@ -1,14 +1,14 @@
 """Systems with a state that no column measures: the end of a trajectory is held out and forecast in open loop.
 
 ``one column``: oscillators of second and third order, the van der Pol oscillator and the Lotka-Volterra equations, of
-which one column is given, searched with ``--hidden 1`` or ``--hidden 2``. ``tanks``: cascaded tanks (Schoukens & Noël 2016, nonlinearbenchmark.org): the
-voltage of a pump is given, and the level of the lower tank is measured; of the 1,024 rows of the file for estimation
-the first 768 are given. They are searched with ``--hidden 1``, and with templates of two tanks: with unknown outflows,
-with an unknown lower tank, and with square roots as outflows, also with an overflow, where only numbers are fitted.
-``emps``: an electro-mechanical positioning system (Janot, Gautier & Brunot 2019, nonlinearbenchmark.org): the force
-signal is given and the position is measured; the friction is unknown, and the velocity is a hidden state. Of the 4,969
-rows of the file the first 3,726 are given. A forecast begins at the simulated state of the last given row and uses no
-measured state after it.
+which one column is given, searched with ``--hidden 1`` or ``--hidden 2``. ``tanks``: cascaded tanks (Schoukens & Noël
+2016, nonlinearbenchmark.org): the voltage of a pump is given, and the level of the lower tank is measured; of the 1,024
+rows of the file for estimation the first 768 are given. They are searched with ``--hidden 1``, and with templates of
+two tanks: with unknown outflows, with an unknown lower tank, and with square roots as outflows, also with an overflow,
+where only numbers are fitted. ``emps``: an electro-mechanical positioning system (Janot, Gautier & Brunot 2019,
+nonlinearbenchmark.org): the force signal is given and the position is measured; the friction is unknown, and the
+velocity is a hidden state. Of the 4,969 rows of the file the first 3,726 are given. A forecast begins at the simulated
+state of the last given row and uses no measured state after it.
 """
 
 import csv
