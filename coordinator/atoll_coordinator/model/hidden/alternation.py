@@ -56,8 +56,8 @@ from atoll_coordinator.model.sparse.rows import RegressionRows
 from atoll_coordinator.model.template.hidden_states import (
     HiddenCourse,
     fit_course,
-    initial_values,
     linear_parts,
+    with_initial_values,
 )
 from atoll_coordinator.model.template.unknown_targets import with_unknown_targets
 from atoll_coordinator.settings import SETTINGS
@@ -117,7 +117,7 @@ def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spre
     recording = preparation.recording
     if recording is None:
         return preparation
-    recording = replace(recording, initial=initial_values(config))
+    recording = with_initial_values(recording, config)
     preparation = replace(preparation, recording=recording)
     template = template_of(config, preparation.dataset.names)
     if not template.sides or not (recording.hidden or recording.observed):
