@@ -29,7 +29,7 @@ from atoll.model.simulation import SimulationWarning
 from atoll.terminal.output import note, say
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import AtollError
-from benchmarks.contests.protocol import FORECAST, PAIRS, SCORES, STATES, STEP, Pair, noise_of
+from benchmarks.contests.protocol import FORECAST, PAIRS, SCORES, STATES, STEP, Pair, long_score, noise_of
 from benchmarks.contests.smoothing import WINDOW, states_along
 from benchmarks.harness.record import Record
 from benchmarks.harness.tables import markdown
@@ -40,6 +40,14 @@ PUBLISHED: Final[Mapping[str, float]] = {"LSTM": 64.5, "DeepONet": 57.8, "reserv
 
 _FEW: Final = 100
 """Rows of the short sets."""
+
+_SIMULATIONS: Final = 24
+"""Number of simulations of a long forecast. On 60 windows of the attractor the most typical of 24 scores 69.7, of 100
+69.4, and a single one 64.3."""
+
+_SHIFT: Final = 1e-6
+"""Standard deviation of the shifts of initial states, relative to the standard deviation of the states. Errors of the
+Lorenz system grow by a factor of 2.5 in 20 rows and 6e9 in 500: short scores keep their first five digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,11 +176,30 @@ def _columns(rows: FloatArray) -> dict[str, FloatArray]:
 
 
 def predict(model: atoll.Model, task: Task) -> FloatArray:
-    """Return the prediction (N, 3) of a task under a law; if a simulation ends early, its last state is repeated."""
+    """Return the prediction (N, 3) of a task under a law.
+
+    A long score compares histograms of rows that chaos makes unpredictable. Simulations whose initial states differ by
+    less than the data determine are equally probable there, so the most typical of `_SIMULATIONS` is predicted: the one
+    whose mean score is best if one of the others is the truth.
+    """
     rows = task.train[-1]
     if not task.pair.is_forecast:
         return states_along(model, rows)
     start = states_along(model, rows[-WINDOW:])[-1]
+    if "long" not in task.pair.scores:
+        return _simulated(model, start)
+    shifts = _SHIFT * rows.std(axis=0) * np.random.default_rng(0).normal(size=(_SIMULATIONS, len(STATES)))
+    return most_typical([_simulated(model, start + shift) for shift in shifts])
+
+
+def most_typical(forecasts: Sequence[FloatArray]) -> FloatArray:
+    """Return the forecast (N, 3) whose mean long score is best with each of the `forecasts` as the truth."""
+    means = [np.mean([long_score(truth, forecast) for truth in forecasts]) for forecast in forecasts]
+    return forecasts[int(np.argmax(means))]
+
+
+def _simulated(model: atoll.Model, start: FloatArray) -> FloatArray:
+    """Return the rows (N, 3) of a forecast; if the simulation ends early, its last state is repeated."""
     times = STEP * np.arange(FORECAST + 1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
@@ -196,7 +223,7 @@ def run(options: Namespace) -> int:
                 scored += _scored(task, draw, laws)
                 record.write(scores=scored)
     record.write(scores=scored)
-    shown = [entry for entry in scored if entry["draw"] in options.draws and entry["pair"] in pairs]
+    shown = [entry for draw in options.draws for entry in scored if entry["draw"] == draw and entry["pair"] in pairs]
     if shown:
         say(_table(shown, options.draws))
     say("published means: " + ", ".join(f"{name} {mean}" for name, mean in PUBLISHED.items()))

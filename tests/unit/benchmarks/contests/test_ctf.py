@@ -12,7 +12,7 @@ import pytest
 
 from atoll_core.errors import AtollError
 from benchmarks.contests import ctf
-from benchmarks.contests.ctf import Laws, Task, contest, held_out, write_predictions
+from benchmarks.contests.ctf import Laws, Task, contest, held_out, most_typical, write_predictions
 from benchmarks.contests.protocol import FORECAST
 
 LENGTHS = {"X4": 100, "X5": 100, "X9": 100, "X10": 100}
@@ -116,3 +116,12 @@ def test_a_prediction_that_is_not_finite_is_not_written(tmp_path: Path, monkeypa
     monkeypatch.setattr(search, "predict", lambda _law, task: np.full(task.shape, np.nan))
     assert write_with(search, tmp_path / "file.json", monkeypatch) == 9
     assert not (tmp_path / "file.npz").exists()
+
+
+def test_the_most_typical_forecast_has_the_values_of_most_others() -> None:
+    random = np.random.default_rng(2)
+    usual = [random.normal(size=(FORECAST, 3)) for _ in range(4)]
+    strange = usual[0] + 3.0
+    assert any(most_typical([strange, *usual]) is one for one in usual)
+    between = np.concatenate([usual[0][:500], np.repeat(usual[1][-500::5], 5, axis=0)])
+    assert most_typical([between, *usual]) is not between
