@@ -40,7 +40,7 @@ _COMMON: Final = (
             "the four problems of LLM-SR",
             *_COMMON,
             option("--problems", choices=_PROBLEMS, nargs="+", default=_PROBLEMS, help="default: all"),
-            option("--config", metavar="job.toml", help="settings of the jobs; default: none"),
+            option("--config", metavar="job.toml", nargs="+", help="settings; each further file searches a factor"),
             option("--max-time", type=positive, metavar="SECONDS", help="end of a job; default: none"),
         ),
     ),
