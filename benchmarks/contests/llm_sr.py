@@ -7,6 +7,7 @@ out, too. Published figures are of other rows of the same problems.
 """
 
 import time
+import warnings
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -17,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 import atoll
+from atoll.model.simulation import ExtrapolationWarning
 from atoll.terminal.output import note, say
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import AtollError
@@ -177,17 +179,20 @@ _WEIGHTS: Final = "weight"
 
 
 def _product(models: Sequence[atoll.Model], columns: Columns) -> FloatArray:
-    """Return the product of the predictions of models."""
-    return np.asarray(np.prod([np.asarray(model.predict(columns)) for model in models], axis=0))
+    """Return the product of the predictions of models, also for rows outside of the measured range."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExtrapolationWarning)
+        return np.asarray(np.prod([np.asarray(model.predict(columns)) for model in models], axis=0))
 
 
 def run(options: Namespace) -> None:
     """Search all problems with both splits and print the errors next to the published ones."""
     record, outcomes = Record("contests", options.words, options.out), list[Outcome]()
     for name in options.problems:
-        for split in PROBLEMS[name].splits:
+        for split in [split for split in PROBLEMS[name].splits if split in options.splits]:
             outcomes.append(search(name, split, options))
-            note(f"{name}, {split}: {outcomes[-1].failure or outcomes[-1].equation}")
+            if outcomes[-1].failure:
+                note(f"{name}, {split}: {outcomes[-1].failure}")
             record.write(runs=[asdict(outcome) | {"held": outcome.held} for outcome in outcomes])
     say(table(outcomes))
 
