@@ -1,7 +1,8 @@
 """A known part, an unknown rest, and states that no column measures.
 
 ``python -m benchmarks.templates glycolysis --out FILE`` draws the cells of the published benchmark (points by noise,
-five draws each) and prints the table; ``systems`` searches the systems of `benchmarks.templates.systems`, clean and
+five draws each) and prints the table; ``information`` says what these rows can tell of the frequency at best, see
+`benchmarks.templates.information`; ``systems`` searches the systems of `benchmarks.templates.systems`, clean and
 with 1 % of noise; ``one-column``, ``tanks`` and ``emps`` forecast with a hidden state, see
 `benchmarks.templates.forecasts`. A file that exists is gone on with.
 """
@@ -20,9 +21,10 @@ from benchmarks.templates import forecasts, glycolysis, hidden
 from benchmarks.templates.forecasts import ForecastKey, ForecastOutcome
 from benchmarks.templates.glycolysis import NOISE, POINTS, GlycolysisKey, GlycolysisOutcome
 from benchmarks.templates.hidden import SystemKey, SystemOutcome
+from benchmarks.templates.information import table_of_information
 from benchmarks.templates.systems import SYSTEMS
 
-KINDS: Final = ("glycolysis", "systems", "one-column", "tanks", "emps")
+KINDS: Final = ("glycolysis", "information", "systems", "one-column", "tanks", "emps")
 
 
 _SYSTEMS: Final[Mapping[str, Sequence[str]]] = {
@@ -109,6 +111,8 @@ def main(options: Namespace) -> int:
     """Do what the options ask for."""
     if options.kind == "glycolysis":
         _glycolysis(options)
+    elif options.kind == "information":
+        say(table_of_information(options.points, options.noise))
     elif options.kind in _SYSTEMS:
         _forecasts(options)
     else:

@@ -46,7 +46,7 @@ POINTS: Final = (25, 50, 100, 150, 200)
 NOISE: Final = (5, 10, 20, 35)
 _OSCILLATES: Final = 0.2
 """Least amplitude beyond the given rows, over the true one, that counts as an oscillation."""
-_RIGHT: Final = 0.05
+RIGHT: Final = 0.05
 """Largest relative error of a right frequency; of a right amplitude it is four times as large."""
 
 
@@ -66,11 +66,17 @@ class GlycolysisKey:
 
 def truth(times: FloatArray) -> FloatArray:
     """Return the true states (n, S) at these times, the first of which is 0."""
-    return _solved([_with_values(GIVEN[name].replace("?(A3)", f"({REST})*A3")) for name in STATES], times)
+    return states_with({**VALUES, "rest": REST}, times)
 
 
-def _with_values(text: str) -> str:
-    return re.sub(r"[A-Za-z_]\w*", lambda match: repr(VALUES[match[0]]) if match[0] in VALUES else match[0], text)
+def states_with(values: Mapping[str, float], times: FloatArray) -> FloatArray:
+    """Return the states (n, S) with these values of the parameters, and of ``rest``, the factor of the unknown part."""
+
+    def filled(match: re.Match[str]) -> str:
+        return f"({values[match[0]]!r})" if match[0] in values else match[0]
+
+    sides = [GIVEN[name].replace("?(A3)", "rest*A3") for name in STATES]
+    return _solved([re.sub(r"[A-Za-z_]\w*", filled, side) for side in sides], times)
 
 
 def _solved(expressions: list[str], times: FloatArray) -> FloatArray:
@@ -127,12 +133,12 @@ class GlycolysisOutcome:
     @property
     def has_right_frequency(self) -> bool:
         """Whether the frequency is right within 5 %."""
-        return self.frequency is not None and abs(self.frequency) <= _RIGHT
+        return self.frequency is not None and abs(self.frequency) <= RIGHT
 
     @property
     def has_right_amplitude(self) -> bool:
         """Whether the amplitude is right within 20 %."""
-        return self.amplitude is not None and abs(self.amplitude) <= 4.0 * _RIGHT
+        return self.amplitude is not None and abs(self.amplitude) <= 4.0 * RIGHT
 
 
 def judge(key: GlycolysisKey, result: Mapping[str, Any], seconds: float, failure: str | None) -> GlycolysisOutcome:
@@ -162,21 +168,23 @@ def _judge_oscillation(texts: list[str | None]) -> tuple[bool, float | None, flo
         found = _solved(known, times)[beyond, STATES.index("A3")]
     except DivergedError:
         return False, None, None
-    period, true_period = _period(times[beyond], found), _period(times[beyond], right)
+    own, true = period(times[beyond], found), period(times[beyond], right)
     late = slice(len(found) // 2, None)
     ratio = float(found[late].std() / right[late].std())
-    if period is None or true_period is None or ratio < _OSCILLATES:
+    if own is None or true is None or ratio < _OSCILLATES:
         return False, None, None
-    return True, true_period / period - 1.0, ratio - 1.0
+    return True, true / own - 1.0, ratio - 1.0
 
 
-def _period(times: FloatArray, values: FloatArray) -> float | None:
+def period(times: FloatArray, values: FloatArray) -> float | None:
     """Return the mean time between rises through the mean; None if there are fewer than three."""
-    high = values > values.mean()
-    rises = np.flatnonzero(~high[:-1] & high[1:])
-    if len(rises) < 3:
+    above = values - values.mean()
+    before = np.flatnonzero((above[:-1] <= 0.0) & (above[1:] > 0.0))
+    if len(before) < 3:
         return None
-    return float((times[rises[-1]] - times[rises[0]]) / (len(rises) - 1))
+    shares = above[before] / (above[before] - above[before + 1])
+    rises = times[before] + shares * (times[before + 1] - times[before])
+    return float((rises[-1] - rises[0]) / (len(rises) - 1))
 
 
 def _factor(

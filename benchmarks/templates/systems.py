@@ -15,7 +15,7 @@ class TemplateSystem:
     bounds of the parameters, `values` their true values. `rests` are the true unknown parts by label. `hidden` states
     have no column; `observed` columns are expressions of states, and `observed_truths` the same with numbers. `initial`
     are bounds on initial values or given values. `starts` are initial states of trajectories that are measured at
-    `rows` times up to `duration`.
+    `rows` times up to `duration`. Parameters `by_run` are states with the rate 0, whose initial values differ.
     """
 
     truths: Mapping[str, str]
@@ -30,6 +30,7 @@ class TemplateSystem:
     observed: Mapping[str, str] = field(default_factory=dict)
     observed_truths: Mapping[str, str] = field(default_factory=dict)
     initial: Mapping[str, float | Range] = field(default_factory=dict)
+    by_run: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -39,7 +40,17 @@ class TemplateSystem:
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the measured columns."""
-        return (*(state for state in self.states if state not in self.hidden), *self.observed)
+        return (*(state for state in self.states if state not in (*self.hidden, *self.by_run)), *self.observed)
+
+    @property
+    def known(self) -> dict[str, float]:
+        """The true values of all parameters; ``l[2]`` is the value of l in the second trajectory."""
+        of_runs = {
+            f"{name}[{number}]": start[self.states.index(name)]
+            for name in self.by_run
+            for number, start in enumerate(self.starts, start=1)
+        }
+        return {**self.values, **of_runs}
 
 
 SYSTEMS: Final[Mapping[str, TemplateSystem]] = {
@@ -48,6 +59,12 @@ SYSTEMS: Final[Mapping[str, TemplateSystem]] = {
         given={"theta": "v", "v": "-9.81/l*sin(theta) + ?(v)"},
         starts=((2.0, 0.0),), duration=12.0, rows=240,
         parameters={"l": (0.1, 10.0)}, values={"l": 1.3}, rests={"?": "-0.25*v*abs(v)"},
+    ),
+    "pendulum, length by run": TemplateSystem(
+        truths={"theta": "v", "v": "-9.81/l*sin(theta) - 0.25*v*abs(v)", "l": "0"},
+        given={"theta": "v", "v": "-9.81/l*sin(theta) + ?"},
+        starts=((2.0, 0.0, 0.5), (2.0, 0.0, 1.3), (2.0, 0.0, 2.5)), duration=6.0, rows=120,
+        parameters={"l": (0.1, 10.0)}, by_run=("l",), rests={"?": "-0.25*v*abs(v)"},
     ),
     "bioreactor": TemplateSystem(
         truths={"X": "0.5*S/(0.3 + S)*X - 0.2*X", "S": "-0.5*S/(0.3 + S)*X/0.6 + 0.2*(3.0 - S)"},
@@ -85,5 +102,31 @@ SYSTEMS: Final[Mapping[str, TemplateSystem]] = {
         parameters={"sigma": (1.0, 40.0), "rho": (5.0, 100.0), "beta": (0.3, 10.0)},
         values={"sigma": 10.0, "rho": 28.0, "beta": 8.0 / 3.0},
         hidden=("y", "z"), initial={"y": (-30.0, 30.0), "z": (0.0, 50.0)},
+    ),
+    "pendulum from its angle": TemplateSystem(
+        truths={"theta": "v", "v": "-9.81/1.3*sin(theta) - 0.4*v*abs(v)"},
+        given={"theta": "v", "v": "-9.81/l*sin(theta) + ?(v)"},
+        starts=((2.0, 0.0), (1.0, 2.0)), duration=15.0, rows=300,
+        parameters={"l": (0.1, 10.0)}, values={"l": 1.3}, rests={"?": "-0.4*v*abs(v)"},
+        hidden=("v",), initial={"v": (-5.0, 5.0)},
+    ),
+    "van der Pol from x": TemplateSystem(
+        truths={"x": "v", "v": "1.2*(1 - x**2)*v - x"},
+        given={"x": "v", "v": "-k*x + ?(x,v)"},
+        starts=((0.5, 0.0), (2.5, 1.0)), duration=15.0, rows=300,
+        parameters={"k": (0.1, 10.0)}, values={"k": 1.0}, rests={"?": "1.2*(1 - x**2)*v"},
+        hidden=("v",), initial={"v": (-5.0, 5.0)},
+    ),
+    "bioreactor from X": TemplateSystem(
+        truths={"X": "(1.2*S/(0.4 + S) - 0.3)*X", "S": "0.3*(3 - S) - 1.2*S/(0.4 + S)*X/0.5"},
+        given={"X": "(?1(S) - 0.3)*X", "S": "0.3*(3 - S) - ?1(S)*X/0.5"},
+        starts=((0.1, 2.5), (0.05, 0.5)), duration=15.0, rows=300, rests={"?1": "1.2*S/(0.4 + S)"},
+        hidden=("S",), initial={"S": (0.0, 5.0)},
+    ),
+    "prey from its predator": TemplateSystem(
+        truths={"N": "N*(1 - N/6) - N/(1 + 0.5*N)*P", "P": "0.5*N/(1 + 0.5*N)*P - 0.4*P"},
+        given={"N": "N*(1 - N/6) - ?1(N)*P", "P": "0.5*?1(N)*P - 0.4*P"},
+        starts=((2.0, 1.0), (4.0, 0.5)), duration=15.0, rows=300, rests={"?1": "N/(1 + 0.5*N)"},
+        hidden=("N",), initial={"N": (0.1, 10.0)},
     ),
 }  # fmt: skip

@@ -4,6 +4,7 @@ Two presets: ``default`` (all of Atoll's additions) and ``paper`` (Table II of S
 Fields that are ``None`` are set from the data when the job is prepared.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Final, Literal
 
@@ -182,6 +183,12 @@ class ParameterConfig(Frozen):
     lower: float | None = None
     upper: float | None = None
     start: float | None = None
+    by: Literal["run"] | None = Field(default=None, description="run: each trajectory has a value of its own")
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The lower and the upper bound; infinite without a bound."""
+        return -math.inf if self.lower is None else self.lower, math.inf if self.upper is None else self.upper
 
 
 class PriorConfig(Frozen):
@@ -214,6 +221,11 @@ class PriorConfig(Frozen):
     limits: dict[str, tuple[str, ...]] = Field(
         default_factory=dict, description="limits of right-hand sides, such as `S -> 0: 0`, by left-hand side"
     )
+
+    @property
+    def by_run(self) -> tuple[str, ...]:
+        """The parameters of which each trajectory has a value of its own. They are states with the rate 0."""
+        return tuple(name for name, one in self.parameters.items() if one.by == "run")
 
     def shapes_of(self, equation: str) -> tuple[str, ...]:
         """Return the shapes that are demanded of an equation, or of its unknown part, as texts."""

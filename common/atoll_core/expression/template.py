@@ -16,7 +16,7 @@ Letters: V variables, P parameters, U unknowns, D equations.
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -35,14 +35,14 @@ from atoll_core.expression.program import (
     dependent_nodes,
     variables_of,
 )
-from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.text.parsing import from_infix, names_in
+from atoll_core.expression.unit_coefficients import ExplicitCoefficients
 from atoll_core.quoting import did_you_mean
 
 _UNKNOWN: Final = re.compile(r"\?(?P<number>\d*)(?P<arguments>\s*\([^()?]*\))?")
 _LETTER: Final = "ʔ"
 """The letter that stands for the question mark of an unknown while a side is parsed. It is as long, so that positions
 in error messages stay right."""
-_NAME: Final = re.compile(r"[^\W\d]\w*")
 _RESERVED: Final = frozenset({*FUNCTIONS.values(), "Abs", "tan", "cot", "pi"})
 
 
@@ -85,6 +85,16 @@ Place = tuple[int, int]
 """A constant: (equation, node in this equation)."""
 
 
+@dataclass(frozen=True)
+class ConstantSource:
+    """The origin of a constant of a side: a parameter by its index, or constant `number` of the program that was
+    searched for the equation `home`. A number of the user's text has neither."""
+
+    parameter: int | None = None
+    home: int | None = None
+    number: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class Composition:
     """The equations of a system with a template, composed of the searched programs and the parameters.
@@ -95,6 +105,7 @@ class Composition:
         slots: the searched program of each equation (D). Where nothing is searched, it is the right-hand side itself.
         places: for each slot, the places of each of its constants, by node.
         parameters: the places of each parameter (P).
+        given: the equations, by index, under whose name nothing is searched.
     """
 
     programs: tuple[Program, ...]
@@ -102,11 +113,39 @@ class Composition:
     slots: tuple[Program, ...]
     places: tuple[Mapping[int, tuple[Place, ...]], ...]
     parameters: tuple[tuple[Place, ...], ...]
+    given: frozenset[int]
+
+    def sources(self, index: int) -> list[ConstantSource]:
+        """Return the origin of each constant of a side, in node order."""
+        known = {place: ConstantSource(parameter) for parameter, own in enumerate(self.parameters) for place in own}
+        for home in {*range(len(self.slots))} - self.given:
+            for number, node in enumerate(constant_places(self.slots[home])):
+                known |= dict.fromkeys(self.places[home].get(node, ()), ConstantSource(None, home, number))
+        return [known.get((index, node), ConstantSource()) for node in constant_places(self.programs[index])]
+
+
+def written_sources(
+    sources: Sequence[ConstantSource], explicit: Sequence[ExplicitCoefficients]
+) -> Iterator[tuple[int, ConstantSource | None]]:
+    """Yield the index of each fitted constant of a side, and its origin in the side as it is written.
+
+    Args:
+        sources: the origins of all constants of the side, which was composed of the `explicit` programs.
+        explicit: the searched programs with written factors of one. Such a factor has the origin None.
+    """
+    for index, source in enumerate(sources):
+        if source.home is not None:
+            number = explicit[source.home].origins[source.number]
+            yield index, None if number is None else replace(source, number=number)
+        elif source.parameter is not None:
+            yield index, source
 
 
 @dataclass(frozen=True, eq=False)
 class EquationTemplate:
     """Sides of equations with parameters and unknowns, see the module.
+
+    Without sides, whole right-hand sides are searched.
 
     Attributes:
         names: the variables (V) of the programs.
@@ -118,10 +157,10 @@ class EquationTemplate:
         equations: names of the equations (D) of the system that is composed, see `for_equations`.
     """
 
-    names: tuple[str, ...]
-    parameters: tuple[TemplateParameter, ...]
-    unknowns: tuple[Unknown, ...]
-    sides: Mapping[str, Program]
+    names: tuple[str, ...] = ()
+    parameters: tuple[TemplateParameter, ...] = ()
+    unknowns: tuple[Unknown, ...] = ()
+    sides: Mapping[str, Program] = field(default_factory=dict)
     texts: Mapping[str, str] = field(default_factory=dict)
     observed: tuple[str, ...] = ()
     equations: tuple[str, ...] = ()
@@ -146,18 +185,23 @@ class EquationTemplate:
         used = set() if side is None else variables_of(side)
         return [place for place, _ in enumerate(self.parameters) if len(self.names) + place in used]
 
-    def for_equations(self, equations: Sequence[str]) -> "EquationTemplate | None":
-        """Return the template of the system of these equations; None if it has no side of them.
+    def for_equations(self, equations: Sequence[str]) -> "EquationTemplate":
+        """Return the template of the system of these equations.
 
         The parameters stay the same, so that their values keep their order.
         """
         sides = {name: side for name, side in self.sides.items() if name in equations}
-        return replace(self, sides=sides, equations=tuple(equations)) if sides else None
+        return replace(self, sides=sides, equations=tuple(equations))
 
     def unknowns_in(self, equation: str) -> list[int]:
         """Return the indices of the unknowns in the side of this equation."""
         first, side = len(self.names) + len(self.parameters), self.sides.get(equation)
         return sorted(index - first for index in variables_of(side) if index >= first) if side is not None else []
+
+    def parts_of(self, equation: str, slots: Sequence[Program]) -> dict[str, Program]:
+        """Return the unknown parts in the side of this equation by label; `slots` are as in `compose`."""
+        unknowns = [self.unknowns[place] for place in self.unknowns_in(equation)]
+        return {one.label: slots[self.equations.index(one.home)] for one in unknowns}
 
     def solved_for(self, equation: str, unknown: int) -> Program | None:
         """Return the value of an unknown as a program, from the value of the left-hand side of this equation.
@@ -168,36 +212,26 @@ class EquationTemplate:
         """
         return _solve(self.sides[equation], len(self.names) + len(self.parameters) + unknown)
 
+    def parameter_names(self, sources: Sequence[ConstantSource]) -> tuple[str | None, ...]:
+        """Return the name of each constant that is a parameter; None for other constants."""
+        return tuple(None if one.parameter is None else self.parameters[one.parameter].name for one in sources)
+
     def first_program(self, equation: str) -> Program:
         """Return the side of this equation with the start values of its parameters; its unknown parts are 0."""
-        return self.complete(equation, {}, self.starts)[0]
-
-    def complete(
-        self, equation: str, slots: Mapping[str, Program], values: FloatArray
-    ) -> tuple[Program, tuple[str | None, ...]]:
-        """Return one side, and the name of each of its constants that is a parameter (None: it has none).
-
-        Args:
-            equation: the equation of the side.
-            slots: the programs of unknown parts, by home; missing ones are 0.
-            values: values (P,) of the parameters.
-        """
-        draft = _SideDraft(self, {**{unknown.home: ZERO for unknown in self.unknowns}, **slots}, values)
-        program = draft.compose(self.sides[equation])
-        names = {node: self.parameters[place].name for place, node in draft.parameters.items()}
-        return program, tuple(names.get(node) for node in constant_places(program))
+        return replace(self, equations=(equation,)).compose([], self.starts).programs[0]
 
     def compose(self, slots: Sequence[Program], values: FloatArray) -> Composition:
         """Return the right-hand sides of the equations (D).
 
         Args:
             slots: for each equation, the program of its unknown or, without a side, of the whole right-hand side.
-                Programs of sides without an unknown of their own are ignored, and may be missing at the end.
+                Programs of sides without an unknown of their own are ignored. Missing programs at the end are 0, and
+                so are unknowns at home in other equations.
             values: values (P,) of the parameters.
         """
         equations = self.equations
         slots = [*slots, *[ZERO] * (len(equations) - len(slots))]
-        by_equation = dict(zip(equations, slots, strict=True))
+        by_equation = {unknown.home: ZERO for unknown in self.unknowns} | dict(zip(equations, slots, strict=True))
         places: list[dict[int, tuple[Place, ...]]] = [{} for _ in equations]
         parameters: list[tuple[Place, ...]] = [() for _ in self.parameters]
         programs, fixed, held = list[Program](), list[frozenset[int]](), list[Program]()
@@ -219,10 +253,11 @@ class EquationTemplate:
                 if self.is_given(name):
                     places[index][node] = ((index, node),)
             for home, nodes in draft.constants.items():
-                own = places[equations.index(home)]
+                own = places[equations.index(home)] if home in equations else {}
                 for node, place in nodes.items():
                     own[node] = (*own.get(node, ()), (index, place))
-        return Composition(tuple(programs), tuple(fixed), tuple(held), tuple(places), tuple(parameters))
+        given = frozenset(index for index, name in enumerate(equations) if self.is_given(name))
+        return Composition(tuple(programs), tuple(fixed), tuple(held), tuple(places), tuple(parameters), given)
 
 
 def _solve(side: Program, variable: int) -> Program | None:
@@ -348,7 +383,7 @@ def read_template(
         what = option_for(equation, observed)
         if equation in observed and "?" in text:
             raise UsageError(f"{what} has an unknown part, which is possible in equations only; write a parameter")
-        for name in _names_in(_without_unknowns(text, what)):
+        for name in names_in(_without_unknowns(text, what)):
             if name not in names and name not in _RESERVED:
                 _check_parameter_name(name, names, parameters, what)
                 found.setdefault(name, parameters.get(name, TemplateParameter(name)))
@@ -451,13 +486,6 @@ def _without_unknowns(text: str, what: str) -> str:
 def _with_letters(text: str) -> str:
     """Return a side in which letters replace question marks, and blanks the arguments of unknowns."""
     return _UNKNOWN.sub(lambda match: f"{_LETTER}{match['number']}".ljust(len(match[0])), text)
-
-
-def _names_in(text: str) -> list[str]:
-    """Return the names in an expression, without the names of called functions and without exponents of numbers."""
-    numbers = re.compile(r"\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?")
-    plain = re.sub(r"(?<![\w])" + f"(?:{numbers.pattern})", lambda match: " " * len(match[0]), text)
-    return [match[0] for match in _NAME.finditer(plain) if not plain[match.end() :].lstrip().startswith("(")]
 
 
 def _arguments(match: re.Match[str], names: Sequence[str], what: str) -> tuple[str, ...] | None:

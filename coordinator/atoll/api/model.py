@@ -133,7 +133,8 @@ class Model(ModelCore):
 
         Args:
             x0: the initial state, by name or in order, angles in radians. None: the initial state of the first measured
-                trajectory; its inputs are used unless `u` is given. Hidden states have given or fitted initial values.
+                trajectory; its inputs are used unless `u` is given. Hidden states have given or fitted initial values,
+                and parameters that differ by run the values of this trajectory. In `x0`, name both like states.
             t: ascending times; `x0` is the state at the first time. A number is the last time; the simulation then
                 begins at the first measured time. None: the times of the first trajectory.
             u: inputs by name: numbers, arrays (N,) at the times `t`, or functions of time; or an array (N, U), or a
@@ -164,6 +165,8 @@ class Model(ModelCore):
             return ensemble_of(model, start, times, inputs, (paths, seed))
         if parameters:
             values = {name: number(value, f"the parameter {name}") for name, value in parameters.items()}
+            by_run = {name: values.pop(name) for name in model.result.by_run if name in values}
+            start = np.array([by_run.get(name, value) for name, value in zip(model.states, start, strict=True)])
             of_equations = field.named_parameters
             observed = observed.with_values(values)
             field = field.with_values(

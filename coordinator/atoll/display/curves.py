@@ -198,7 +198,7 @@ def _from_start(
         simulation = simulate(model.field, start, grid, inputs, observed=model.observed)
         if len(simulation.t) < len(grid):
             return None
-        values = np.array([*simulation.x.T, *(one.values for one in simulation.observed.values())])[places] + offsets
+        values = np.array([curve.values for curve in simulation.curves.values()])[places] + offsets
         at_rows = values[:, np.searchsorted(grid, known.times)]
         if (np.abs(at_rows - known.values) > _AGREEMENT * known.sizes).any():
             return None

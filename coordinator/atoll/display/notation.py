@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 from atoll.export.formats import latex_lines
 from atoll.model.equations import observation_text, unit_text
-from atoll.model.given_sides import NamedSide, named_side
+from atoll.model.given_sides import named_side
 from atoll.terminal.output import table
+from atoll_coordinator.result.equations import Equation
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.export import left_side_to_mathml, to_mathml
 from atoll_core.expression.text.parsing import from_infix
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from atoll.model.equations import Parameter
 
 _MATH: Final = '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">'
-_BRACE: Final = '<munder><munder><mrow>{}</mrow><mo stretchy="true">\u23df</mo></munder><mtext>{}</mtext></munder>'
 _HEADS: Final = ("constant", "value", "standard error", "95 % interval", "equation of")
 
 
@@ -62,11 +62,7 @@ def sympy_expressions(model: "ModelCore") -> "dict[str, sympy.Expr]":
 
 def mathml(model: "ModelCore") -> str:
     """Return the equations as the rows of a table in presentation MathML."""
-    names = model.result.names
-    parts = [
-        _mathml_parts(equation.lhs, equation.variable, equation.exact, names, named_side(equation, names))
-        for equation in model.equations
-    ]
+    parts = [_mathml_parts(equation, model.result.names) for equation in model.result.equations]
     rows = (_row("mtr", "mtd", cells) for cells in parts)
     return f"{_MATH}<mtable>{''.join(rows)}</mtable></math>"
 
@@ -90,28 +86,19 @@ def _row(row: str, cell: str, contents: Iterable[str]) -> str:
     return f"<{row}>{''.join(f'<{cell}>{content}</{cell}>' for content in contents)}</{row}>"
 
 
-def equation_mathml(
-    lhs: str, variable: str, expression: str, names: Sequence[str], side: NamedSide | None = None
-) -> str:
-    """Return one equation as MathML (presentation); `expression` is its right-hand side over `names`.
+def equation_mathml(equation: Equation, names: Sequence[str]) -> str:
+    """Return one equation over `names` as MathML (presentation).
 
-    A left-hand side that is the `variable` itself is a name, even if it reads like a derivative. A given `side` has its
-    parameters by name, and a brace below its unknown parts.
+    A left-hand side that is the variable itself is a name, even if it reads like a derivative. A side that the user
+    gave has its parameters by name, and a brace below its unknown parts.
     """
-    return f"{_MATH}<mrow>{''.join(_mathml_parts(lhs, variable, expression, names, side))}</mrow></math>"
+    return f"{_MATH}<mrow>{''.join(_mathml_parts(equation, names))}</mrow></math>"
 
 
-def _mathml_parts(
-    lhs: str, variable: str, expression: str, names: Sequence[str], side: NamedSide | None
-) -> tuple[str, str, str]:
-    left = left_side_to_mathml(lhs, is_name=lhs == variable)
-    if side is None:
-        return left, "<mo>=</mo>", to_mathml(from_infix(expression, names), names)
-    parts = {
-        place: _BRACE.format(to_mathml(part, names, is_given=True), side.names[place])
-        for place, part in side.parts.items()
-    }
-    return left, "<mo>=</mo>", to_mathml(side.program, side.variables, is_given=True, parts=parts)
+def _mathml_parts(equation: Equation, names: Sequence[str]) -> tuple[str, str, str]:
+    left = left_side_to_mathml(equation.lhs, is_name=equation.lhs == equation.variable)
+    program, known, parts, is_given = named_side(equation, names)
+    return left, "<mo>=</mo>", to_mathml(program, known, is_given=is_given, parts=parts)
 
 
 def _cells(constant: "Parameter") -> tuple[str, ...]:

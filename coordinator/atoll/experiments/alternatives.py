@@ -100,7 +100,7 @@ def _weigh(fits: Sequence[tuple[EquationSetFit, str]]) -> tuple[WeightedSystem, 
         constant_nats = constant_nats_of(float(fitted.measured.rows))
         length = system_length(
             fitted.misfit,
-            fitted.equations.written_sides,
+            fitted.equations.given.programs,
             len(fitted.values),
             constant_nats,
         )
@@ -217,7 +217,7 @@ def _with_denominator(program: Program, index: int, divisor: int, constant: floa
 def _has_pole(fitted: EquationSetFit) -> bool:
     """Tell whether the fit gave a constant in a denominator the other sign, so that the denominator can be 0."""
     programs = fitted.fit.system.programs[-len(fitted.equations.programs) :]
-    for before, after in zip(fitted.equations.sides, programs, strict=True):
+    for before, after in zip(fitted.equations.whole.programs, programs, strict=True):
         nodes = after.nodes()
         divisors = {right if code == DIVIDE else left for code, left, right, _ in nodes if code in (DIVIDE, INVERSE)}
         added = {place for divisor in divisors if nodes[divisor][0] == ADD for place in nodes[divisor][1:3]}

@@ -14,7 +14,6 @@ import numpy as np
 
 from atoll.experiments.alternatives import half_akaike, weigh_pair
 from atoll.experiments.fits import (
-    EquationSet,
     EquationSetFit,
     equations_of,
     fit_displayed,
@@ -148,18 +147,15 @@ def compare(
     models = ModelCore(first), ModelCore(second)
     for model in models:
         model.require_one_group()
-    sides = [[equation.lhs for equation in model.equations] for model in models]
-    on = _regressions if models[0].is_regression else _dynamics
-    has_columns = any(result.hidden or result.observations for result in (first, second))
-    if has_columns or sorted(sides[0]) != sorted(sides[1]) or models[0].is_regression != models[1].is_regression:
+    on = _regressions if models[0].is_regression else _trajectories
+    if models[0].is_regression != models[1].is_regression or not _have_equal_states(first, second):
         columns = [_observed_columns(model) for model in models]
         if not columns[0] or columns[0] != columns[1]:
-            left, right = (", ".join(lhs) for lhs in sides)
+            left, right = (", ".join(equation.lhs for equation in model.equations) for model in models)
             raise UsageError(
                 f"A has equations of {left} and B of {right}; compare models of the same quantities, or models of "
                 "trajectories with the same measured columns"
             )
-        on = _observed
     data = [on(first, second, "A", table)]
     digests = [None if result.data is None else result.data.digest for result in (first, second)]
     if table is None and digests[0] != digests[1]:
@@ -224,24 +220,10 @@ def most_errors(count: int) -> float:
     return float(ndtri(0.5 + 0.5 * _LEVEL ** (1.0 / max(count, 1))))
 
 
-def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> DataComparison:
-    _require_columns(holder, other)
-    displayed = fit_displayed(measured_of(holder, table), holder)
-    fitted = fit_equations(displayed.measured, _equations_on_data_of(holder, other), displayed.fit.starts)
-    return _compare_fits(displayed, holder, fitted, holder, letter)
-
-
-def _equations_on_data_of(holder: Result, other: Result) -> EquationSet:
-    """Return the equations of the other result over the symbols of `holder`, in the order of its equations."""
-    equations, own = equations_of(holder), equations_of(other)
-    if equations.given is not None or own.given is not None:
-        return own.over(equations.names, equations.variables)
-    texts = {equation.variable: equation.expression or "" for equation in other.equations}
-    for place, (variable, entry) in enumerate(zip(equations.variables, holder.equations, strict=True)):
-        program = from_infix(texts[variable], equations.names)
-        if program != from_infix(entry.expression or "", equations.names):
-            equations = equations.with_equation(place, program)
-    return equations
+def _have_equal_states(first: Result, second: Result) -> bool:
+    """Tell whether two models have equations of the same sides, and all their states are measured."""
+    sides = [sorted(equation.lhs for equation in result.equations) for result in (first, second)]
+    return sides[0] == sides[1] and not any(result.unmeasured or result.observations for result in (first, second))
 
 
 def _observed_columns(model: ModelCore) -> frozenset[str]:
@@ -253,28 +235,30 @@ def _observed_columns(model: ModelCore) -> frozenset[str]:
 
 def _measured_columns(result: Result) -> tuple[str, ...]:
     """Return the measured columns that a law of trajectories predicts."""
-    states = (equation.variable for equation in result.equations if equation.variable not in result.hidden)
+    states = (equation.variable for equation in result.equations if equation.variable not in result.unmeasured)
     return (*states, *(one.column for one in result.observations))
 
 
-def _observed(holder: Result, other: Result, letter: str, table: Table | None) -> DataComparison:
-    """Compare two models with different states by their residuals in the same measured columns.
+def _trajectories(holder: Result, other: Result, letter: str, table: Table | None) -> DataComparison:
+    """Compare two models by their residuals in the same measured columns.
 
     The other model is fitted to the same rows of the same columns, from as many initial states. All values that are
     fitted, hidden initial states too, count in the odds.
     """
+    if table is None:
+        _require_columns(holder, other)
     displayed = fit_displayed(measured_of(holder, table), holder)
-    lacking = sorted({*other.columns.inputs} - {*holder.columns.inputs})
-    if lacking and table is None:
-        raise UsageError(
-            f"one model has the input {', '.join(lacking)}, but the data of the other model do not; compare models of "
-            "the same columns"
-        )
     there = other.model_copy(update={"data": holder.data, "smoothing": holder.smoothing, "noise": holder.noise})
+    inputs = tuple(name for name in other.columns.inputs if name in holder.columns.inputs)
+    there = there.model_copy(update={"system": other.columns.model_copy(update={"inputs": inputs})})
     measured = measured_of(there, table).with_piece(displayed.measured.longest)
     measured = replace(measured, rows=displayed.measured.rows, source=displayed.measured.source)
-    fitted = fit_equations(measured, equations_of(other), starts_of(other, measured) if other.hidden else None)
-    return _compare_fits(displayed, holder, fitted, other, letter, _measured_columns(holder))
+    starts = starts_of(other, measured) if other.unmeasured else None
+    columns = () if _have_equal_states(holder, other) else _measured_columns(holder)
+    if not columns and measured.measurements.variables == displayed.measured.measurements.variables:
+        starts = displayed.fit.starts
+    fitted = fit_equations(measured, equations_of(other), starts)
+    return _compare_fits(displayed, holder, fitted, other, letter, columns)
 
 
 def _compare_fits(
@@ -292,10 +276,11 @@ def _compare_fits(
 
 
 def _require_columns(holder: Result, other: Result) -> None:
-    """Raise UsageError if the data of `holder` lack variables in the equations of the other result."""
+    """Raise UsageError if the data of `holder` lack inputs in the equations of the other result."""
+    inputs = {*ModelCore(other).inputs}
     for equation in other.equations:
         program = from_infix(equation.expression or "", other.names)
-        used = {other.names[place] for place in variables_of(program)}
+        used = {other.names[place] for place in variables_of(program)} & inputs
         lacking = sorted(used - set(holder.names))
         if lacking:
             raise UsageError(

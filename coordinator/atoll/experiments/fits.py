@@ -22,7 +22,7 @@ import numpy as np
 
 from atoll.model.core import config_of
 from atoll.model.equations import differing_groups, match_constants, numbers_of
-from atoll.model.given_sides import ConstantSource, GivenSides, over_variables, program_of
+from atoll.model.given_sides import GivenSides
 from atoll_coordinator.data.recording import Method, Recording, StateSmoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.composed_system import composed_system
@@ -31,7 +31,7 @@ from atoll_coordinator.model.shooting.fit_result import TrajectoryFit, bounded_c
 from atoll_coordinator.model.shooting.many_starts import fit_from_many_starts
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
-from atoll_coordinator.model.shooting.system import OdeSystem, system_of, variable_program
+from atoll_coordinator.model.shooting.system import OdeSystem, variable_program
 from atoll_coordinator.model.template.hidden_states import initial_values
 from atoll_coordinator.result.base import Curve
 from atoll_coordinator.result.equations import Constant, Equation
@@ -43,8 +43,8 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UsageError
 from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.template import ConstantSource, written_sources
 from atoll_core.expression.text.infix import to_infix
-from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
 
 _FEWEST_ROWS: Final = 5
@@ -172,11 +172,12 @@ def _listed_recording(result: Result) -> Recording:
             "the result has no measurements", python="give them as data", command="give the data file with --data"
         )
     columns, symbols = result.columns, result.symbols
-    states, inputs = (*columns.states, *result.hidden), columns.inputs
+    states, inputs = (*columns.states, *result.unmeasured), columns.inputs
     smoothing = []
     for name in states:
         noise = result.noise.get(name, Noise())
         method: Method = next((method for method in get_args(Method) if method == noise.method), "interpolation")
+        method = "hidden" if name in result.by_run else method
         smoothing.append(StateSmoothing(name, method, noise.sd or 0.0, noise.relative or 0.0))
     smoothed = {part.name: part for part in result.smoothed}
     return Recording(
@@ -190,7 +191,7 @@ def _listed_recording(result: Result) -> Recording:
         tuple(smoothing),
         tuple(_trajectory(part, smoothed.get(part.name), states, inputs) for part in result.recorded),
         tuple(config_of(result).data.offsets),
-        hidden=result.hidden,
+        hidden=result.unmeasured,
         observed=tuple(one.column for one in result.observations),
     )
 
@@ -276,7 +277,7 @@ def _prepare_recording(result: Result, table: Table) -> Recording:
         settings = config.data.model_copy(update={"group": None, "per_trajectory": False})
         config = config.model_copy(update={"data": settings})
     recording = prepare(table, config).recording
-    if recording is None or set(recording.states) != {*result.columns.states, *result.hidden}:
+    if recording is None or set(recording.states) != {*result.columns.states, *result.unmeasured}:
         raise UsageError(f"the data must have measurements of {', '.join(result.columns.states)} over time")
     return recording if group is None or column is not None else _trajectory_of_group(recording, group)
 
@@ -344,24 +345,34 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class EquationSet:
-    """Right-hand sides of the states with an equation: `programs` over `names`, the symbols of the result.
+    """Right-hand sides of the states with an equation, and which of their numbers are fitted.
 
-    `explicit` are the same programs with unwritten coefficients of 1 as constants, unless `are_as_written`. The
+    The `programs` of `given` are the searched ones: whole right-hand sides or, for sides that the user gave, unknown
+    parts. `explicit` are the same programs with unwritten coefficients of 1 as constants, unless `are_as_written`. The
     constants of `fixed` equations (by index) are not fitted. `bounds` has, by index of an equation, the user's bounds
-    (lower, upper) on all its constants.
-
-    If the user gave sides with parameters or unknown parts, they are in `given`. The `programs` are then the searched
-    ones: unknown parts, and whole sides without an unknown part of their own. Numbers of the user's text are not
-    fitted, and a parameter, or a constant of an unknown part, is one number in all sides.
+    (lower, upper) on all constants of its program. Numbers of the user's text are not fitted, and a parameter, or a
+    constant of an unknown part, is one number in all sides.
     """
 
-    names: tuple[str, ...]
-    variables: tuple[str, ...]
-    programs: tuple[Program, ...]
+    given: GivenSides
     fixed: frozenset[int]
     bounds: Mapping[int, tuple[tuple[float, float], ...]]
     are_as_written: bool = False
-    given: GivenSides | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The variables of the programs: the symbols of the result."""
+        return self.given.template.names
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """The states with an equation."""
+        return self.given.equations
+
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """The searched programs."""
+        return self.given.slots
 
     @cached_property
     def explicit(self) -> tuple[ExplicitCoefficients, ...]:
@@ -377,106 +388,62 @@ class EquationSet:
 
     def is_searched(self, place: int) -> bool:
         """Tell whether the program of an equation was searched: the side is not given without an unknown part."""
-        return self.given is None or not self.given.template.is_given(self.variables[place])
+        return not self.given.template.is_given(self.variables[place])
 
     @cached_property
-    def whole(self) -> GivenSides | None:
-        """The given sides with the explicit programs in their unknown parts."""
-        return None if self.given is None else self.given.with_slots([one.program for one in self.explicit])
-
-    @property
-    def sides(self) -> tuple[Program, ...]:
-        """The whole right-hand sides that are fitted, with unwritten coefficients of 1 as constants."""
-        return tuple(one.program for one in self.explicit) if self.whole is None else self.whole.programs
-
-    @property
-    def written_sides(self) -> tuple[Program, ...]:
-        """The whole right-hand sides as they are written."""
-        return self.programs if self.given is None else self.given.programs
+    def whole(self) -> GivenSides:
+        """The right-hand sides that are fitted, with unwritten coefficients of 1 as constants."""
+        return self.given.with_slots([one.program for one in self.explicit])
 
     def with_equation(self, place: int, program: Program) -> "EquationSet":
         """Return the same set with another equation at index `place`, which has no bounds, and is not a given side."""
-        if self.given is None or not self.given.is_given(place):
+        if not self.given.is_given(place):
             return self.with_searched(place, program)
-        given, changed = self.given.without_side(place, program), self.with_searched(place, program)
-        return replace(changed, given=given, programs=changed.programs if given is None else given.slots)
+        return replace(self._without_bounds(place), given=self.given.without_side(place, program))
 
     def with_searched(self, place: int, program: Program) -> "EquationSet":
         """Return the same set with another searched program at index `place`, which has no bounds."""
-        bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
-        programs = (*self.programs[:place], program, *self.programs[place + 1 :])
-        given = None if self.given is None else self.given.with_slots(programs)
-        return replace(self, programs=programs, bounds=bounds, are_as_written=False, given=given)
+        given = self.given.with_slots((*self.programs[:place], program, *self.programs[place + 1 :]))
+        return replace(self._without_bounds(place), given=given)
 
-    def over(self, names: tuple[str, ...], variables: Sequence[str]) -> "EquationSet":
-        """Return the same equations over other symbols, and in the order of other `variables`."""
-        order = [self.variables.index(variable) for variable in variables]
-        places = [names.index(name) if name in names else -1 for name in self.names]
-        given = None if self.given is None else self.given.over(names, variables)
-        programs = tuple(over_variables(self.programs[place], places) for place in order)
-        return replace(
-            self,
-            names=names,
-            variables=tuple(variables),
-            programs=programs if given is None else given.slots,
-            fixed=frozenset(place for place, old in enumerate(order) if old in self.fixed),
-            bounds={place: self.bounds[old] for place, old in enumerate(order) if old in self.bounds},
-            given=given,
-        )
+    def _without_bounds(self, place: int) -> "EquationSet":
+        bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
+        return replace(self, bounds=bounds, are_as_written=False)
 
     def system(self, measurements: TrajectoryMeasurements, order: int) -> OdeSystem:
         """Return the system of the explicit programs; for order 2, the rates of the positions are the velocities."""
-        programs = [explicit.program for explicit in self.explicit]
-        count = len(programs) if order == 2 else 0
+        count, whole = len(self.programs) if order == 2 else 0, self.whole
         velocities = measurements.variables[count : 2 * count]
         leading = [variable_program(self.names.index(name)) for name in velocities]
-        if self.whole is not None:
-            return self._composed_system(self.whole, measurements.variables, leading)
-        fixed = [set[int]() for _ in range(count + len(programs))]
-        for place in self.fixed:
-            fixed[count + place].update(constant_places(programs[place]))
-        system = system_of([*leading, *programs], self.names, measurements.variables, fixed)
-        if not self.bounds:
-            return system
-        ends = [
-            (-math.inf, math.inf) if place not in self.bounds else self.bounds[place][number]
-            for place, explicit in enumerate(self.explicit)
-            for number in range(len(explicit.origins) if place not in self.fixed else 0)
-        ]
-        lower, upper = np.array(ends).reshape(-1, 2).T.copy()
-        return replace(system, lower=lower, upper=upper)
-
-    def _composed_system(self, whole: GivenSides, variables: Sequence[str], leading: Sequence[Program]) -> OdeSystem:
-        places = [[*constant_places(explicit.program)] for explicit in self.explicit]
+        nodes = [constant_places(explicit.program) for explicit in self.explicit]
         bounds = {
             there: self.bounds[home][number]
             for home in self.bounds
-            for number, node in enumerate(places[home])
+            for number, node in enumerate(nodes[home])
             for there in whole.composition.places[home].get(node, ())
         }
-        fixed = [set(nodes) if place in self.fixed else set[int]() for place, nodes in enumerate(places)]
-        return composed_system(whole.template, whole.composition, self.names, variables, leading, fixed, bounds)
+        fixed = [own if place in self.fixed else () for place, own in enumerate(nodes)]
+        system = composed_system(
+            whole.template, whole.composition, self.names, measurements.variables, leading, fixed, bounds
+        )
+        return system if whole.template.sides else replace(system, is_logarithmic=None)
 
 
 def equations_of(result: Result) -> EquationSet:
     """Return the displayed equations of a result."""
-    names, entries, given = result.names, result.equations, GivenSides.of(result)
-    programs = tuple(program_of(equation, names) for equation in entries) if given is None else given.slots
+    entries, given = result.equations, GivenSides.of(result)
     fixed = frozenset(
-        place
-        for place, equation in enumerate(entries)
-        if equation.origin == "known" and (given is None or not given.is_given(place))
+        place for place, equation in enumerate(entries) if equation.origin == "known" and not given.is_given(place)
     )
     ends = {place: _bounds(_searched_constants(equation, place, given)) for place, equation in enumerate(entries)}
-    bounds = {place: pairs for place, pairs in ends.items() if pairs and place not in fixed}
-    return EquationSet(names, tuple(equation.variable for equation in entries), programs, fixed, bounds, given=given)
+    return EquationSet(given, fixed, {place: pairs for place, pairs in ends.items() if pairs and place not in fixed})
 
 
-def _searched_constants(equation: Equation, place: int, given: GivenSides | None) -> list[Constant]:
+def _searched_constants(equation: Equation, place: int, given: GivenSides) -> list[Constant]:
     """Return the constants of the program that was searched for an equation."""
-    if given is None or not given.is_given(place):
+    if not given.is_given(place):
         return [*equation.constants]
-    sources = zip(equation.constants, given.sources(place), strict=True)
+    sources = zip(equation.constants, given.composition.sources(place), strict=True)
     return [constant for constant, source in sources if source.home == place]
 
 
@@ -489,64 +456,42 @@ def _bounds(constants: Sequence[Constant]) -> tuple[tuple[float, float], ...]:
 
 def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, ...]:
     """Return the fitted constants in the order of the system, with the names in the texts of the result."""
-    called = {variable: [number.name for number in numbers] for variable, numbers in numbers_of(result).items()}
-    if equations.given is not None:
-        return _constants_of_sides(equations, equations.given, called)
-    constants: list[FreeConstant] = []
-    for place, (variable, explicit) in enumerate(zip(equations.variables, equations.explicit, strict=True)):
+    names, whole = _names_in_texts(equations, result), equations.whole
+    constants: dict[ConstantSource, FreeConstant] = {}
+    for place, variable in enumerate((*equations.variables, *whole.observations)):
+        sources = whole.composition.sources(place)
+        for index, written in written_sources(sources, equations.explicit) if place not in equations.fixed else ():
+            source = sources[index]
+            if source.home is None:
+                name = whole.template.parameters[source.parameter or 0].name
+                constants.setdefault(source, FreeConstant(name, variable, 1.0, True))
+                continue
+            home, explicit = equations.variables[source.home], equations.explicit[source.home]
+            if written is None:
+                term = explicit.terms[explicit.origins[: source.number].count(None)]
+                name = f"1 of {to_infix(term, equations.names, digits=4)} (d{home})"
+                constants[source] = FreeConstant(name, home, 1.0, False)
+            else:
+                constants[source] = FreeConstant(names[written][0], home, names[written][1], True)
+    return tuple(constants.values())
+
+
+def _names_in_texts(equations: EquationSet, result: Result) -> dict[ConstantSource, tuple[str, float]]:
+    """Return the names of the constants of searched programs as they are written, and their signs in the texts."""
+    names: dict[ConstantSource, tuple[str, float]] = {}
+    for place, (variable, listed) in enumerate(numbers_of(result).items()):
+        if variable in equations.given.template.sides:
+            sources = equations.given.composition.sources(place)
+            names |= {source: (number.name, 1.0) for source, number in zip(sources, listed, strict=True)}
+            continue
         program = equations.programs[place]
         values = program.constants[constant_places(program)].tolist()
-        text = from_infix(result.equations[place].expression or "", equations.names)
-        displayed = text.constants[constant_places(text)].tolist()
-        numbers = match_constants(values, displayed)
-        terms = iter(explicit.terms)
-        for origin in explicit.origins if place not in equations.fixed else ():
-            if origin is None:
-                of = to_infix(next(terms), equations.names, digits=4)
-                constants.append(FreeConstant(f"1 of {of} (d{variable})", variable, 1.0, False))
-                continue
-            number = numbers[origin]
-            name = called[variable][number] if number is not None else f"{values[origin]:.4g} (d{variable})"
-            sign = 1.0 if number is None or values[origin] * displayed[number] >= 0.0 else -1.0
-            constants.append(FreeConstant(name, variable, sign, True))
-    return tuple(constants)
-
-
-def _constants_of_sides(
-    equations: EquationSet, given: GivenSides, called: Mapping[str, Sequence[str]]
-) -> tuple[FreeConstant, ...]:
-    """Return the fitted constants of equations with given sides. `called` has the names of all numbers by variable."""
-    whole = equations.whole
-    assert whole is not None
-    written = {
-        source: name
-        for place, variable in enumerate(equations.variables)
-        for source, name in zip(given.sources(place), called[variable], strict=True)
-    }
-    constants: dict[ConstantSource, FreeConstant] = {}
-    for place, variable in enumerate(equations.variables):
-        for source in whole.sources(place) if place not in equations.fixed else ():
-            if source in constants or (source.parameter is None and source.home is None):
-                continue
-            if source.home is None:
-                constants[source] = FreeConstant(written[source], variable, 1.0, True)
-                continue
-            explicit, home = equations.explicit[source.home], equations.variables[source.home]
-            number = constant_places(explicit.program).index(source.place)
-            origin = explicit.origins[number]
-            if origin is None:
-                term = explicit.terms[explicit.origins[:number].count(None)]
-                of = to_infix(term, equations.names, digits=4)
-                constants[source] = FreeConstant(f"1 of {of} (d{home})", home, 1.0, False)
-            else:
-                before = ConstantSource(None, source.home, constant_places(equations.programs[source.home])[origin])
-                constants[source] = FreeConstant(written[before], home, 1.0, True)
-    for place, column in enumerate(whole.observations, len(equations.variables)):
-        for source in whole.sources(place):
-            if source.parameter is not None and source not in constants:
-                name = whole.template.parameters[source.parameter].name
-                constants[source] = FreeConstant(name, column, 1.0, True)
-    return tuple(constants.values())
+        for number, written in enumerate(match_constants(values, [one.value for one in listed])):
+            value, shown = values[number], None if written is None else listed[written]
+            name = f"{value:.4g} (d{variable})" if shown is None else shown.name
+            sign = -1.0 if shown is not None and value * shown.value < 0.0 else 1.0
+            names[ConstantSource(None, place, number)] = name, sign
+    return names
 
 
 @dataclass(frozen=True, eq=False)
@@ -576,13 +521,12 @@ class EquationSetFit:
         count = len(system.outputs)
         programs = system.programs[count - len(self.equations.programs) : count]
         texts = {
-            equation.lhs: to_infix(program, names, digits=4, is_given=given is not None and given.is_given(place))
+            equation.lhs: to_infix(program, names, digits=4, is_given=given.is_given(place))
             for place, (equation, program) in enumerate(zip(result.equations, programs, strict=True))
         }
-        columns = () if given is None else given.observations
         return texts | {
             column: to_infix(program, names, digits=4, is_given=True)
-            for column, program in zip(columns, system.programs[count:], strict=True)
+            for column, program in zip(given.observations, system.programs[count:], strict=True)
         }
 
     @property

@@ -33,7 +33,7 @@ from atoll.experiments.alternatives import WeightedSystem, alternatives_of
 from atoll.experiments.draws import draw_constants
 from atoll.experiments.fits import eigenaxes
 from atoll.experiments.states import KnownLaw, StateFit, cut, rounded_times
-from atoll.model.arguments import GivenInputs, InputFunctions, inputs_along, values_of_curve
+from atoll.model.arguments import GivenInputs, InputFunctions, inputs_along
 from atoll.model.core import ModelCore, config_of
 from atoll.model.simulation import MOST_NUMBERS, Inputs, ensemble_of
 from atoll.terminal.output import plain
@@ -557,54 +557,32 @@ def _paths(
 
 
 def _forecast_process(model: ModelCore, request: ForecastRequest, table: Table | None, u: GivenInputs) -> Forecast:
-    """Return a forecast of a stochastic process: paths from the last complete row."""
-    paths = _paths_of(model, table)
-    if not paths:
+    """Return a forecast of a stochastic process: paths from the last row of `table`; its result lists no rows."""
+    from atoll_coordinator.data.prepare import prepare
+
+    if table is None:
         raise UsageError(
-            "the result has no measurements", python="give them as data", command="give the data file with --data"
-        )
+            "the result of a stochastic process has no measurements", python="give them as data",
+            command="give the data file with --data",
+        )  # fmt: skip
+    known = prepare(table, config_of(model.result)).process
+    if known is None or {*model.states} - {*known.state_symbols}:
+        raise UsageError(f"the data must have measurements of {', '.join(model.states)} over time")
+    paths = {path.name: path for path in known.paths}
     name = _chosen([*paths], request.trajectory)
-    rows, count = paths[name], len(model.states)
-    complete = np.flatnonzero(np.isfinite(rows).all(axis=0))
-    if not len(complete):
-        raise UsageError(f"no row of trajectory {name!r} has a value of every state and input; give other rows")
-    row = rows[:, complete[-1]]
-    times = request.times(float(row[0]))
-    inputs, notes = _inputs_after(model, dict(zip(model.inputs, row[1 + count :].tolist(), strict=True)), times, u)
-    ensemble = ensemble_of(model, row[1 : 1 + count], times, inputs, (request.draws, request.seed))
+    path, past = paths[name], paths[name].times + known.offset
+    if not len(past):
+        raise UsageError(f"no row of trajectory {name!r} has a value of every state; give other rows")
+    places = [known.state_symbols.index(state) for state in model.states]
+    times = request.times(float(past[-1]))
+    last = dict(zip(known.input_symbols, path.inputs[:, -1].tolist(), strict=True))
+    inputs, notes = _inputs_after(model, last, times, u)
+    ensemble = ensemble_of(model, path.states[places, -1], times, inputs, (request.draws, request.seed))
     if len(ensemble.finite) < request.draws:
         notes.append(ensemble.message)
     notes.append("paths of the process begin at the last row; errors of this row and of the constants are left out")
-    known = np.concatenate([rows[1 : 1 + count] for rows in paths.values()], axis=1)
-    measured = dict(zip(model.states, rows[1 : 1 + count], strict=True))
+    measured = dict(zip(model.states, path.states[places], strict=True))
+    every = np.concatenate([path.states[places] for path in known.paths], axis=1)
     return Forecast(
-        model.states, times, ensemble.x, (), name, rows[0], measured, _central_range(known), {}, model.time,
-        tuple(notes),
-    )  # fmt: skip
-
-
-def _paths_of(model: ModelCore, table: Table | None) -> dict[str, FloatArray]:
-    """Return the times, states and inputs (1 + D + U, R) of each trajectory of a process by name."""
-    result, columns = model.result, model.result.columns_by_symbol
-    if table is None:
-        return {
-            part.name: np.array([
-                values_of_curve(part.times),
-                *(values_of_curve(part.measured[columns[state]]) for state in model.states),
-                *(values_of_curve(part.inputs[columns[name]]) for name in model.inputs),
-            ])
-            for part in result.recorded
-        }  # fmt: skip
-    from atoll_coordinator.data.prepare import prepare
-
-    known = prepare(table, config_of(result)).process
-    if known is None or {*model.states} - {*known.state_symbols}:
-        raise UsageError(f"the data must have measurements of {', '.join(model.states)} over time")
-    return {
-        path.name: np.concatenate([
-            path.times[None] + known.offset,
-            path.states[[known.state_symbols.index(state) for state in model.states]],
-            path.inputs[[known.input_symbols.index(name) for name in model.inputs]],
-        ])
-        for path in known.paths
-    }  # fmt: skip
+        model.states, times, ensemble.x, (), name, past, measured, _central_range(every), {}, model.time, tuple(notes)
+    )

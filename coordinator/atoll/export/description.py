@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from atoll.model.arguments import Given, inputs_along, recorded_inputs, require_inputs, start_of, times_of
 from atoll.model.equations import Parameter, numbers_of, observation_text
-from atoll.model.given_sides import GivenSides, program_of
+from atoll.model.given_sides import GivenSides, fitted_parameters, program_of
 from atoll.model.simulation import state_sizes
 from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_core import VERSION
@@ -189,14 +189,10 @@ def describe(
 
 
 def _constants(model: "ModelCore") -> tuple[Parameter, ...]:
-    """Return the constants with a name; parameters of given sides always have one."""
-    given = _parameter_names(model)
-    return tuple(one for one in model.params.values() if one.name in given or _is_named(one))
-
-
-def _parameter_names(model: "ModelCore") -> set[str]:
-    sides = [*(one.given for one in model.equations), *(one.given for one in model.result.observations)]
-    return {name for given in sides if given is not None for name in given.parameters}
+    """Return the constants with a name; parameters of given sides always have one. A parameter by run is a state."""
+    given, by_run = fitted_parameters(model.result), model.result.by_run
+    shared = (one for one in model.params.values() if one.variable not in by_run)
+    return tuple(one for one in shared if one.name in given or _is_named(one))
 
 
 def _observed(model: "ModelCore") -> tuple[ExportedColumn, ...]:
@@ -205,8 +201,7 @@ def _observed(model: "ModelCore") -> tuple[ExportedColumn, ...]:
     for one in model.result.observations:
         program = program_of(one, model.result.names)
         places = constant_places(program)
-        parameters = {} if one.given is None else one.given.parameters
-        formula = Formula(program, {places[number]: name for name, number in parameters.items()})
+        formula = Formula(program, {places[number]: name for name, number in one.given.parameters.items()})
         columns.append(ExportedColumn(one.column, model.result.units.get(one.column, ""), formula))
     return tuple(columns)
 
@@ -222,8 +217,7 @@ def _formulas(model: "ModelCore") -> dict[str, Formula]:
     known = {constant.name for constant in _constants(model)}
     sides = GivenSides.of(model.result)
     for place, equation in enumerate(model.equations):
-        is_given = sides is not None and sides.is_given(place)
-        program = sides.programs[place] if sides is not None and is_given else from_infix(equation.exact, names)
+        program = sides.programs[place] if sides.is_given(place) else from_infix(equation.exact, names)
         called = zip(constant_places(program), numbers[equation.variable], strict=True)
         formulas[equation.variable] = Formula(program, {node: one.name for node, one in called if one.name in known})
     return formulas

@@ -21,15 +21,15 @@ from atoll.model.equations import (
     displayed_equation,
     given_words,
     remark_on_groups,
+    words_of_run,
 )
-from atoll.model.given_sides import named_side, searched_parts, with_parameter_names
+from atoll.model.given_sides import fitted_parameters, named_side, searched_parts, with_parameter_names
 from atoll_coordinator.result.equations import Equation, Observation
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.export import left_side_to_latex, to_latex, unit_to_latex
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.names import name_to_latex
-from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import enumerated
 
 if TYPE_CHECKING:
@@ -67,13 +67,7 @@ def as_sympy(result: Result) -> str:
 
     Parameters of given sides are symbols too; a dictionary ``parameters`` has their values.
     """
-    sides = [(one.given, one.constants) for one in result.equations]
-    sides += [(one.given, one.constants) for one in result.observations]
-    parameters = {
-        name: constants[place].value
-        for given, constants in sides
-        for name, place in (given.parameters if given is not None else {}).items()
-    }
+    parameters = {name: constant.value for name, constant in fitted_parameters(result).items()}
     names = (*result.names, *parameters)
     remark = remark_on_groups(result)
     lines = [f"# {remark}"] if remark else []
@@ -109,13 +103,16 @@ def latex_lines(result: Result) -> list[str]:
     for equation in result.equations:
         if equation.expression is None:
             continue
+        if equation.runs:
+            values = ",\\; ".join(_constant_latex(words_of_run(one)) for one in equation.runs)
+            lines.append(rf"{left_side_to_latex(equation.variable, is_name=True)} &= {values} \quad \text{{by run}}")
+            continue
         left = left_side_to_latex(equation.lhs, is_name=equation.lhs == equation.variable)
         unit = displayed_equation(result, equation).unit
         unit = rf" \quad \left[{unit_to_latex(unit)}\right]" if unit else ""
         given = given_words(equation, names)
         lines += [f"{left} &= {_side_latex(equation, names)}{unit}", *_parameters_latex(given)]
-        fitted = equation.constants if given is None else given.constants
-        constants = ",\\; ".join(map(_constant_latex, constant_words(fitted)))
+        constants = ",\\; ".join(map(_constant_latex, constant_words(given.constants)))
         lines += [rf"&\quad \text{{constants: }} {constants}"] if constants else []
     for one in result.observations:
         left = left_side_to_latex(one.column, is_name=True)
@@ -123,23 +120,17 @@ def latex_lines(result: Result) -> list[str]:
     return lines
 
 
-def _parameters_latex(given: GivenWords | None) -> list[str]:
+def _parameters_latex(given: GivenWords) -> list[str]:
     """Return a line with the values of the parameters of a given side; no line without parameters."""
-    parameters = {} if given is None else given.parameters
-    values = ",\\; ".join(f"{name_to_latex(name)} = {_constant_latex(words)}" for name, words in parameters.items())
+    pairs = given.parameters.items()
+    values = ",\\; ".join(f"{name_to_latex(name)} = {_constant_latex(words)}" for name, words in pairs)
     return [rf"&\quad {values}"] if values else []
 
 
 def _side_latex(equation: Equation | Observation, names: Sequence[str]) -> str:
     """Return a right-hand side; a given side has its parameters by name, and a brace below its unknown parts."""
-    side = named_side(equation, names)
-    if side is None:
-        return to_latex(from_infix(equation.expression or "", names), names)
-    parts = {
-        place: rf"\underbrace{{{to_latex(part, names, is_given=True)}}}_{{{side.names[place]}}}"
-        for place, part in side.parts.items()
-    }
-    return to_latex(side.program, side.variables, is_given=True, parts=parts)
+    program, known, parts, is_given = named_side(equation, names)
+    return to_latex(program, known, is_given=is_given, parts=parts)
 
 
 def _constant_latex(words: ConstantWords) -> str:

@@ -219,10 +219,9 @@ def _with_candidate(result: Result, place: int, other: Candidate) -> Result:
         **{name: getattr(replaced, name) for name in _SEARCH_FIELDS},
         is_of_all_groups=result.group is not None or bool(replaced.groups),
     )
-    sides = GivenSides.of(result)
-    if sides is not None and other.unknown is not None:
+    if other.unknown is not None:
         equations[place] = equations[place].model_copy(update={"given": replaced.given})
-        sides = sides.with_candidate(place, from_infix(other.unknown, result.names), other.parameters)
+        sides = GivenSides.of(result).with_candidate(place, from_infix(other.unknown, result.names), other.parameters)
         equations = [
             sides.describe(equation, index, result.equations[index].constants)
             if equation.given is not None

@@ -13,16 +13,17 @@ import itertools
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from atoll.model.given_sides import ConstantSource, GivenSides, program_of
+from atoll.model.given_sides import GivenSides, program_of
 from atoll_coordinator.result.base import Pair
-from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation, Observation
+from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation, Observation, RunValue
 from atoll_coordinator.result.findings import Group, Noise
 from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
 from atoll_core.expression.program import constant_places
+from atoll_core.expression.template import ConstantSource
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
@@ -58,6 +59,8 @@ class DisplayedEquation(Equation):
     nats: float = 0.0
 
     def __str__(self) -> str:
+        if self.runs:
+            return f"{self.variable} = {', '.join(f'{one.estimate:.6g}' for one in self.runs)} by run"
         return f"{self.lhs} = {self.expression}" + (f"  [{self.unit}]" if self.unit else "")
 
 
@@ -93,7 +96,7 @@ def side_text(
 def observation_text(one: Observation, names: Sequence[str]) -> str:
     """Return a measured column that is computed from states, such as ``y = c/2.08  (observed: c/V)``."""
     text = f"{one.column} = {side_text(one, names)}"
-    return text if one.given is None else f"{text}  (observed: {one.given.text})"
+    return f"{text}  (observed: {one.given.text})"
 
 
 # ---------------------------------------------------------------------------------------------------------- constants
@@ -142,15 +145,17 @@ def quantile(level: float, freedom: float | None) -> float:
 def parameters_of(result: Result) -> dict[str, Parameter]:
     """Return the constants of all equations by name, in the order of the parameters of a `VectorField`.
 
-    Parameters that only occur in observed columns come last.
+    Parameters that only occur in observed columns, and then values by run, such as ``l[run 2]``, come last.
 
     A constant that differs between groups of trajectories has a value for each: ``c1[strain 2]``.
     """
     label = result.data_settings.get("group") or "trajectory"
     parameters: dict[str, Parameter] = {}
-    numbers, has_sides = numbers_of(result), GivenSides.of(result) is not None
+    numbers = numbers_of(result)
     for equation in result.equations:
-        is_given = has_sides and equation.given is not None
+        if equation.runs:
+            continue
+        is_given = equation.given is not None
         by_group = [
             (f"[{label} {group.group}]", _numbers_in(group, result.names, is_given=is_given))
             for group in equation.groups
@@ -163,9 +168,12 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
                 parameter = _parameter(f"{name}{suffix}", equation.variable, number, known)
                 parameters.setdefault(parameter.name, parameter)
     for one in result.observations:
-        for name, place in (one.given.parameters if one.given is not None else {}).items():
+        for name, place in one.given.parameters.items():
             known = one.constants[place]
             parameters.setdefault(name, _parameter(name, one.column, known.value or 0.0, known))
+    for equation in result.equations:
+        for name, of_run in zip(run_names(equation), equation.runs, strict=True):
+            parameters[name] = _parameter(name, equation.variable, of_run.estimate, of_run)
     return parameters
 
 
@@ -184,6 +192,11 @@ def constant_names(result: Result) -> dict[str, list[str]]:
     return names
 
 
+def run_names(equation: Equation) -> list[str]:
+    """Return the names of the values of a parameter that differs by run: ``l[run 2]``."""
+    return [f"{equation.variable}[run {one.run}]" for one in equation.runs]
+
+
 class EquationNumber(NamedTuple):
     """A number of an equation: its `name` ("": it has none), its `value`, and its fitted `constant`, if there is
     one."""
@@ -197,13 +210,13 @@ def numbers_of(result: Result) -> dict[str, list[EquationNumber]]:
     """Return the numbers of each equation by variable: of its text or, for a given side, of its program in node
     order."""
     sides = GivenSides.of(result)
-    names = _Names() if sides is None else _Names({one.name for one in sides.template.parameters})
+    names = _Names({one.name for one in sides.template.parameters})
     numbers: dict[str, list[EquationNumber]] = {}
     for index, equation in enumerate(result.equations):
-        is_given = sides is not None and equation.given is not None
+        is_given = equation.given is not None
         values = _numbers_in(equation, result.names, is_given=is_given)
-        if sides is not None and is_given:
-            called = [names.of(source, sides) for source in sides.sources(index)]
+        if is_given:
+            called = [names.of(source, sides) for source in sides.composition.sources(index)]
         else:
             called = [names.next() for _ in values]
         numbers[equation.variable] = [EquationNumber(name, *pair) for name, pair in zip(called, values, strict=True)]
@@ -213,7 +226,7 @@ def numbers_of(result: Result) -> dict[str, list[EquationNumber]]:
 class _Names:
     """The names c1, c2, … without the `taken` names; constants of the same unknown part have the same names."""
 
-    def __init__(self, taken: Collection[str] = ()) -> None:
+    def __init__(self, taken: Collection[str]) -> None:
         self._free = (name for name in map("c{}".format, itertools.count(1)) if name not in taken)
         self._known: dict[ConstantSource, str] = {}
 
@@ -314,7 +327,8 @@ def with_errors(constants: Sequence[Constant]) -> list[Constant]:
 class GivenWords:
     """A side that the user gave, for display: its `text`, and the values of its `parameters` and `unknowns` by name.
 
-    `constants` are the constants of its unknown parts.
+    `constants` are the constants of its unknown parts. For a side that was found, these are all constants, and the
+    `text` is "".
     """
 
     text: str
@@ -323,12 +337,12 @@ class GivenWords:
     constants: tuple[Constant, ...]
 
 
-def given_words(equation: Equation | Observation, names: Sequence[str]) -> GivenWords | None:
-    """Return the side that the user gave for display; None if there is none."""
-    given = equation.given
+def given_words(equation: Equation | Observation, names: Sequence[str]) -> GivenWords:
+    """Return the side of an equation, or of an observed column, for display."""
+    given, constants = equation.given, equation.constants
     if given is None:
-        return None
-    constants, places = equation.constants, given.parameters
+        return GivenWords("", {}, {}, constants)
+    places = given.parameters
     rest = (constant for place, constant in enumerate(constants) if place not in places.values())
     return GivenWords(
         given.text,
@@ -354,6 +368,14 @@ def words_of(constant: Constant) -> ConstantWords:
         begins_alike = fitted.startswith(f"{displayed} ")
         displayed, notes = (fitted, notes) if begins_alike else (displayed, [fitted, *notes])
     return ConstantWords(displayed, tuple(notes), constant.unit)
+
+
+def words_of_run(one: RunValue) -> ConstantWords:
+    """Return the value of a parameter in one run, for display; its error determines the digits."""
+    words = _words_of_parameter(one.replaced(value=one.estimate))
+    if not one.identifiable:
+        return replace(words, notes=("not determined",))
+    return words if one.at_bound or _is_rounding(one) else replace(words, number=fitted_text(one), notes=())
 
 
 def fitted_text(constant: Constant) -> str:
@@ -458,7 +480,7 @@ def of_group(result: Result, group: Group) -> Result:
 def _given_of_group(result: Result, group: Group) -> dict[str, GivenSide]:
     """Return the given sides by variable; their unknown parts have the constants of the group."""
     sides, names, given = GivenSides.of(result), result.names, {}
-    if sides is None:
+    if not sides.template.sides:
         return {}
     own = {
         place: program_of(one, names)

@@ -6,10 +6,9 @@ parameter, or a constant of an unknown part. Letters: D equations, P parameters.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -17,12 +16,21 @@ import numpy as np
 from atoll_coordinator.result.equations import Constant, Equation, GroupEquation, Observation, UnknownPart
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray, IntArray
+from atoll_core.errors import UsageError
 from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
-from atoll_core.expression.template import ZERO, Composition, EquationTemplate, Place, TemplateParameter, read_template
+from atoll_core.expression.template import (
+    ZERO,
+    Composition,
+    EquationTemplate,
+    Place,
+    TemplateParameter,
+    read_template,
+    written_sources,
+)
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
+from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
 
 
 def program_of(equation: Equation | GroupEquation | Observation, names: Sequence[str]) -> Program:
@@ -30,16 +38,6 @@ def program_of(equation: Equation | GroupEquation | Observation, names: Sequence
     if equation.program:
         return Program.from_bytes(bytes.fromhex(equation.program), len(names))
     return from_infix(equation.expression or "", names)
-
-
-@dataclass(frozen=True)
-class ConstantSource:
-    """The origin of a constant of a side: a parameter by its index, or constant `place` (a node) of the unknown part of
-    the equation `home`. A number of the user's text has neither."""
-
-    parameter: int | None = None
-    home: int | None = None
-    place: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,33 +53,25 @@ class GivenSides:
     values: FloatArray
 
     @classmethod
-    def of(cls, result: Result) -> "Self | None":
-        """Return the given sides of a result; None if no side was given, or if the sides do not fit their parts."""
+    def of(cls, result: Result) -> Self:
+        """Return the equations of a result; the template has no sides if none was given.
+
+        Raises UsageError if the sides do not fit their parts.
+        """
         given = {equation.variable: equation.given for equation in result.equations if equation.given is not None}
-        given_columns = {one.column: one.given for one in result.observations if one.given is not None}
-        if not given and not given_columns:
-            return None
-        names = result.names
-        programs = [
-            ZERO if equation.expression is None else program_of(equation, names) for equation in result.equations
-        ]
-        texts = {name: side.text for name, side in (given | given_columns).items()}
-        template = read_template(texts, _parameters(result), names, tuple(given_columns))
+        columns, names = {one.column: one.given for one in result.observations}, result.names
+        texts = {name: side.text for name, side in (given | columns).items()}
+        template = read_template(texts, _parameters(result), names, tuple(columns))
         equations = tuple(equation.variable for equation in result.equations)
-        template = replace(template, equations=(*equations, *given_columns))
-        slots = list(programs)
-        programs += [program_of(one, names) for one in result.observations if one.given is not None]
-        for index, name in enumerate(equations):
-            unknown = template.unknown_of(name)
-            if unknown is not None:
-                part = next((one for one in given[name].unknowns if one.label == unknown.label), None)
-                if part is None:
-                    return None
-                slots[index] = _part_program(part.program, part.expression, names)
+        template = replace(template, equations=(*equations, *columns))
+        slots = [ZERO if equation.expression is None else program_of(equation, names) for equation in result.equations]
+        programs = [*slots, *(program_of(one, names) for one in result.observations)]
+        for unknown in template.unknowns:
+            parts = [part for part in given[unknown.home].unknowns if part.label == unknown.label]
+            slots[equations.index(unknown.home)] = _part_program(parts[0], names) if parts else ZERO
         empty = cls(template, tuple(slots), np.zeros(len(template.parameters)))
-        composed = empty.composition.programs
-        if [*map(structure, composed)] != [*map(structure, programs)]:
-            return None
+        if [*map(structure, empty.composition.programs)] != [*map(structure, programs)]:
+            raise UsageError("given equations of the result do not fit their unknown parts; was the result changed?")
         return empty.with_values_of(programs)
 
     @cached_property
@@ -144,97 +134,45 @@ class GivenSides:
             values=np.array([old if new is None else new for old, new in pairs]),
         )
 
-    def without_side(self, index: int, program: Program) -> "Self | None":
-        """Return the equations with a searched program instead of the side `index`; None if no given side is left."""
-        template, name = self.template, self.template.equations[index]
-        texts = {other: text for other, text in template.texts.items() if other != name}
-        return self._with_template(texts, template.names, self._by_variable(), {name: program})
-
-    def over(self, names: Sequence[str], equations: Sequence[str]) -> Self:
-        """Return the same equations over other symbols and in another order."""
-        places = [names.index(name) if name in names else -1 for name in self.template.names]
-        slots = {variable: over_variables(slot, places) for variable, slot in self._by_variable().items()}
-        template = replace(self.template, equations=(*equations, *self.template.observed))
-        moved = replace(self, template=template)
-        changed = moved._with_template(self.template.texts, names, slots)
-        assert changed is not None
-        return changed
-
-    def _by_variable(self) -> dict[str, Program]:
-        return dict(zip(self.equations, self.slots, strict=True))
-
-    def _with_template(
-        self,
-        texts: Mapping[str, str],
-        names: Sequence[str],
-        slots: Mapping[str, Program],
-        replacements: Mapping[str, Program] = MappingProxyType({}),
-    ) -> "Self | None":
-        """Return the equations with these given sides.
-
-        `slots` are the searched programs by variable, and `replacements` the programs that replace whole sides.
-        """
-        if not texts:
-            return None
-        old, known = self.template, {one.name: one for one in self.template.parameters}
+    def without_side(self, index: int, program: Program) -> Self:
+        """Return the equations with a searched program instead of the side `index`."""
+        old, name = self.template, self.template.equations[index]
+        texts = {other: text for other, text in old.texts.items() if other != name}
+        known = {one.name: one for one in old.parameters}
         used = {one.name for other in texts for one in map(old.parameters.__getitem__, old.parameters_in(other))}
         parameters = {name: one for name, one in known.items() if name in used}
-        template = read_template(texts, parameters, names, old.observed)
-        template = replace(template, equations=old.equations)
+        template = replace(read_template(texts, parameters, old.names, old.observed), equations=old.equations)
         values = dict(zip(known, self.values.tolist(), strict=True))
+        slots = dict(zip(self.equations, self.slots, strict=True))
         parts = {one.label: slots[one.home] for one in old.unknowns}
-        moved = {one.home: parts[one.label] for one in template.unknowns if one.label != "?"}
-        programs = {**slots, **moved, **replacements}
+        slots |= {one.home: parts[one.label] for one in template.unknowns if one.label != "?"} | {name: program}
         return replace(
             self,
             template=template,
-            slots=tuple(programs[name] for name in self.equations),
+            slots=tuple(slots[equation] for equation in self.equations),
             values=np.array([values[one.name] for one in template.parameters]),
         )
 
-    def sources(self, index: int) -> list[ConstantSource]:
-        """Return the origin of each constant of a side, in node order."""
-        known: dict[int, ConstantSource] = {}
-        for parameter, places in enumerate(self.composition.parameters):
-            known |= {node: ConstantSource(parameter) for equation, node in places if equation == index}
-        for home, by_node in enumerate(self.composition.places):
-            if self.template.is_given(self.template.equations[home]):
-                continue
-            for slot_node, places in by_node.items():
-                known |= {node: ConstantSource(None, home, slot_node) for equation, node in places if equation == index}
-        return [known.get(node, ConstantSource()) for node in constant_places(self.composition.programs[index])]
+    @cached_property
+    def _explicit(self) -> list[tuple[list[ExplicitCoefficients], Composition]]:
+        """The ways in which constants may have been fitted: with factors of 1 in the slots as constants, and as they
+        are written."""
+        ways = [[make(slot) for slot in self.slots] for make in (make_coefficients_explicit, as_written)]
+        return [(way, self.with_slots([one.program for one in way]).composition) for way in ways]
 
-    def explicit_sides(self, variable: str) -> Iterator[tuple[tuple[Program, IntArray], list[int | None]]]:
-        """Yield ways in which the constants of a side may have been fitted: with factors of 1 in its unknown parts as
-        constants, and as it is written.
+    def explicit_side(self, variable: str, origins: Sequence[int | None]) -> tuple[Program, IntArray] | None:
+        """Return a side as it was fitted, and the indices of the fitted constants among its constants.
 
-        Each has the program, the indices of the fitted constants among its constants, and their numbers among the
-        constants of the written side (None: a factor of 1).
+        `origins` are their numbers among the constants of the written side (None: a factor of 1). None if neither way
+        fits to them.
         """
         index = self.template.equations.index(variable)
-        numbers = {source: number for number, source in enumerate(self.sources(index))}
-        for make in (make_coefficients_explicit, as_written):
-            explicit = [make(slot) for slot in self.slots]
-            sides = self.with_slots([one.program for one in explicit])
-            places, origins = list[int](), list[int | None]()
-            for place, source in enumerate(sides.sources(index)):
-                if source.parameter is None and source.home is None:
-                    continue  # a number of the user's text is not fitted
-                origin: int | None = numbers.get(source)
-                if source.home is not None:
-                    nodes = constant_places(explicit[source.home].program)
-                    before = explicit[source.home].origins[nodes.index(source.place)]
-                    written = None if before is None else constant_places(self.slots[source.home])[before]
-                    origin = None if written is None else numbers[ConstantSource(None, source.home, written)]
-                places.append(place)
-                origins.append(origin)
-            yield (sides.programs[index], np.array(places, np.int64)), origins
-
-    def unknown_parts(self, index: int) -> dict[str, Program]:
-        """Return the unknown parts in the side of an equation, by label."""
-        template = self.template
-        unknowns = [template.unknowns[place] for place in template.unknowns_in(template.equations[index])]
-        return {one.label: self.slots[template.equations.index(one.home)] for one in unknowns}
+        numbers = {source: number for number, source in enumerate(self.composition.sources(index))}
+        for explicit, composed in self._explicit:
+            fitted = [*written_sources(composed.sources(index), explicit)]
+            if [None if one is None else numbers[one] for _, one in fitted] == origins:
+                return composed.programs[index], np.array([place for place, _ in fitted], np.int64)
+        return None
 
     def describe(self, equation: Equation, index: int, before: Sequence[Constant] = ()) -> Equation:
         """Return an equation of a result with the side of this index.
@@ -244,10 +182,10 @@ class GivenSides:
         """
         given = equation.given
         assert given is not None
-        program, sources = self.programs[index], self.sources(index)
+        program = self.programs[index]
         values = program.constants[constant_places(program)].tolist()
         bounds = {name: before[place].bounds for name, place in given.parameters.items() if place < len(before)}
-        called = [None if one.parameter is None else self.template.parameters[one.parameter].name for one in sources]
+        called = self.template.parameter_names(self.composition.sources(index))
         constants = [
             Constant(value=value, bounds=bounds.get(name or "")) for value, name in zip(values, called, strict=True)
         ]
@@ -266,45 +204,40 @@ class GivenSides:
         names = self.template.names
         return tuple(
             UnknownPart(label=label, expression=to_infix(part, names), program=part.to_bytes().hex())
-            for label, part in self.unknown_parts(index).items()
+            for label, part in self.template.parts_of(self.equations[index], self.slots).items()
         )
 
 
 def searched_parts(result: Result) -> dict[str, str]:
     """Return the labels of the unknown parts of a result by the equation under whose name they were searched."""
-    sides = GivenSides.of(result)
-    return {} if sides is None else {one.home: one.label for one in sides.template.unknowns}
+    return {one.home: one.label for one in GivenSides.of(result).template.unknowns}
 
 
 class NamedSide(NamedTuple):
-    """A side as the user wrote it: a program over `names`, which are variables, parameters and labels of unknown parts.
+    """A side for display: a program over `names`, which are variables and parameters, and then over unknown parts.
 
-    `parts` are the unknown parts that were found, by the index of their label.
+    `parts` has the label and the program of each unknown part, by the index of its variable. If the user gave the side,
+    it is displayed as it was written.
     """
 
     program: Program
     names: tuple[str, ...]
-    parts: Mapping[int, Program]
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """The names without the labels, which come last."""
-        return self.names[: len(self.names) - len(self.parts)]
+    parts: Mapping[int, tuple[str, Program]]
+    is_given: bool
 
 
-def named_side(equation: Equation | Observation, names: Sequence[str]) -> NamedSide | None:
-    """Return the side of an equation as the user wrote it; None if the user did not give it."""
+def named_side(equation: Equation | Observation, names: Sequence[str]) -> NamedSide:
+    """Return the side of an equation, in the form in which the user gave it if it was given."""
     given = equation.given
     if given is None:
-        return None
+        return NamedSide(from_infix(equation.expression or "", names), tuple(names), {}, is_given=False)
     declared = {name: TemplateParameter(name) for name in given.parameters}
     home = equation.variable if isinstance(equation, Equation) else equation.column
     template = read_template({home: given.text}, declared, names)
-    before = [*names, *(one.name for one in template.parameters)]
-    found = {part.label: _part_program(part.program, part.expression, names) for part in given.unknowns}
-    parts = {len(before) + place: found[one.label] for place, one in enumerate(template.unknowns)}
-    labels = [one.label for one in template.unknowns]
-    return NamedSide(template.sides[home], (*before, *labels), parts)
+    before = (*names, *(one.name for one in template.parameters))
+    found = {part.label: (part.label, _part_program(part, names)) for part in given.unknowns}
+    parts = {place: found[one.label] for place, one in enumerate(template.unknowns, len(before))}
+    return NamedSide(template.sides[home], before, parts, is_given=True)
 
 
 def with_parameter_names(equation: Equation | Observation, names: Sequence[str]) -> tuple[Program, tuple[str, ...]]:
@@ -324,18 +257,24 @@ def over_variables(program: Program, places: Sequence[int]) -> Program:
     return replace(program, left=np.array(left, dtype=np.int16))
 
 
-def _part_program(encoded: str | None, expression: str, names: Sequence[str]) -> Program:
-    return from_infix(expression, names) if encoded is None else Program.from_bytes(bytes.fromhex(encoded), len(names))
+def _part_program(part: UnknownPart, names: Sequence[str]) -> Program:
+    if part.program is None:
+        return from_infix(part.expression, names)
+    return Program.from_bytes(bytes.fromhex(part.program), len(names))
 
 
-def _parameters(result: Result) -> Mapping[str, TemplateParameter]:
-    """Return the parameters in given sides of a result, by name, with their bounds."""
+def fitted_parameters(result: Result) -> dict[str, Constant]:
+    """Return the parameters in given sides of a result, and in columns that are computed from states, by name."""
+    sides: list[Equation | Observation] = [*result.equations, *result.observations]
+    given = [(one.given.parameters, one.constants) for one in sides if one.given is not None]
+    return {name: constants[place] for places, constants in given for name, place in places.items()}
+
+
+def _parameters(result: Result) -> dict[str, TemplateParameter]:
+    """Return the parameters of a result, by name, with their bounds."""
     parameters = {}
-    sides = [(one.given, one.constants) for one in result.equations]
-    sides += [(one.given, one.constants) for one in result.observations]
-    for given, constants in sides:
-        for name, place in (given.parameters if given is not None else {}).items():
-            low, high = constants[place].bounds or (None, None)
-            ends = -math.inf if low is None else low, math.inf if high is None else high
-            parameters[name] = TemplateParameter(name, *ends)
+    for name, constant in fitted_parameters(result).items():
+        low, high = constant.bounds or (None, None)
+        ends = -math.inf if low is None else low, math.inf if high is None else high
+        parameters[name] = TemplateParameter(name, *ends)
     return parameters

@@ -47,7 +47,7 @@ class ObservedColumns:
         for one in result.observations:
             programs[one.column] = program = over_variables(program_of(one, result.names), places)
             constants = constant_places(program)
-            for name, number in (one.given.parameters if one.given is not None else {}).items():
+            for name, number in one.given.parameters.items():
                 nodes[name] = (*nodes.get(name, ()), (one.column, constants[number]))
         return cls(programs, nodes)
 
@@ -63,33 +63,40 @@ class ObservedColumns:
         }
         return replace(self, programs=programs)
 
-    def values(self, points: FloatArray) -> dict[str, FloatArray]:
-        """Return the values (N,) of the columns at `points` (D + U, N)."""
-        points = np.ascontiguousarray(points)
-        return {column: values_of(program, points) for column, program in self.programs.items()}
-
-    def standard_errors(
-        self, points: FloatArray, sensitivities: FloatArray, own: Mapping[tuple[str, int], FloatArray]
-    ) -> dict[str, FloatArray]:
-        """Return the standard errors (N,) of the columns.
-
-        Args:
-            points: states and inputs (D + U, N).
-            sensitivities: changes (D, K, N) of the states along independent directions of unit variance.
-            own: changes (K,) of the constants of columns along these directions, by column and number of the constant.
-        """
-        points, errors = np.ascontiguousarray(points), dict[str, FloatArray]()
+    def curves(self, points: FloatArray, errors: "ColumnErrors | None") -> dict[str, ColumnCurve]:
+        """Return the columns at `points`, which are states and inputs (D + U, N)."""
+        points, curves = np.ascontiguousarray(points), dict[str, ColumnCurve]()
         for column, program in self.programs.items():
-            constants = constant_places(program)
-            is_state = (program.operators == VARIABLE) & (program.left < len(sensitivities))
-            leaves = [*np.flatnonzero(is_state).tolist(), *constants]
-            slopes = values_and_gradient(program, points, leaves)[1]
-            change = np.zeros(sensitivities.shape[1:])
-            for leaf, slope in zip(leaves, slopes, strict=True):
-                if leaf in constants:
-                    direction = own.get((column, constants.index(leaf)))
-                    change += 0.0 if direction is None else direction[:, None] * slope
-                else:
-                    change += slope * sensitivities[int(program.left[leaf])]
-            errors[column] = np.sqrt((change**2).sum(axis=0))
-        return errors
+            values = values_of(program, points)
+            error = None if errors is None else errors.of_column(column, program, points)
+            reach = None if errors is None or error is None else errors.width * error
+            ends = (None, None) if reach is None else (values - reach, values + reach)
+            curves[column] = ColumnCurve(values, error, *ends)
+        return curves
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnErrors:
+    """What the standard errors of columns follow from.
+
+    `sensitivities` (D, K, N) are the changes of the states along independent directions of unit variance. `own` has the
+    changes (K,) of the constants of columns along these directions, by column and number of the constant. `width` is
+    half the width of a band, in standard errors.
+    """
+
+    sensitivities: FloatArray
+    own: Mapping[tuple[str, int], FloatArray]
+    width: float
+
+    def of_column(self, column: str, program: Program, points: FloatArray) -> FloatArray:
+        """Return the standard errors (N,) of a column."""
+        constants = constant_places(program)
+        is_state = (program.operators == VARIABLE) & (program.left < len(self.sensitivities))
+        leaves = [*np.flatnonzero(is_state).tolist(), *constants]
+        change = np.zeros(self.sensitivities.shape[1:])
+        for leaf, slope in zip(leaves, values_and_gradient(program, points, leaves)[1], strict=True):
+            if leaf not in constants:
+                change += slope * self.sensitivities[int(program.left[leaf])]
+            elif (column, constants.index(leaf)) in self.own:
+                change += self.own[column, constants.index(leaf)][:, None] * slope
+        return np.asarray(np.sqrt((change**2).sum(axis=0)))

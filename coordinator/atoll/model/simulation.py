@@ -19,13 +19,14 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.observed_columns import ColumnCurve, ObservedColumns
+from atoll.model.observed_columns import ColumnCurve, ColumnErrors, ObservedColumns
 from atoll.model.vector_field import JointErrors, VectorField
 from atoll_coordinator.process_steps.moments import StepMoments, predict_step_moments
 from atoll_coordinator.process_steps.paths import (
@@ -110,13 +111,15 @@ class SimulationResult:
     remark: str = ""
     observed: Mapping[str, ColumnCurve] = field(default_factory=dict)
 
+    @cached_property
+    def curves(self) -> dict[str, ColumnCurve]:
+        """The values (N,) of the states, and then of the observed columns, by name, with their bands."""
+        spreads = [[None] * len(self.states) if of is None else [*of.T] for of in (self.stderr, self.lower, self.upper)]
+        return dict(zip(self.states, map(ColumnCurve, self.x.T, *spreads), strict=True)) | dict(self.observed)
+
     def __getitem__(self, state: str) -> FloatArray:
         """Return the values (N,) of a state or an observed column by name; raises KeyError for an unknown name."""
-        if state in self.observed:
-            return self.observed[state].values
-        if state not in self.states:
-            raise KeyError(state)
-        return np.asarray(self.x[:, self.states.index(state)])
+        return self.curves[state].values
 
     def __repr__(self) -> str:
         names, count = ", ".join((*self.states, *self.observed)), len(self.t)
@@ -130,18 +133,13 @@ class SimulationResult:
 
         Raises KeyError for an unknown name, UsageError if the errors of the constants are not known.
         """
-        column = self.observed.get(state)
-        if column is None and state not in self.states:
-            raise KeyError(state)
-        if column is not None and column.lower is not None and column.upper is not None:
-            return column.lower, column.upper
-        if column is not None or self.lower is None or self.upper is None:
+        curve = self.curves[state]
+        if curve.lower is None or curve.upper is None:
             raise UsageError(
                 f"there is no band of {shown(state)}: the errors of the constants are not known or not propagated; "
                 "params has the constants with their errors"
             )
-        place = self.states.index(state)
-        return np.asarray(self.lower[:, place]), np.asarray(self.upper[:, place])
+        return curve.lower, curve.upper
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError without that library."""
@@ -152,14 +150,10 @@ class SimulationResult:
 
         Each is (N,).
         """
-        columns = {self.time: self.t, **dict(zip(self.states, self.x.T, strict=True))}
-        columns |= {name: column.values for name, column in self.observed.items()}
-        if self.lower is not None and self.upper is not None:
-            for name, lower, upper in zip(self.states, self.lower.T, self.upper.T, strict=True):
-                columns |= {f"{name}_lower": lower, f"{name}_upper": upper}
-        for name, column in self.observed.items():
-            if column.lower is not None and column.upper is not None:
-                columns |= {f"{name}_lower": column.lower, f"{name}_upper": column.upper}
+        columns = {self.time: self.t} | {name: curve.values for name, curve in self.curves.items()}
+        for name, curve in self.curves.items():
+            if curve.lower is not None and curve.upper is not None:
+                columns |= {f"{name}_lower": curve.lower, f"{name}_upper": curve.upper}
         return columns
 
     def to_csv(self) -> str:
@@ -206,33 +200,20 @@ def simulate(  # noqa: PLR0913, the parts of a simulation
     }[status]
     sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
     sentence += _ROUGH_REMARK if course.is_rough else ""
-    points, values = np.zeros((0, count)), dict[str, FloatArray]()
-    if observed is not None and observed.programs:
-        points = points_along(states, t[:count], inputs)
-        values = observed.values(points)
     found = None if bands is None or status != "finished" else _sensitivities(task, bands[0], course, t)
-    if bands is None or found is None:
-        curves = {name: ColumnCurve(curve) for name, curve in values.items()}
-        return SimulationResult(field.states, t[:count], states, status, sentence, observed=curves)
-    sensitivities, root = found
-    spread = np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities))
-    curves = dict[str, ColumnCurve]()
-    if observed is not None and values:
+    spread, errors = None, None
+    if bands is not None and found is not None:
+        sensitivities, root = found
+        spread = np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities))
         own = dict(zip(bands[0].observed, root[len(bands[0].columns) :], strict=True))
-        for name, error in observed.standard_errors(points, sensitivities, own).items():
-            reach = bands[1] * error
-            curves[name] = ColumnCurve(values[name], error, values[name] - reach, values[name] + reach)
-    half = bands[1] * spread
-    return SimulationResult(
-        field.states, t, states, status, sentence, spread, states - half, states + half, observed=curves
-    )
-
-
-def points_along(states: FloatArray, t: FloatArray, inputs: Inputs | None) -> FloatArray:
-    """Return the states and inputs (D + U, N) of a simulation with `states` (N, D) at the times `t` (N,)."""
-    if inputs is None:
-        return np.ascontiguousarray(states.T)
-    return np.concatenate([states.T, np.array([inputs(at) for at in t.tolist()]).reshape(len(t), -1).T])
+        errors = ColumnErrors(sensitivities, own, bands[1])
+    curves = dict[str, ColumnCurve]()
+    if observed is not None and observed.programs:
+        driven = [] if inputs is None else [inputs(at) for at in t[:count].tolist()]
+        curves = observed.curves(np.concatenate([states.T, np.array(driven).reshape(count, -1).T]), errors)
+    reach = None if spread is None or bands is None else bands[1] * spread
+    lower, upper = (None, None) if reach is None else (states - reach, states + reach)
+    return SimulationResult(field.states, t[:count], states, status, sentence, spread, lower, upper, observed=curves)
 
 
 def state_sizes(

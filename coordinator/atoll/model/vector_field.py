@@ -17,9 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.model.equations import Parameter, numbers_of
-from atoll.model.given_sides import GivenSides, over_variables, program_of
+from atoll.model.given_sides import GivenSides, over_variables
 from atoll_coordinator.result.equations import Equation
-from atoll_coordinator.result.findings import Covariance
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
@@ -29,7 +28,6 @@ from atoll_core.expression.operators import CONSTANT, VARIABLE, Functions
 from atoll_core.expression.program import Program, constant_places, with_constants
 from atoll_core.expression.text.infix import displayed_form, to_infix
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
 from atoll_core.quoting import did_you_mean
 
 MOST_STATES: Final = 200
@@ -111,7 +109,7 @@ class VectorField:
             sides = dict(zip(sides, velocities, strict=True)) | dict(zip(velocities, sides.values(), strict=True))
         inputs = [name for name in symbols.values() if name not in sides]
         field, given = cls.of(sides, inputs, result.sizes(tuple(sides))), GivenSides.of(result)
-        return field if given is None else _with_given_sides(field, given, result)
+        return _with_given_sides(field, given, result) if given.template.sides else field
 
     @property
     def named_parameters(self) -> dict[str, Parameter]:
@@ -335,10 +333,11 @@ class JointErrors:
         given = GivenSides.of(result)
         for variable in dict.fromkeys(variables):
             equation = next(equation for equation in result.equations if equation.variable == variable)
-            coefficients = _with_coefficients(result, equation, known, given)
-            if coefficients is None:
+            origins = [place.constant for place in known.constants if place.variable == variable]
+            side = None if equation.program is None else given.explicit_side(variable, origins)
+            if side is None:
                 return None
-            program, fitted[variable] = coefficients
+            program, fitted[variable] = side
             position = field.states.index(result.symbols[variable])
             sides[variable] = position + (len(field.states) // 2 if is_acceleration(equation) else 0)
             programs[sides[variable]] = over_variables(program, [names.index(name) for name in result.names])
@@ -358,21 +357,3 @@ class JointErrors:
         """Return the derivatives (D, K) of the rates with respect to the constants at a point `x` (D,), `u` (U,)."""
         of_equations = self.field.parameter_derivatives(x, u)[:, list(self.columns)]
         return np.pad(of_equations, ((0, 0), (0, len(self.observed))))
-
-
-def _with_coefficients(
-    result: Result, equation: Equation, known: Covariance, given: GivenSides | None
-) -> tuple[Program, npt.NDArray[np.int64]] | None:
-    """Return a right-hand side that has the constants of the covariance, and their indices among its constants.
-
-    None if the covariance does not fit to the side. The indices are in node order.
-    """
-    if equation.program is None:
-        return None
-    origins = [place.constant for place in known.constants if place.variable == equation.variable]
-    if given is not None and equation.given is not None:
-        return next((pair for pair, own in given.explicit_sides(equation.variable) if own == origins), None)
-    program = program_of(equation, result.names)
-    explicit = (make_coefficients_explicit(program), as_written(program))
-    found = next((coefficients for coefficients in explicit if [*coefficients.origins] == origins), None)
-    return None if found is None else (found.program, np.arange(len(origins)))

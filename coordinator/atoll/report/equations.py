@@ -17,9 +17,10 @@ from atoll.model.equations import (
     r2_text,
     remark_on_groups,
     rounded,
+    run_names,
     side_text,
 )
-from atoll.model.given_sides import named_side, searched_parts
+from atoll.model.given_sides import searched_parts
 from atoll.report.findings import MOST_PROFILES, Findings, count_constants
 from atoll.report.markup import (
     COLORS,
@@ -40,7 +41,7 @@ from atoll.report.markup import (
     table,
 )
 from atoll.text.conclusion import conclusion
-from atoll.text.render import ENDS, checks_text, constants_line, given_lines
+from atoll.text.render import ENDS, checks_text, constants_line, given_lines, run_lines
 from atoll_coordinator.result.equations import Check, Equation, Estimate, Observation, SimpleNumber
 from atoll_coordinator.result.findings import Correlation
 from atoll_core.redaction import without_secrets
@@ -82,13 +83,14 @@ def _equation(equation: Equation, findings: Findings) -> Element:
     if equation.expression is None:
         parts = [paragraph(f"{lhs}: no equation")]
     else:
-        names = findings.result.names
-        side = named_side(equation, names)
-        formula = equation_mathml(lhs, equation.variable, equation.expression, names, side)
+        formula = equation_mathml(equation, findings.result.names)
         parts = [scrolling(f"equation {lhs}", parse_mathml(formula))]
+    if equation.runs:
+        values = [element("li", element("code", line)) for line in run_lines(equation)]
+        parts = [paragraph(f"{equation.variable}, a parameter by run:"), element("ul", *values)]
     given = given_words(equation, findings.result.names)
-    parts += [] if given is None else _given(given)
-    errors = constants_line(equation.constants if given is None else given.constants)
+    parts += _given(given)
+    errors = constants_line(given.constants)
     if errors:
         parts.append(paragraph(errors[:1].upper() + errors[1:]))
     if verdict is not None:
@@ -102,13 +104,17 @@ def _equation(equation: Equation, findings: Findings) -> Element:
 def _observation(one: Observation, findings: Findings) -> Element:
     """Return a measured column that is computed from states, with its parameters."""
     names = findings.result.names
-    given = given_words(one, names)
-    parts = [paragraph(element("code", f"{one.column} = {side_text(one, names)}"), " (measured)")]
-    return element("div", *parts, *([] if given is None else _given(given)), class_="equation")
+    formula = paragraph(element("code", f"{one.column} = {side_text(one, names)}"), " (measured)")
+    return element("div", formula, *_given(given_words(one, names)), class_="equation")
 
 
 def _given(given: GivenWords) -> list[Element]:
-    """Return the side as the user wrote it, the values of its parameters, and its unknown parts."""
+    """Return the side as the user wrote it, the values of its parameters, and its unknown parts.
+
+    Nothing is returned for a side that was found.
+    """
+    if not given.text:
+        return []
     text, *values = given_lines(given)
     lead, _, side = text.partition(": ")
     items = [element("li", element("code", value)) for value in values]
@@ -226,9 +232,11 @@ def _rows(equation: Equation, names: Sequence[str]) -> list[list[Child]]:
     is_given = equation.given is not None  # numbers of the user's text were not fitted
     listed: list[tuple[str, Estimate]] = [pair for pair in known if not is_given or pair[1].fitted is not None]
     listed += [(f"1 of {factor.of}", factor) for factor in equation.implied]
+    if equation.runs:
+        listed = [*zip(run_names(equation), equation.runs, strict=True)]
     return [
         [
-            equation.lhs,
+            "" if equation.runs else equation.lhs,
             element("span", name),
             number(estimate.value, 6),
             number(estimate.fitted, 6),

@@ -23,10 +23,12 @@ from atoll.model.equations import (
     plus_minus,
     r2_text,
     rounded,
+    run_names,
     side_text,
     unit_text,
     with_errors,
     words_of,
+    words_of_run,
 )
 from atoll.model.given_sides import GivenSides, searched_parts
 from atoll_coordinator.result.equations import (
@@ -257,7 +259,7 @@ def _simulation_line(trajectories: Sequence[Simulated]) -> list[str]:
 
 def noise_lines(result: Result) -> list[str]:
     """Return a line for each state: its noise, and how the state was smoothed."""
-    measured = {state: noise for state, noise in result.noise.items() if state not in result.hidden}
+    measured = {state: noise for state, noise in result.noise.items() if state not in result.unmeasured}
     return [f"noise of {state}: {_noise_text(noise)}" for state, noise in measured.items()]
 
 
@@ -519,8 +521,6 @@ def _complete_given_sides(result: Result, equations: Sequence[Equation], picks: 
     unknown part of its own has nothing to pick.
     """
     sides = GivenSides.of(result)
-    if sides is None:
-        return [*equations]
     slots, homes = [*sides.slots], set[int]()
     for place, equation in enumerate(equations):
         unknown = sides.template.unknown_of(equation.variable) if equation.variable in picks else None
@@ -532,7 +532,7 @@ def _complete_given_sides(result: Result, equations: Sequence[Equation], picks: 
     for place, (equation, before) in enumerate(zip(equations, result.equations, strict=True)):
         if not sides.is_given(place):
             changed.append(equation)
-        elif any(source.home in homes for source in sides.sources(place)) or place in homes:
+        elif any(source.home in homes for source in sides.composition.sources(place)) or place in homes:
             emptied = equation.model_copy(update=dict.fromkeys(_OF_FIT_ONLY) | dict.fromkeys(_LISTS_OF_FIT_ONLY, ()))
             changed.append(picked.describe(emptied, place, before.constants))
         else:
@@ -566,28 +566,29 @@ def _equation_text(
     if equation.expression is None:
         return f"{equation.lhs} = ?\n    no equation found yet"
     lines = [f"{equation.lhs} = {side_text(equation, names)}" + ("  (hidden state)" if is_hidden else "")]
+    if equation.runs:
+        lines = [f"{equation.variable}: a parameter by run", *(f"    {line}" for line in run_lines(equation))]
     given = given_words(equation, names)
-    constants = None if with_tables else constants_line(equation.constants if given is None else given.constants)
-    if given is not None:
-        lines += [f"    {line}" for line in given_lines(given)]
-    elif with_tables or constants:
+    constants = None if with_tables else constants_line(given.constants)
+    lines += [f"    {line}" for line in given_lines(given)]
+    if not given.text and (with_tables or constants):
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
     lines += ["    its constants are fitted to all groups together"] if equation.is_of_all_groups else []
     lines += units_line(equation.units)
-    texts = [side_text(group, names, is_given=given is not None) for group in equation.groups]
+    texts = [side_text(group, names, is_given=bool(given.text)) for group in equation.groups]
     lines += groups_table(equation, texts, called)
     if equation.verdict is not None:
         lines.append(f"    {equation.verdict}: {equation.reason}")
         lines += checks_lines(equation.checks, is_listed=with_tables)
-    lines.append(f"    {_standing(equation)}")
+    lines += [] if equation.runs else [f"    {_standing(equation)}"]
     most = None if with_tables else NEAREST
     if with_tables:
-        lines += constants_table(equation.constants, [] if given is None else called)
+        lines += constants_table(equation.constants, called if given.text else [])
         lines += together_line(equation.simple_together)
     if with_tables or equation.verdict != "exact":
         listed = candidates_table(
-            equation.candidates, lambda text: rounded(text, names, is_given=given is not None), most
+            equation.candidates, lambda text: rounded(text, names, is_given=bool(given.text)), most
         )
         lines += listed
         lines += ["    constants of candidates are fitted to all groups together"] if listed and texts else []
@@ -598,16 +599,25 @@ def _equation_text(
 
 def observation_lines(one: Observation, names: Sequence[str]) -> list[str]:
     """Return a measured column that is computed from states, as the user wrote it too, and its parameters."""
-    given = given_words(one, names)
-    parameters = {} if given is None else given.parameters
+    parameters = given_words(one, names).parameters
     return [observation_text(one, names), *(f"    {name} = {_words_text(words)}" for name, words in parameters.items())]
 
 
+def run_lines(equation: Equation) -> list[str]:
+    """Return a line for each value of a parameter that differs by run."""
+    pairs = zip(run_names(equation), equation.runs, strict=True)
+    remarks = {True: " (held out, fitted to this run)", False: ""}
+    return [f"{name} = {_words_text(words_of_run(one))}{remarks[bool(one.held_out)]}" for name, one in pairs]
+
+
 def given_lines(given: GivenWords) -> list[str]:
-    """Return the side as the user wrote it, the values of its parameters, and its unknown parts."""
+    """Return the side as the user wrote it, the values of its parameters, and its unknown parts.
+
+    Nothing is returned for a side that was found.
+    """
     values = [f"{name} = {_words_text(words)}" for name, words in given.parameters.items()]
     parts = [f"{label} = {text}" for label, text in given.unknowns.items()]
-    return [f"given: {given.text}", *values, *parts]
+    return [f"given: {given.text}", *values, *parts] if given.text else []
 
 
 def _written_out(equation: Equation, names: Sequence[str]) -> list[str]:

@@ -12,10 +12,9 @@ from atoll.display.curves import choose_trajectories, curves_of, label
 from atoll.display.notation import equation_mathml
 from atoll.model.arguments import initial_conditions
 from atoll.model.equations import GivenWords, given_words, r2_text, rounded, side_text
-from atoll.model.given_sides import named_side
 from atoll.model.simulation import SimulationResult
 from atoll.text.conclusion import conclusion
-from atoll.text.render import constants_line, given_lines
+from atoll.text.render import constants_line, given_lines, run_lines
 from atoll_coordinator.result.base import Number
 from atoll_coordinator.result.equations import Convergence, Equation
 from atoll_coordinator.result.listed_trajectories import Simulated
@@ -62,7 +61,7 @@ def progress(result: Result) -> dict[str, Any]:
 
 def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str, Any]:
     symbols, given = tuple(names), given_words(equation, names)
-    constants = constants_line(equation.constants if given is None else given.constants)
+    constants = constants_line(given.constants)
 
     def written(expression: str | None) -> dict[str, Any]:
         if expression is None:
@@ -74,12 +73,13 @@ def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str
         "variable": equation.variable,
         "lhs": equation.lhs,
         **written(equation.expression),
-        **({} if given is None else _given_side(equation, symbols, given)),
+        **(_given_side(equation, symbols, given) if given.text else {}),
+        **(_values_by_run(equation) if equation.runs else {}),
         "constants": constants.removeprefix("constants: ") if constants else None,
         "origin": equation.origin,
         "candidates": [
             {
-                "expression": _rounded(candidate.expression, symbols, is_given=given is not None),
+                "expression": _rounded(candidate.expression, symbols, is_given=bool(given.text)),
                 "nats": candidate.nats,
                 "r2": r2_text(candidate.r2),
                 "held_out_r2": None if candidate.held_out_r2 is None else r2_text(candidate.held_out_r2),
@@ -109,9 +109,14 @@ def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str
 
 def _given_side(equation: Equation, names: tuple[str, ...], given: GivenWords) -> dict[str, Any]:
     """Return a side with its parameters by name, and lines with the user's text and the values."""
-    expression = equation.expression or ""
-    typeset = equation_mathml(equation.lhs, equation.variable, expression, names, named_side(equation, names))
+    typeset = equation_mathml(equation, names)
     return {"expression": side_text(equation, names), "mathml": typeset, "given": given_lines(given)}
+
+
+def _values_by_run(equation: Equation) -> dict[str, Any]:
+    """Return a parameter that differs by run, with a line for each value."""
+    values = ", ".join(f"{one.estimate:.4g}" for one in equation.runs)
+    return {"lhs": equation.variable, "expression": f"{values} by run", "mathml": None, "given": run_lines(equation)}
 
 
 @lru_cache(4_096)
@@ -125,7 +130,7 @@ def _rounded(expression: str, names: tuple[str, ...], *, is_given: bool = False)
 @lru_cache(4_096)
 def _mathml(lhs: str, variable: str, expression: str, names: tuple[str, ...]) -> str | None:
     try:
-        return equation_mathml(lhs, variable, expression, names)
+        return equation_mathml(Equation(variable=variable, lhs=lhs, expression=expression), names)
     except AtollError:  # shown as text then
         return None
 

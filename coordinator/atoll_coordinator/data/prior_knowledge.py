@@ -127,6 +127,7 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
         names = (*names, *(component_name(*pair) for pair in combinations_with_replacement(roles.states, 2)))
     sides, only = _sides(config, names, symbols), config.data.only
     given = sides.single("--known", config.prior.known) | sides.single("--equation", config.prior.equations)
+    given |= dict.fromkeys(roles.by_run, "0")
     equations = tuple(name for name in names if not only or name in only or name in given)
     resolved = resolve_prior(config, equations, symbols)
     if not config.data.hidden_count:
@@ -163,9 +164,9 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     )
     equations = sides.single("--equation", config.prior.equations)
     template = _checked_template(config, equations, known, names)
-    if template is not None:
-        space = space.model_copy(update={"variables_of": _variables_of_unknowns(template, space.variables_of)})
-    given = [name for name in equations if template is not None and template.is_given(name)]
+    by_run = [symbols[name] for name in config.prior.by_run]
+    space = space.model_copy(update={"variables_of": _variables_of_unknowns(template, space.variables_of, by_run)})
+    given = [name for name in variables if template.is_given(name)]
     sought = [name for name in variables if name not in known and name not in given]
     bounds = _resolved_bounds(config.prior.bounds, sides, sought)
     shapes = _resolved_shapes(config.prior, sides, template)
@@ -212,11 +213,9 @@ def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
     """
     known, template = config.prior.known, template_of(config, dataset.names)
     return {
-        name: _known_program(name, known[name], dataset.names)
-        if name in known or template is None
-        else template.first_program(name)
+        name: _known_program(name, known[name], dataset.names) if name in known else template.first_program(name)
         for name in dataset.variables
-        if name in known or (template is not None and template.is_given(name))
+        if name in known or template.is_given(name)
     }
 
 
@@ -235,26 +234,34 @@ def guessed_programs(dataset: Dataset, config: JobConfig) -> dict[str, tuple[Pro
 
 def _checked_template(
     config: JobConfig, equations: Mapping[str, str], known: Mapping[str, str], names: Sequence[str]
-) -> EquationTemplate | None:
-    """Return the template of these sides by variable; None without a side. Raises UsageError if no job can have it."""
+) -> EquationTemplate:
+    """Return the template of these sides by variable. Raises UsageError if no job can have it."""
     check_given_equations(config)
     both = next((name for name in equations if name in known), None)
     if both is not None:
         raise UsageError(f"--known and --equation both give the equation of '{both}'; leave one of the two out")
+    both = next((name for name in config.prior.by_run if name in equations or name in known), None)
+    if both is not None:
+        raise UsageError(f"--parameter '{both} by run' is constant in each run; leave the equation of '{both}' out")
     prior = config.prior.model_copy(update={"equations": equations})
     template = template_of(config.model_copy(update={"prior": prior}), names)
-    if template is not None:
-        check_template(template)
+    check_template(template)
     return template
 
 
 def _variables_of_unknowns(
-    template: EquationTemplate, allowed: Mapping[str, tuple[str, ...]]
+    template: EquationTemplate, allowed: Mapping[str, tuple[str, ...]], by_run: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the allowed variables by equation, with the variables that unknowns name: ``?(v, u)``."""
+    """Return the allowed variables by equation, with the variables that unknowns name: ``?(v, u)``.
+
+    An unknown part may depend on a parameter that differs by run only if the user names the parameter.
+    """
     variables = dict(allowed)
     for unknown in template.unknowns:
         if unknown.variables is None:
+            if by_run:
+                others = tuple(name for name in template.names if name not in by_run)
+                variables.setdefault(unknown.home, others)
             continue
         others = variables.setdefault(unknown.home, unknown.variables)
         if set(others) != set(unknown.variables):
@@ -267,12 +274,11 @@ def _variables_of_unknowns(
 
 
 def _resolved_shapes(
-    prior: PriorConfig, sides: LeftSides, template: EquationTemplate | None
+    prior: PriorConfig, sides: LeftSides, template: EquationTemplate
 ) -> dict[str, dict[str, tuple[str, ...]]]:
     """Return the shapes by option and variable. An unknown part may be named by its label, if only one has it."""
-    unknowns = () if template is None else template.unknowns
-    labels = [one.label for one in unknowns]
-    unique = {one.label: one.home for one in unknowns if labels.count(one.label) == 1}
+    labels = [one.label for one in template.unknowns]
+    unique = {one.label: one.home for one in template.unknowns if labels.count(one.label) == 1}
     by_option: dict[str, Mapping[str, tuple[str, ...]]] = {
         "--positive": dict.fromkeys(prior.positive, ("positive",)),
         "--monotone": prior.monotone,
@@ -296,14 +302,14 @@ def _check_shapes(
 
 def _check_searched(
     by_option: Mapping[str, Mapping[str, object]], known: Mapping[str, str], given: Sequence[str],
-    template: EquationTemplate | None,
+    template: EquationTemplate,
 ) -> None:  # fmt: skip
     """Refuse options for equations that are not searched: `known` ones, and the `given` ones of a template."""
     for option, by_variable in by_option.items():
         for name in by_variable:
             if name in known:
                 raise UsageError(f"{option} names '{name}', whose equation is known; leave one of the two out")
-            if name in given and template is not None:
+            if name in given:
                 raise UsageError(f"{option} names '{name}', {_why_not_searched(template, name)}")
 
 

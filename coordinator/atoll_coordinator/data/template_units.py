@@ -32,8 +32,8 @@ def units_of_template(config: JobConfig, roles: Roles, units: Mapping[str, str])
         units: units of columns as texts, from options and headers.
     """
     columns = units_of_columns({name: text for name, text in units.items() if text}, config.data.angles)
-    template = template_of(config, tuple(assign_symbols(roles.variables).values())) if columns else None
-    if template is None:
+    template = template_of(config, tuple(assign_symbols(roles.variables).values()))
+    if not columns or not template.sides:
         return TemplateUnits()
     of_unknowns = {f"? of {unknown.home}": unknown.home for unknown in template.unknowns}
     found, faults = _solve(template, roles, columns, [*of_unknowns])

@@ -110,14 +110,13 @@ def prepare_job(
     """Return the prepared job and the bytes of its dataset; raises the errors of `prepare_table`."""
     from atoll_coordinator.model.batches import spreading
     from atoll_coordinator.model.deadline import Deadline
-    from atoll_coordinator.model.hidden.alternation import with_proposed_states
+    from atoll_coordinator.model.hidden.alternation import with_hidden_states, with_proposed_states
     from atoll_coordinator.model.result.known_equations import known_entries, warn_of_missing_values
     from atoll_coordinator.model.sparse.laws import (  # loads kernels
         find_laws_among_many,
         screen_variables,
         settled_variables,
     )
-    from atoll_coordinator.model.template.hidden_states import with_hidden_states
     from atoll_coordinator.model.template.unknown_targets import with_unknown_targets
     from atoll_coordinator.tasks.defaults import resolve, with_units
 

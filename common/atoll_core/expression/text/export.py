@@ -35,8 +35,9 @@ _UNIT_PART: Final = re.compile(
 """A power, a product, or other text."""
 
 
-Parts = Mapping[int, str]
-"""Markup that is written for variables, by index, instead of their names."""
+Parts = Mapping[int, tuple[str, Program]]
+"""Labels and programs that are written for variables, by index: a brace with the label is below the program."""
+_NO_PARTS: Final[Parts] = MappingProxyType({})
 
 
 def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
@@ -48,37 +49,27 @@ def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
 
 
 def to_latex(
-    program: Program,
-    names: Sequence[str],
-    *,
-    digits: int = 6,
-    is_given: bool = False,
-    parts: Parts = MappingProxyType({}),
+    program: Program, names: Sequence[str], *, digits: int = 6, is_given: bool = False, parts: Parts = _NO_PARTS
 ) -> str:
     """Return `program` as LaTeX mathematics, in the form of `to_infix`. Constants have `digits` significant digits.
 
-    Factors are separated by a space if a name is a word. `is_given` is as in `to_infix`.
+    Factors are separated by a space if a name is a word. `is_given` is as in `to_infix`. The variables of `parts` come
+    after the `names`.
     """
     has_words = any(r"\mathrm" in name or r"\text" in name for name in map(_latex_name, names))
-    return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ", parts).render(
-        displayed_form(program, digits, is_given=is_given)
-    )
+    return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ", parts).typeset(program, is_given=is_given)
 
 
 def to_mathml(
-    program: Program,
-    names: Sequence[str],
-    *,
-    digits: int = 6,
-    is_given: bool = False,
-    parts: Parts = MappingProxyType({}),
+    program: Program, names: Sequence[str], *, digits: int = 6, is_given: bool = False, parts: Parts = _NO_PARTS
 ) -> str:
     """Return `program` as presentation MathML without its ``math`` element, in the form of `to_infix`.
 
-    Factors are separated by dots if a name has several letters, and before numbers. `is_given` is as in `to_infix`.
+    Factors are separated by dots if a name has several letters, and before numbers. The other arguments are as in
+    `to_latex`.
     """
     times = _MATHML.dot if any(len(name) > 1 for name in names) else "<mo>\u2062</mo>"
-    return _Typeset(_MATHML, names, digits, times, parts).render(displayed_form(program, digits, is_given=is_given))
+    return _Typeset(_MATHML, names, digits, times, parts).typeset(program, is_given=is_given)
 
 
 class _Sympy(Renderer["sympy.Expr"]):
@@ -120,8 +111,9 @@ class _Markup(NamedTuple):
     """Templates of a markup language, and a function that writes a `name`.
 
     The template `scaled` is for a number times a power of ten, `addend` for a sign and a term, and `product` for a
-    factor, a multiplication sign and a factor. `derivatives` has one template for each order of a derivative (0, 1, 2).
-    The template writes a left-hand side from its function and variable.
+    factor, a multiplication sign and a factor; `braced` for an expression above a brace and a label. `derivatives` has
+    one template for each order of a derivative (0, 1, 2). The template writes a left-hand side from its function and
+    variable.
     """
 
     name: Callable[[str], str]
@@ -138,6 +130,7 @@ class _Markup(NamedTuple):
     root: str
     magnitude: str
     call: str
+    braced: str
     derivatives: tuple[str, str, str]
 
 
@@ -145,13 +138,17 @@ class _Typeset(Renderer[str]):
     """Renders forms in a markup language: quotients as fractions, powers raised.
 
     `digits` are the significant digits of constants; `times` is the multiplication sign between factors that are not
-    numbers. `parts` is written for some variables.
+    numbers. `parts` are written for some variables.
     """
 
     def __init__(self, markup: _Markup, names: Sequence[str], digits: int, times: str, parts: Parts) -> None:
         super().__init__()
         self._parts = parts
         self._markup, self._names, self._digits, self._times = markup, names, digits, times
+
+    def typeset(self, program: Program, *, is_given: bool) -> str:
+        """Return a program as markup."""
+        return self.render(displayed_form(program, self._digits, is_given=is_given))
 
     def negative(self, operand: str) -> str:
         return self._markup.negative.format(operand)
@@ -160,7 +157,7 @@ class _Typeset(Renderer[str]):
         markup = self._markup
         match form.kind:
             case Kind.NAME:
-                return self._parts.get(form.index) or markup.name(self._names[form.index])
+                return self._variable(form.index)
             case Kind.NUMBER:
                 mantissa, _, power = f"{form.value:.{self._digits}g}".partition("e")
                 return markup.scaled.format(mantissa, int(power)) if power else markup.number.format(mantissa)
@@ -184,6 +181,13 @@ class _Typeset(Renderer[str]):
             case Kind.POWER:
                 base, exponent = form.parts
                 return markup.power.format(self._base(base), self._open(exponent))
+
+    def _variable(self, index: int) -> str:
+        if index not in self._parts:
+            return self._markup.name(self._names[index])
+        label, part = self._parts[index]
+        inside = _Typeset(self._markup, self._names, self._digits, self._times, _NO_PARTS)
+        return self._markup.braced.format(inside.typeset(part, is_given=True), label)
 
     def _called(self, code: int, argument: Signed) -> str:
         if code == SQRT:
@@ -272,6 +276,7 @@ _LATEX: Final = _Markup(
     root=r"\sqrt{{{}}}",
     magnitude=r"\left|{}\right|",
     call=r"\{}{}",
+    braced=r"\underbrace{{{}}}_{{{}}}",
     derivatives=("{}", r"\frac{{d {}}}{{d {}}}", r"\frac{{d^{{2}} {}}}{{d {}^{{2}}}}"),
 )
 _MATHML: Final = _Markup(
@@ -289,6 +294,7 @@ _MATHML: Final = _Markup(
     root="<msqrt>{}</msqrt>",
     magnitude="<mrow><mo>|</mo>{}<mo>|</mo></mrow>",
     call="<mrow><mi>{}</mi><mo>\u2061</mo>{}</mrow>",
+    braced='<munder><munder><mrow>{}</mrow><mo stretchy="true">\u23df</mo></munder><mtext>{}</mtext></munder>',
     derivatives=(
         "{}",
         "<mfrac><mrow><mi>d</mi>{}</mrow><mrow><mi>d</mi>{}</mrow></mfrac>",

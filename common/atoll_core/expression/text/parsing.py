@@ -52,6 +52,11 @@ def from_infix(text: str, names: Sequence[str], *, merges_constants: bool = True
     return _Parser(text, names, merges_constants).parse()
 
 
+def names_in(text: str) -> list[str]:
+    """Return the names in an expression, without the names of called functions, in the order of the text."""
+    return [token.text for token in _tokens(text) if token.kind == "name"]
+
+
 @dataclass(frozen=True, slots=True)
 class _Token:
     kind: _Kind

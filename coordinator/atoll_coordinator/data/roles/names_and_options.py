@@ -4,9 +4,9 @@ A unit is a product of powers of known symbols, such as ``m s^-2``, ``mol/(L h)`
 distinguishes units from data and from remarks in a header; `atoll_coordinator.units` interprets them.
 """
 
-import math
+import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 from atoll_core.config import DataConfig, JobConfig
@@ -56,20 +56,28 @@ _EXCLUSIONS: Final = (
     ("per_trajectory", "holdout", "constants of held-out trajectories are unknown"),
 )
 """Pairs of options that exclude each other, and why."""
-_WITHOUT_EQUATIONS: Final = (
-    ("stochastic", "the likelihood of a step has no given equations"),
-    ("target", "parameters are fitted to trajectories, and rows of an explicit regression are not trajectories"),
-    ("derivatives", "parameters are fitted to trajectories, and not to given derivatives"),
-    ("group", "given equations with constants by group are not possible yet"),
-    ("per_trajectory", "given equations with constants by trajectory are not possible yet"),
+_SHAPES: Final = "positive monotone limit"
+_EXCLUSIONS_OF_PRIORS: Final = (
+    ("equation", "stochastic", "the likelihood of a step has no given equations"),
+    ("equation", "target", "parameters are fitted to trajectories, and rows of an explicit regression are not"),
+    ("equation", "derivatives", "parameters are fitted to trajectories, and not to given derivatives"),
+    ("equation", "group", "name the parameters that differ with --parameter 'c by run', or submit a job for each"),
+    ("equation", "per_trajectory", "name the parameters that differ, as in --parameter 'c by run'"),
+    ("equation", "preset", "the algorithm of the paper has no given equations"),
+    (
+        "hidden_count",
+        "equation known initial",
+        "name the states of given equations, instead of a number",
+    ),
+    ("hidden_count", "preset", "the algorithm of the paper has no hidden states"),
+    (_SHAPES, "stochastic", "shapes are demanded of equations without noise"),
+    (_SHAPES, "group", "shapes with constants by group are not possible yet"),
+    (_SHAPES, "per_trajectory", "shapes with constants by trajectory are not possible yet"),
 )
-"""Options that exclude equations given with ``--equation``, and why."""
-_WITHOUT_SHAPES: Final = (
-    ("stochastic", "shapes are demanded of equations without noise"),
-    ("group", "shapes with constants by group are not possible yet"),
-    ("per_trajectory", "shapes with constants by trajectory are not possible yet"),
-)
-"""Options that exclude shapes, and why."""
+"""The same for options of prior knowledge and the preset of the paper."""
+_CALLED: Final = {"hidden_count": "hidden"}
+_VALUES: Final = {"order": 2, "preset": "paper"}
+"""Names of options, and values that are named with the option."""
 _COMPATIBLE: Final = ({"inputs", "time"}, {"trajectory", "group"})
 """Roles that one column may have."""
 _WITH_UNIT: Final = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
@@ -145,15 +153,7 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
 def check_options(config: DataConfig) -> None:
     """Raise UsageError if options contradict each other, regardless of the data."""
 
-    def is_set(name: str) -> bool:
-        return config.order == 2 if name == "order" else getattr(config, name) not in (None, False, (), {})
-
-    for name, others, reason in _EXCLUSIONS:
-        for other in others.split():
-            if is_set(name) and is_set(other):
-                option = "hidden" if name == "hidden_count" else name
-                fields = (Field(option, 2 if option == "order" else None) for option in (option, other))
-                raise UsageError(f"%s and %s exclude each other; {reason}", *fields)
+    _check_exclusions(_EXCLUSIONS, lambda name: _is_set(config, name))
     if config.derivatives is not None and config.states is not None and len(config.derivatives) != len(config.states):
         counts = f"{len(config.states)} states and {len(config.derivatives)} derivatives"
         raise UsageError(f"{counts} were named; name one derivative for each state, in the same order")
@@ -174,51 +174,35 @@ def check_options(config: DataConfig) -> None:
 def check_given_equations(config: JobConfig) -> None:
     """Raise UsageError if a job of this kind can have no given equations, or if a parameter has impossible bounds."""
     prior, data = config.prior, config.data
-    _check_shapes(config)
-    for name, one in prior.parameters.items():
-        lower, upper = (-math.inf if one.lower is None else one.lower), (math.inf if one.upper is None else one.upper)
-        if not lower < upper:
-            raise UsageError(f"%s {name}: the lower bound {lower:g} is not below {upper:g}", Field("parameter"))
-        if one.start is not None and not lower <= one.start <= upper:
-            inside = f"outside its bounds {lower:g} to {upper:g}"
-            raise UsageError(f"%s {name}: the start value {one.start:g} is {inside}", Field("parameter"))
-    _check_number_of_hidden_states(config)
-    if not prior.equations:
-        if prior.parameters and not data.observe:
-            name = next(iter(prior.parameters))
-            fields = (Field("parameter"), Field("equation"))
-            raise UsageError(f"%s {name} belongs to no equation; give one with %s", *fields)
-        return
-    for option, reason in _WITHOUT_EQUATIONS:
-        if getattr(data, option) not in (None, False):
-            raise UsageError(f"%s and %s exclude each other; {reason}", Field("equation"), Field(option))
-    if config.preset == "paper":
-        reason = "the algorithm of the paper has no given equations"
-        raise UsageError(f"%s and %s exclude each other; {reason}", Field("equation"), Field("preset", "paper"))
+    given: dict[str, object] = {
+        "equation": prior.equations, "known": prior.known, "initial": prior.initial, "positive": prior.positive,
+        "monotone": prior.monotone, "limit": prior.limits, "preset": config.preset == "paper",
+    }  # fmt: skip
+    _check_exclusions(_EXCLUSIONS_OF_PRIORS, lambda name: bool(given[name]) if name in given else _is_set(data, name))
+    for option, by_name in (("parameter", prior.parameters), ("initial", prior.initial)):
+        for name, one in by_name.items():
+            lower, upper = one.ends
+            if lower > upper or (lower == upper and option == "parameter"):
+                raise UsageError(f"%s {name}: the lower bound {lower:g} is not below {upper:g}", Field(option))
+            if one.start is not None and not lower <= one.start <= upper:
+                inside = f"outside its bounds {lower:g} to {upper:g}"
+                raise UsageError(f"%s {name}: the start value {one.start:g} is {inside}", Field(option))
+    if prior.parameters and not prior.equations and not data.observe:
+        name = next(iter(prior.parameters))
+        raise UsageError(f"%s {name} belongs to no equation; give one with %s", Field("parameter"), Field("equation"))
 
 
-def _check_number_of_hidden_states(config: JobConfig) -> None:
-    """Raise UsageError if hidden states are given by number, but equations are given, too."""
-    prior = config.prior
-    if config.data.hidden_count is None:
-        return
-    others = {"equation": prior.equations, "known": prior.known, "initial": prior.initial}
-    for name, given in others.items():
-        if given:
-            advice = 'name the hidden states and give their equations with --equation "dh/dt=…"'
-            raise UsageError(f"%s as a number and %s exclude each other; {advice}", Field("hidden"), Field(name))
-    if config.preset == "paper":
-        reason = "the algorithm of the paper has no hidden states"
-        raise UsageError(f"%s and %s exclude each other; {reason}", Field("hidden"), Field("preset", "paper"))
+def _check_exclusions(exclusions: Iterable[tuple[str, str, str]], is_set: Callable[[str], bool]) -> None:
+    """Raise UsageError if two options are set that exclude each other."""
+    for names, others, reason in exclusions:
+        for name, other in itertools.product(names.split(), others.split()):
+            if is_set(name) and is_set(other):
+                fields = (Field(_CALLED.get(one, one), _VALUES.get(one)) for one in (name, other))
+                raise UsageError(f"%s and %s exclude each other; {reason}", *fields)
 
 
-def _check_shapes(config: JobConfig) -> None:
-    """Raise UsageError if a job of this kind can demand no shapes."""
-    prior = config.prior
-    for option, reason in _WITHOUT_SHAPES if prior.shaped else ():
-        if getattr(config.data, option) not in (None, False):
-            field = Field("positive" if prior.positive else "monotone" if prior.monotone else "limit")
-            raise UsageError(f"%s and %s exclude each other; {reason}", field, Field(option))
+def _is_set(config: DataConfig, name: str) -> bool:
+    return config.order == 2 if name == "order" else getattr(config, name) not in (None, False, (), {})
 
 
 def are_units(texts: Sequence[str]) -> bool:

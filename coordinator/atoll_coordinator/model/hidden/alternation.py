@@ -5,10 +5,17 @@ states, measured and hidden, and the best sums of each equation are fitted toget
 measured columns count. The best system by score is then fitted in segments, each with hidden initial states of its own.
 So the measured columns pull the hidden course away from the law where the law is wrong. The steps between segments are
 spread over the segments, and this course is the start of the next round. The rounds of a start end when the description
-does not become shorter. The best system of all starts gives the course of the search, as simulated along whole
-trajectories, and its equations are the first laws of refining.
+does not become shorter, or when the residuals are like noise. The best system of all starts gives the course of the
+search, as simulated along whole trajectories, and its equations are the first laws of refining.
 
-The coordinates are fixed by convention: before a regression, a course gets mean 0 and standard deviation 1.
+With given equations, the start is the fit in which linear functions stand for the unknown parts, and sums of products
+are fitted to the values of the unknown parts. This needs a course that does not depend on the law: rounds are made only
+if the measured columns and the given parts determine it, as they determine a velocity from positions. If no system has
+residuals like noise, the search gets the corrected course: along a simulated course, an unknown part is what was
+simulated.
+
+Without given equations, the coordinates are fixed by convention: before a regression, a course gets mean 0 and standard
+deviation 1.
 
 Doubts. A law that is no sum of products is only approximated here; the search and refining begin at this approximation,
 in its coordinates. Systems along whole chaotic trajectories cannot be fitted.
@@ -17,7 +24,7 @@ Letters: D states, H hidden states, R rows of one trajectory, N rows of all traj
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Final
@@ -25,25 +32,39 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.batches import BatchFunction, Spread
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.description_length import log, structure_length
 from atoll_coordinator.model.hidden.coordinates import Course, propose_courses
+from atoll_coordinator.model.hidden.correction import (
+    course_by_segments,
+    course_by_smoother,
+    is_determined,
+    simulate_all,
+    simulated_course,
+)
 from atoll_coordinator.model.pools import Law, LawsByGroup
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
-from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.many_starts import StartPoint, StartsProblem
 from atoll_coordinator.model.sparse.atoms import polynomial_libraries, product_atoms
 from atoll_coordinator.model.sparse.regression import SparseRegression
 from atoll_coordinator.model.sparse.rows import RegressionRows
-from atoll_coordinator.model.template.hidden_states import HiddenCourse, states_and_rates
+from atoll_coordinator.model.template.hidden_states import (
+    HiddenCourse,
+    fit_course,
+    linear_parts,
+    with_initial_values,
+)
+from atoll_coordinator.model.template.unknown_targets import with_unknown_targets
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
-from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError
 from atoll_core.expression.program import MAX_NODES, Program, structure
+from atoll_core.expression.template import ZERO
 
 _ROUNDS: Final = 5
 """Most rounds of one start: in later rounds, descriptions of the systems tried here changed little."""
@@ -52,11 +73,16 @@ _DEGREES: Final = range(1, SETTINGS.sparse.degree)
 
 _ROWS_OF_AN_ERROR: Final = 16.0
 """Rows whose rates have an error in common, at most: about the span of a smoother."""
+_SHARE_OF_TIME: Final = 0.5
+"""Largest share of ``--max-time`` for hidden states of given equations; the search and refining need the rest."""
 
 
 @dataclass(frozen=True, eq=False)
 class CourseProblem:
-    """What all starts share: the preparation before any course is recorded, and the resolved configuration."""
+    """What all starts share: the preparation before any course is recorded, and the resolved configuration.
+
+    With given equations, the preparation has the parameters of the first fit, and the parts by which it was made.
+    """
 
     preparation: Preparation
     config: JobConfig
@@ -64,13 +90,73 @@ class CourseProblem:
 
 @dataclass(frozen=True, eq=False)
 class CourseOutcome:
-    """The best system of one start: its equations, its course along all trajectories, its nats, and whether the
-    residuals are like noise."""
+    """The best system of one start.
+
+    `programs` are the searched equations or unknown parts, `course` is simulated along all trajectories, and `nats` are
+    the length of the description. `corrected` is the course by the smoother, with given equations; None: the residuals
+    are like noise, or there is no such course.
+    """
 
     programs: tuple[Program, ...]
     course: Course
     nats: float
     is_like_noise: bool
+    corrected: Course | None = None
+
+
+def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spread | None = None) -> Preparation:
+    """Return the preparation with the course of the hidden states of given equations; the preparation itself if there
+    are none.
+
+    `config` is resolved; `spread` computes fits in threads or on workers. With a time limit, no further starts are
+    tried after half of it.
+
+    Raises:
+        DataError: the system can be simulated from no start.
+    """
+    recording = preparation.recording
+    if recording is None:
+        return preparation
+    recording = with_initial_values(recording, config)
+    preparation = replace(preparation, recording=recording)
+    template = template_of(config, preparation.dataset.names)
+    if template is None or not (recording.hidden or recording.observed):
+        return preparation
+    spread, limit = spread or Spread(), config.budget.max_time
+    deadline = None if limit is None else Deadline(_SHARE_OF_TIME * limit)
+    first = fit_course(preparation, config, linear_parts(template, config, preparation), spread, deadline)
+    if not (recording.hidden and first.slots) or (deadline is not None and deadline.is_over):
+        return first.record(preparation)
+    start = replace(preparation, parameters=first.parameters, parts=first.slots, minima=first.minima)
+    course = _first_correction(start, config, _hidden_part(first.record(preparation)))
+    found = None if course is None else next(iter(_improve(CourseProblem(start, config), course, deadline)), None)
+    if found is None:
+        return first.record(preparation)
+    programs = dict(zip(preparation.dataset.variables, found.programs, strict=True))
+    slots = {name: programs[name] for name in first.slots}
+    if any(structure(slots[name]) != structure(part) for name, part in first.slots.items()):
+        first = fit_course(start, config, slots, spread, deadline)
+    if found.corrected is None:
+        return first.record(preparation)
+    start = replace(preparation, parameters=first.parameters, parts=first.slots, minima=first.minima)
+    return _record(start, found.corrected)
+
+
+def _first_correction(preparation: Preparation, config: JobConfig, course: Course) -> Course | None:
+    """Return the course that the measured columns determine where the first fit contradicts them.
+
+    None: the residuals are like noise, or the law is needed to determine the course; then a law that is wrong would be
+    found again.
+    """
+    task = _task_of(_record(preparation, course), config)
+    comparison = task.comparison
+    fitted = _fit_along(comparison, [preparation.parts.get(name, ZERO) for name in task.variables])
+    if fitted is None or comparison.score.excess(fitted) <= SETTINGS.inference.excess:
+        return None
+    fits = simulate_all(task, fitted)
+    if fits is None or not is_determined(task, fitted, fits):
+        return None
+    return course_by_smoother(task, fitted, fits, course.coordinates)
 
 
 def with_proposed_states(
@@ -103,40 +189,63 @@ def with_proposed_states(
 
 
 def _record(preparation: Preparation, course: Course) -> Preparation:
-    """Return the preparation with this course of the hidden states."""
+    """Return the preparation with this course of the hidden states, and with its own parameters."""
     assert preparation.recording is not None
     values, rates = np.concatenate(course.values, axis=1), np.concatenate(course.rates, axis=1)
-    whole = HiddenCourse(preparation.recording.hidden, values, rates, (), {}, None)
+    whole = HiddenCourse(
+        preparation.recording.hidden, values, rates, preparation.parameters, preparation.parts, preparation.minima
+    )
     return whole.record(preparation)
+
+
+def _hidden_part(preparation: Preparation) -> Course:
+    """Return the course of hidden states that is recorded in a preparation."""
+    recording = preparation.recording
+    assert recording is not None
+    places = [recording.states.index(name) for name in recording.hidden]
+    parts = recording.trajectories
+    return Course("given", tuple(part.smoothed[places] for part in parts), tuple(part.slopes[places] for part in parts))
 
 
 # ---------------------------------------------------------------------------------------------------------- one start
 
 
-def _improve(problem: CourseProblem, course: Course) -> tuple[CourseOutcome, ...]:
+def _improve(problem: CourseProblem, course: Course, deadline: Deadline | None = None) -> tuple[CourseOutcome, ...]:
     """Return the best system that begins with a course; nothing if none can be simulated."""
     best: CourseOutcome | None = None
+    preparation = problem.preparation
     for _ in range(_ROUNDS):
-        prepared = _record(problem.preparation, course)
-        task = _task_of(prepared, problem.config)
+        if deadline is not None and deadline.is_over:
+            break
+        task = _task_of(_record(preparation, course), problem.config)
         comparison = task.comparison
-        fitted = _best_system(task, comparison)
+        fitted = _best_system(task, comparison, preparation.parts)
         if fitted is None or not math.isfinite(fitted.nats):
             break
         if best is not None and fitted.nats > best.nats - SETTINGS.selection.least_gain:
             break
-        fits = _simulate(task, fitted)
+        fits = simulate_all(task, fitted)
         if fits is None:
             break
-        nothing = np.zeros_like(fits[False].simulated)
-        own = _course_of(task, fits, fits[False].simulated, nothing, course.coordinates)
+        own = simulated_course(task, fits, course.coordinates)
         is_like_noise = comparison.score.excess(fitted) <= SETTINGS.inference.excess
-        best = CourseOutcome(fitted.programs, own, fitted.nats, is_like_noise)
-        corrected = None if is_like_noise else _corrected_course(task, fitted, fits, course.coordinates)
+        if task.template is None:
+            best = CourseOutcome(fitted.programs, own, fitted.nats, is_like_noise)
+            corrected = None if is_like_noise else course_by_segments(task, fitted, fits, course.coordinates)
+        else:
+            corrected = None if is_like_noise else course_by_smoother(task, fitted, fits, course.coordinates)
+            best = CourseOutcome(fitted.programs, own, fitted.nats, is_like_noise, corrected)
+            preparation = _with_parts(preparation, dict(zip(task.variables, fitted.programs, strict=True)), fitted)
         if corrected is None:
             break
-        course = corrected.normalised(task.recording)
+        course = corrected.normalised(task.recording) if task.template is None else corrected
     return () if best is None else (best,)
+
+
+def _with_parts(preparation: Preparation, programs: Mapping[str, Program], fitted: FittedModel) -> Preparation:
+    """Return the preparation with the parameters and unknown parts of a fitted system."""
+    parameters = tuple(fitted.fit.system.parameter_values.tolist())
+    return replace(preparation, parameters=parameters, parts={name: programs[name] for name in preparation.parts})
 
 
 _STARTS: Final[BatchFunction[CourseProblem, Course, tuple[CourseOutcome, ...]]] = BatchFunction(
@@ -145,23 +254,37 @@ _STARTS: Final[BatchFunction[CourseProblem, Course, tuple[CourseOutcome, ...]]] 
 
 
 def _task_of(preparation: Preparation, config: JobConfig) -> ModellingTask:
-    """Return the task of fitting whole trajectories."""
+    """Return the task of fitting whole trajectories; with given equations, only unknown parts are searched."""
+    preparation = with_unknown_targets(preparation, config)
     recording = preparation.recording
     assert recording is not None
-    candidates = {name: CandidateSet() for name in preparation.dataset.variables}
-    task = ModellingTask(preparation.dataset, recording, config, candidates)
+    known = None if template_of(config, preparation.dataset.names) is None else ZERO
+    candidates = {
+        name: CandidateSet(known=None if name in preparation.parts else known) for name in preparation.dataset.variables
+    }
+    parameters = np.array(preparation.parameters) if preparation.parameters else None
+    task = ModellingTask(preparation.dataset, recording, config, candidates, parameters=parameters)
     return replace(task, piece=task.longest)
 
 
-def _best_system(task: ModellingTask, comparison: ModelComparison) -> FittedModel | None:
-    """Return the best system of the sums proposed for each equation, fitted along whole trajectories."""
-    sums = [_propose_sums(task, name) for name in task.variables]
-    models = list[FittedModel]()
-    for programs in product(*sums):
-        model = _fit_along(comparison, programs)
-        if model is not None:
-            models.append(model)
-    return min(models, key=lambda model: model.nats, default=None)
+def _best_system(task: ModellingTask, comparison: ModelComparison, parts: Mapping[str, Program]) -> FittedModel | None:
+    """Return the best system of the sums proposed for each equation, fitted along whole trajectories.
+
+    With the `parts` of a system that is known already, its parts are replaced one after another.
+    """
+    if not parts:
+        systems = product(*(_propose_sums(task, name) for name in task.variables))
+        models = [model for programs in systems if (model := _fit_along(comparison, programs)) is not None]
+        return min(models, key=lambda model: model.nats, default=None)
+    programs = [parts.get(name, ZERO) for name in task.variables]
+    best = _fit_along(comparison, programs)
+    for place, name in enumerate(task.variables):
+        for program in _propose_sums(task, name) if name in parts else ():
+            model = _fit_along(comparison, [*programs[:place], program, *programs[place + 1 :]])
+            if model is not None and (best is None or model.nats < best.nats):
+                best = model
+        programs = programs if best is None else list(best.programs)
+    return best
 
 
 def _propose_sums(task: ModellingTask, name: str) -> list[Program]:
@@ -214,66 +337,3 @@ def _fit_along(comparison: ModelComparison, programs: Sequence[Program]) -> Fitt
         is_stiff=point.is_stiff,
     )  # fmt: skip
     return None if fit is None else comparison.score_fit(fit)
-
-
-# ------------------------------------------------------------------------------------------------------- its course
-
-
-def _simulate(task: ModellingTask, model: FittedModel) -> dict[bool, TrajectoryFit] | None:
-    """Return the model along all rows, of held-out trajectories (True) and of the others; None if that fails."""
-    fits = dict[bool, TrajectoryFit]()
-    for held_out in sorted({part.held_out for part in task.recording.trajectories}):
-        measurements = task.measurements(task.variables, held_out=held_out)
-        estimator = task.make_comparison(measurements, task.variables).estimator
-        starts, steps = (None, SETTINGS.effort.steps) if held_out else (model.fit.starts, 0)
-        fit = estimator.fit(model.fit.system.with_fixed_constants(), None, steps, starts, model.fit.errors)
-        if fit is None:
-            return None
-        fits[held_out] = fit
-    return fits
-
-
-def _course_of(
-    task: ModellingTask, fits: dict[bool, TrajectoryFit], states: FloatArray, slopes: FloatArray, coordinates: str
-) -> Course:
-    """Return the hidden states and their rates by trajectory, with `states` (D, N) of the trajectories that are not
-    held out, and `slopes` (D, N) in addition to the rates by the equations."""
-    hidden = [task.variables.index(name) for name in task.recording.hidden]
-    values, rates = list[FloatArray](), list[FloatArray]()
-    own = {held_out: fit.simulated for held_out, fit in fits.items()} | {False: states}
-    parts = zip(task.recording.trajectories, states_and_rates(task, fits, own), strict=True)
-    for part, (course, by_law, rows) in parts:
-        values.append(np.ascontiguousarray(course[hidden]))
-        rates.append(by_law[hidden] if part.held_out else by_law[hidden] + slopes[hidden, rows])
-    return Course(coordinates, tuple(values), tuple(rates))
-
-
-def _corrected_course(
-    task: ModellingTask, model: FittedModel, fits: dict[bool, TrajectoryFit], coordinates: str
-) -> Course | None:
-    """Return the hidden course of the system fitted in segments, without steps between them; None if that fails.
-
-    A step from the end of one segment to the start of the next is an error of the law over a segment. The course is
-    moved by a broken line that is continuous with half of each step at either side, and the slope of this line is added
-    to the rates.
-    """
-    estimator, length = fits[False].estimator, SETTINGS.shooting.lengths[1]
-    measurements = estimator.measurements
-    segments, times = measurements.segments(length), measurements.times
-    starts = np.ascontiguousarray(fits[False].simulated[:, segments[:, 0]].T)
-    fit = estimator.fit(model.fit.system, length, SETTINGS.effort.steps, starts, model.fit.errors)
-    if fit is None:
-        return None
-    states, slopes = fit.simulated.copy(), np.zeros_like(fit.simulated)
-    ends, steps = set(measurements.bounds[:, 1].tolist()), np.zeros((len(segments) + 1, len(states)))
-    for place, (begin, end) in enumerate(segments.tolist()):
-        if end not in ends and end - begin > 1:
-            ahead = (times[end] - times[end - 1]) / (times[end - 1] - times[end - 2])
-            steps[place + 1] = states[:, end] - states[:, end - 1] - ahead * (states[:, end - 1] - states[:, end - 2])
-    for place, (begin, end) in enumerate(segments.tolist()):
-        if end - begin < 2:
-            continue
-        slope = 0.5 * (steps[place] + steps[place + 1]) / (times[end - 1] - times[begin])
-        slopes[:, begin:end] = slope[:, None]
-        states[:, begin:end] += slope[:, None] * (times[begin:end] - times[begin]) - 0.5 * steps[place][:, None]
-    return _course_of(task, fits | {False: fit}, states, slopes, coordinates)

@@ -32,6 +32,7 @@ from atoll_coordinator.model.inference.final_model import FinalModel, estimate_e
 from atoll_coordinator.model.inference.long_run import assess_long_run
 from atoll_coordinator.model.inference.prediction import AlternativeSystem, compare_predictions, draw_systems
 from atoll_coordinator.model.inference.remarks import warn_of_random_walk
+from atoll_coordinator.model.inference.run_values import values_by_run
 from atoll_coordinator.model.inference.template_checks import TemplateChecks
 from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
@@ -85,12 +86,17 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     else:
         spread = simulated_standard_errors(measurements, final.free.fit, errors.finite_covariance, errors.scale)
     observations = _describe_observations(final, of_groups[0])
+    simulations = (final.shown_fit, spread), held_out_simulation or (None, None)
+    runs = values_by_run(task.config.prior.by_run, simulations, errors.degrees_of_freedom)
     compared: list[TrajectoryChecks] = []
     for index, prediction in enumerate(predictions):
         r2 = held_out_r2[final.columns[index]]
-        equation = _describe_equation(final, index, constants[index], by_group[index], r2, prediction)
+        equation = replace(
+            _describe_equation(final, index, constants[index], by_group[index], r2, prediction),
+            runs=runs.get(task.variables[index], ()),
+        )
         given = final, long_run, index, equation, r2, compared
-        is_plain = final.comparison.template is None and not task.recording.hidden
+        is_plain = not final.comparison.template.sides and not task.recording.hidden
         compared.append(
             TrajectoryChecks(*given) if is_plain else TemplateChecks(*given, spread, [*observations.values()])
         )
@@ -134,7 +140,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
 def _explain_coordinates(final: FinalModel) -> tuple[str, ...]:
     """Return a sentence on what hidden states without given equations mean; nothing if there are none."""
     hidden = final.task.recording.hidden
-    if not hidden or final.comparison.template is not None:
+    if not hidden or final.comparison.template.sides:
         return ()
     names, one = " and ".join(hidden), len(hidden) == 1
     return (
@@ -203,16 +209,6 @@ def _describe_observations(final: FinalModel, errors: ConstantErrors) -> dict[st
     }
 
 
-def _unknown_parts(final: FinalModel, index: int) -> dict[str, Program]:
-    """Return the unknown parts of one equation, by label; empty without a template."""
-    template = final.comparison.template
-    if template is None:
-        return {}
-    name = template.equations[index]
-    unknowns = [template.unknowns[place] for place in template.unknowns_in(name)]
-    return {one.label: final.searched[template.equations.index(one.home)] for one in unknowns}
-
-
 def _combine_groups(value: float, constants: Sequence[Constant]) -> Constant:
     """Return a constant for all groups together: the shared constant, or else the mean over the groups, without a
     standard error."""
@@ -249,7 +245,7 @@ def _describe_equation(
         else {},
         simple_together=together[index] if together else None,
         parameters=tuple(final.names[index]) if final.names else (),
-        unknowns=_unknown_parts(final, index),
+        unknowns=final.comparison.template.parts_of(name, final.searched),
     )
 
 
@@ -265,7 +261,7 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
     def parts(searched: Sequence[Program], values: FloatArray) -> dict[str, Any]:
         """Return the unknown part of the equation, and the values of the template's parameters."""
         template = comparison.template
-        if template is None or template.unknown_of(template.equations[index]) is None:
+        if template.unknown_of(final.task.variables[index]) is None:
             return {}
         named = zip(template.parameters, values.tolist(), strict=True)
         return {"unknown": searched[index], "parameters": {one.name: value for one, value in named}}
@@ -278,7 +274,7 @@ def _describe_alternatives(final: FinalModel, index: int, held_out_r2: float | N
         r2 = compute_r2(comparison.estimator.measurements, alternative.model.fit, slice(None))[column]
         held_out_r2 = None if alternative.validated is None else alternative.validated[column]
         if nats <= SETTINGS.inference.distinct_nats and final.held_out_comparison is not None and not final.by_group:
-            parameters = None if comparison.template is None else model.fit.system.parameter_values
+            parameters = model.fit.system.parameter_values
             fit = fit_initial_states(final.held_out_comparison, programs, parameters=parameters)
             measurements = final.held_out_comparison.estimator.measurements
             held_out_r2 = -math.inf if fit is None else compute_r2(measurements, fit, slice(None))[column]

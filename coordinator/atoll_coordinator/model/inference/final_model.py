@@ -173,6 +173,30 @@ class FinalModel(ShownEquations):
         return min(lengths) - model.nats
 
     @cached_property
+    def other_minima(self) -> list[tuple[float, FloatArray]]:
+        """The other minima of fits from many starts: by how many nats each is worse, and its parameters (P,).
+
+        In these fits, simple functions stand for unknown parts. If the model has other functions, it is fitted from the
+        parameters of each minimum.
+        """
+        task, selection = self.task, self.ranking.selection
+        rivals = () if task.minima is None else task.minima.rivals
+        model, comparison = selection.model, selection.comparison
+        stood = {
+            index: candidates.simulated
+            for index, candidates in enumerate(task.candidates.values())
+            if candidates.simulated is not None
+        }
+        if all(structure(model.programs[index]) == structure(program) for index, program in stood.items()):
+            return [(nats, np.array(values)) for nats, values in rivals]
+        minima = list[tuple[float, FloatArray]]()
+        for parameters in dict.fromkeys(values for _, values in rivals):
+            other = comparison.fit_near(model, np.array(parameters), SETTINGS.effort.steps)
+            if other is not None:
+                minima.append((other.misfit - model.misfit, other.fit.system.parameter_values))
+        return minima
+
+    @cached_property
     def unknown_variances(self) -> list[tuple[str, str, float | None]]:
         """Three values for each input: its name, its symbol, and its `unknown_variance`."""
         recording = self.task.recording
@@ -355,7 +379,7 @@ def _show_equations(
 def _compose_shown(comparison: ModelComparison, shown: ShownEquations) -> ShownEquations:
     """Return the whole right-hand sides of the equations; without a template, `shown` itself."""
     template = comparison.template
-    if template is None:
+    if not template.sides:
         return shown
     composed = compose_equations(template, shown.explicit, shown.programs, shown.rounded.simple)
     programs = comparison.equations_of(shown.fit)

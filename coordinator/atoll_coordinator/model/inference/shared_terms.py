@@ -58,7 +58,7 @@ def fit_shared_terms(comparison: ModelComparison, near: FittedModel, shown: Sequ
 
     Equations that the user gave, or that have bounds, are not changed; nor are equations with a template.
     """
-    if comparison.template is not None:
+    if comparison.template.sides:
         return None  # a template says which parts are shared
     sums = _expand_equations(comparison, shown)
     expansions = [None if summands is None else write_expansion(summands) for summands in sums]

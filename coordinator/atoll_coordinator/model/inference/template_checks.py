@@ -50,7 +50,7 @@ class TemplateChecks(TrajectoryChecks):
 
     def _doubt_given_terms(self, finding: Finding | None) -> Finding | None:
         size, template = super().check_residual_size(), self.final.comparison.template
-        are_doubtful = template is not None and bool(template.sides) and size is not None and size.outcome == "failed"
+        are_doubtful = bool(template.sides) and size is not None and size.outcome == "failed"
         if finding is None or finding.outcome != "failed" or not are_doubtful:
             return finding
         return finding._replace(advice=_DOUBT_GIVEN_TERMS)
@@ -60,6 +60,8 @@ class TemplateChecks(TrajectoryChecks):
         measurements, most = self.measurements, SETTINGS.inference.part
         if self.index not in measurements.hidden:
             return Finding("not applicable", "its state is measured")
+        if self.name in self.final.task.config.prior.by_run:
+            return Finding("not applicable", "it is a parameter that differs by run")
         if self.errors is None:
             return Finding("not made", "the errors of the hidden state are not known")
         place = len(measurements.observed) + measurements.hidden.index(self.index)
@@ -79,7 +81,7 @@ class TemplateChecks(TrajectoryChecks):
         Any invertible function of the hidden state describes the measured columns as well, with other equations.
         """
         recording = self.final.task.recording
-        if self.final.comparison.template is not None or not recording.hidden:
+        if self.final.comparison.template.sides or not recording.hidden:
             return Finding("not applicable", "all states are measured, or their equations are given")
         names = self.final.task.dataset.names
         used = {names[index] for index in variables_of(self.shown.program)} | {self.name}
@@ -99,9 +101,7 @@ class TemplateChecks(TrajectoryChecks):
 
     def check_unknown_part(self) -> Finding:
         """Check that the unknown part of the equation describes more than nothing or a constant in its place."""
-        template = self.final.comparison.template
-        unknown = None if template is None else template.unknown_of(self.name)
-        if unknown is None:
+        if self.final.comparison.template.unknown_of(self.name) is None:
             return Finding("not applicable", "no unknown part is searched in this equation")
         gain, least = self.final.gain_of_unknown_part(self.index), SETTINGS.inference.chance_nats
         if gain >= least:
@@ -122,7 +122,7 @@ class TemplateChecks(TrajectoryChecks):
         its 95 % interval. Parameters that the data do not determine are not counted: `check_constants` reports them.
         """
         minima, template = self.final.task.minima, self.final.comparison.template
-        if template is None:
+        if not template.sides:
             return Finding("not applicable", "no equation was given")
         if minima is None:
             return Finding("not applicable", "the parameters were estimated from derivatives")
@@ -143,10 +143,11 @@ class TemplateChecks(TrajectoryChecks):
             for constant, name in zip(constants, names, strict=False)
             if name is not None and constant.interval is not None and constant.identifiable
         }
-        for nats, values in minima.rivals:
-            for parameter, value in zip(template.parameters, values, strict=True):
+        for nats, values in self.final.other_minima:
+            for parameter, value in zip(template.parameters, values.tolist(), strict=True):
                 low, high = known.get(parameter.name, (None, None))
-                if low is not None and high is not None and not low <= value <= high:
+                is_rival = nats < SETTINGS.inference.distinct_nats
+                if is_rival and low is not None and high is not None and not low <= value <= high:
                     reason = (
                         f"another fit describes the rows about as well ({nats:.2g} nats) with {parameter.name} = "
                         f"{value:.3g}"
@@ -159,7 +160,7 @@ class TemplateChecks(TrajectoryChecks):
 
         A column that is computed from states is part of the model of each state, so its parameters count, too.
         """
-        if self.final.comparison.template is None:
+        if not self.final.comparison.template.sides:
             return super().check_constants()
         fitted = [
             (constant, name)
@@ -167,6 +168,9 @@ class TemplateChecks(TrajectoryChecks):
             for constant, name in zip(constants, names, strict=False)
             if constant.fitted is not None
         ]
+        loose_run = self._check_runs()
+        if loose_run is not None:
+            return loose_run
         if not fitted:
             return Finding("not applicable", "no number of the equation is fitted")
         for constant, name in fitted:
@@ -183,9 +187,26 @@ class TemplateChecks(TrajectoryChecks):
             return Finding("passed", "all parameters of computed columns are determined by the data", 0.0, 0.0)
         return super().check_constants()
 
+    def _check_runs(self) -> Finding | None:
+        """Return the first fault of a parameter that differs by run; None if there is none, and for other equations.
+
+        Held-out trajectories do not count, since they did not determine the equations.
+        """
+        programs = [self.shown.program, *(column.program for column in self.observed)]
+        used = {self.final.task.dataset.names[index] for program in programs for index in variables_of(program)}
+        owners = [one for one in (self, *self.equations) if one is self or one.name in used]
+        values = [(one.name, value) for one in owners for value in one.shown.runs if not value.held_out]
+        for name, one in values:
+            if not one.identifiable:
+                reason = f"the rows of run {one.run} do not determine its value of the parameter {name}"
+                return Finding("failed", reason, 1.0, 0.0, advice="let the runs share it, or leave this run out")
+            if one.at_bound:
+                reason = f"the best value of {name} in run {one.run} lies beyond its bound {one.estimate:.3g}"
+                return Finding("failed", reason, advice=f'widen the bounds with --parameter "{name}=… by run"')
+        return Finding("passed", "the rows of each run determine its value", 0.0, 0.0) if self.shown.runs else None
+
     def check_alternative_equations(self) -> Finding | None:
         """Check that no other unknown part describes the data about as well."""
-        template = self.final.comparison.template
-        if template is not None and template.is_given(self.name):
+        if self.final.comparison.template.is_given(self.name):
             return Finding("not applicable", "the form of the equation was given")
         return super().check_alternative_equations()

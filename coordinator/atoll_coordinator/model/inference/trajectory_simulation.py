@@ -39,7 +39,7 @@ def fit_initial_states(
 
     The parameters of a template have the values `parameters`; None: their values in `near`.
     """
-    if parameters is None and near is not None and comparison.template is not None:
+    if parameters is None and near is not None:
         parameters = near.system.parameter_values
     nodes = [constant_places(program) for program in programs]
     system = comparison.system(programs, nodes, parameters=parameters)

@@ -153,7 +153,7 @@ def build_result(
         refinement: the refined equations, and the findings on the model as a whole; None if there are none yet.
     """
     dataset, model, recording = preparation.dataset, refinement or Refinement(), preparation.recording
-    is_final = account.state in FINAL_STATES
+    is_final, by_run = account.state in FINAL_STATES, config.prior.by_run
     warnings = [*dataset.warnings, *model.warnings]
     if is_final and recording is not None and recording.groups and not model.by_group:
         warnings.append(NOT_BY_GROUP)
@@ -182,8 +182,8 @@ def build_result(
             _describe_observation(name, config.data.observe[name], one, dataset.names)
             for name, one in model.observations.items()
         ),
-        hidden=() if recording is None else recording.hidden,
-        noise=describe_noise(recording, model.errors),
+        hidden=() if recording is None else tuple(name for name in recording.hidden if name not in by_run),
+        noise={name: one for name, one in describe_noise(recording, model.errors).items() if name not in by_run},
         smoothing=describe_smoothing(recording),
         correlations=model.correlations,
         covariance=model.covariance,
@@ -303,6 +303,7 @@ def _describe_equation(
             )
             for factor in shown.unit_coefficients
         ),
+        runs=shown.runs,
         bounds=tuple(
             Bound(bound=one.bound.text, values=tuple(map(finite, one.values)), active=one.is_active)
             for one in (() if bounds is None else bounds.governed(shown.program))
@@ -396,25 +397,22 @@ def _complete_sides(
     Its parameters have the values by the derivatives, and unknown parts that were not found are 0.
     """
     template = template_of(config, preparation.dataset.names)
-    if template is None:
+    if not template.sides:
         return dict(shown)
-    parts = {unknown.home: shown.get(unknown.home) for unknown in template.unknowns}
-    slots = {home: ZERO if one is None or one.parameters else one.program for home, one in parts.items()}
+    slots = [ZERO if one is None or one.parameters else one.program for one in shown.values()]
     values = np.array(preparation.parameters) if preparation.parameters else template.starts
+    template = replace(template, equations=tuple(shown))
+    composition = template.compose(slots, values)
     completed = dict(shown)
-    for name, equation in shown.items():
+    for index, (name, equation) in enumerate(shown.items()):
         if equation is None or equation.parameters or equation.unknowns or name not in template.sides:
             continue
-        program, parameters = template.complete(name, slots, values)
-        unknowns = {
-            template.unknowns[place].label: slots[template.unknowns[place].home] for place in template.unknowns_in(name)
-        }
         completed[name] = replace(
             equation,
-            program=program,
+            program=composition.programs[index],
             constants=(),
-            parameters=parameters,
-            unknowns=unknowns,
+            parameters=template.parameter_names(composition.sources(index)),
+            unknowns=template.parts_of(name, slots),
             unit_coefficients=(),
             units=None,  # the units found are those of the unknown part
         )
@@ -423,8 +421,7 @@ def _complete_sides(
 
 def _describe_shapes(config: JobConfig, dataset: Dataset, variable: str, shown: Refined) -> tuple[DemandedShape, ...]:
     """Return the shapes that the user demanded of an equation or of its unknown part; empty without a demand."""
-    template = template_of(config, dataset.names)
-    unknown = None if template is None else template.unknown_of(variable)
+    unknown = template_of(config, dataset.names).unknown_of(variable)
     program = shown.program if unknown is None else shown.unknowns.get(unknown.label, shown.program)
     points = shape_points(dataset.inputs)
     return tuple(

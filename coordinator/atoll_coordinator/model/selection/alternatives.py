@@ -102,7 +102,7 @@ def _select_simplest_on_rows(selection: SelectedModel, inputs: FloatArray) -> Se
     the input changes between two rows, where it was not measured, so that a better fit there is no evidence.
     """
     comparison = selection.comparison
-    if not len(comparison.estimator.measurements.inputs) or comparison.template is not None:
+    if not len(comparison.estimator.measurements.inputs) or comparison.template.sides:
         return selection  # in a template, the factor of an unknown part may be given
     for equation, own in enumerate(selection.model.programs):
         if equation in comparison.fixed:

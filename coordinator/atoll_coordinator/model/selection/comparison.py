@@ -121,7 +121,7 @@ class Constraints:
 
     restrictions: Mapping[int, Restrictions] = field(default_factory=dict)
     groups: GroupedRows | None = None
-    template: EquationTemplate | None = None
+    template: EquationTemplate = field(default_factory=EquationTemplate)
     parameters: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
@@ -193,15 +193,15 @@ class ModelComparison:
         return self.calibration or Score.from_smoother(self.estimator, len(self.leading), self.fixed, count)
 
     @property
-    def template(self) -> EquationTemplate | None:
-        """The template of the equations; None: whole right-hand sides are searched."""
+    def template(self) -> EquationTemplate:
+        """The template of the equations; without sides, whole right-hand sides are searched."""
         return self.constraints.template
 
     @property
     def is_complete(self) -> bool:
         """Whether the equations have no unknown part of an equation that is not compared here."""
         template = self.template
-        return template is None or all(
+        return all(
             template.unknowns[place].home in template.equations
             for name in template.equations
             for place in template.unknowns_in(name)
@@ -210,10 +210,8 @@ class ModelComparison:
     @property
     def held(self) -> frozenset[int]:
         """The equations, by index, whose constants are given, too, and not fitted."""
-        template = self.template
-        return self.fixed if template is None else self.fixed - {
-            index for index, name in enumerate(template.equations) if name in template.sides
-        }  # fmt: skip
+        names = enumerate(self.template.equations)
+        return frozenset(self.fixed) - {index for index, name in names if name in self.template.sides}
 
     @property
     def groups(self) -> GroupedRows | None:
@@ -304,7 +302,7 @@ class ModelComparison:
                 fitted_system(), summary.length, summary.starts, summary.errors, is_stiff=stiff
             )
 
-        if self.template is None:
+        if not self.template.sides:
             ends = np.cumsum([len(program) for program in (*self.leading, *admitted)])
             parts = np.split(summary.constants, ends[:-1])[len(self.leading) :]
             fitted = tuple(replace(one, constants=part) for one, part in zip(admitted, parts, strict=True))
@@ -385,7 +383,7 @@ class ModelComparison:
             set(constant_places(program)) if index in self.held else set(fixed_nodes[index]) if fixed_nodes else set()
             for index, program in enumerate(programs)
         ]
-        if self.template is not None:
+        if self.template.sides:
             values = self.constraints.parameters if parameters is None else parameters
             composition = self.template.compose(programs, values)
             return self._composed_system(composition, fixed, is_fixed=bool(fixed_nodes))
@@ -410,9 +408,7 @@ class ModelComparison:
         `fixed` are the nodes of the searched programs whose constants are not fitted; `is_fixed`: no parameter is
         fitted.
         """
-        template = self.template
-        assert template is not None
-        bounds: dict[Place, tuple[float, float]] = {}
+        template, bounds = self.template, dict[Place, tuple[float, float]]()
         for index, (slot, held) in enumerate(zip(composition.slots, fixed, strict=False)):
             restrictions = self.restrictions(index)
             if restrictions.bounds is None or template.is_given(template.equations[index]):
@@ -427,7 +423,7 @@ class ModelComparison:
 
     def equations_of(self, model: FittedModel) -> tuple[Program, ...]:
         """Return the whole right-hand sides of a model; without a template, these are its programs."""
-        if self.template is None:
+        if not self.template.sides:
             return model.programs
         return model.fit.system.programs[len(self.leading) :][: len(model.programs)]
 
@@ -478,8 +474,7 @@ class ModelComparison:
         """Return the start of fits of systems that are similar to `near`."""
         fit = near.fit
         system = None if self.groups is None else fit.system
-        parameters = None if self.template is None else fit.system.parameter_values
-        return FitStart(fit.starts, fit.errors, fit.is_stiff, system, parameters)
+        return FitStart(fit.starts, fit.errors, fit.is_stiff, system, fit.system.parameter_values)
 
     def _fit_from_start(
         self, near: FitStart, programs: Sequence[Program], steps: int, shared: Collection[SharedNumber] = (),
@@ -503,6 +498,10 @@ class ModelComparison:
     def fit_replacement(self, near: FittedModel, equation: int, program: Program, steps: int) -> FittedModel | None:
         """Return `near` with another program for one equation, see `fit_from`."""
         return self.fit_from(near, _replace_program(near, equation, [program])[0], steps)
+
+    def fit_near(self, near: FittedModel, parameters: FloatArray, steps: int) -> FittedModel | None:
+        """Return `near` fitted from other values of the template's parameters; None if it cannot be simulated."""
+        return self._fit_from_start(replace(self._start_of(near), parameters=parameters), near.programs, steps)
 
     def narrow_down(
         self, near: FittedModel, equation: int, programs: Iterable[Program], rounds: Sequence[tuple[int, int]],

@@ -59,7 +59,7 @@ class Validation:
         comparison, fit = self._comparison, model.fit
         measurements = comparison.estimator.measurements
         squares, total = np.zeros((2, len(measurements.observed)))
-        parameters = None if comparison.template is None else fit.system.parameter_values
+        parameters = fit.system.parameter_values
         folds = [Fold(model.programs, fit.starts, fit.errors, left_out, parameters) for left_out in self._folds]
         found = comparison.spread.map(FOLDS, lambda: comparison, folds, parts=lambda: comparison.parts)
         for left_out, errors in zip(self._folds, found, strict=True):

@@ -80,12 +80,13 @@ class _Reproduction:
 def subtract_solver_errors(task: ModellingTask, fit: TrajectoryFit) -> ModellingTask | None:
     """Return the task without the errors of the solver that computed the table from the equations of `fit`.
 
-    None if no solver reproduces the table. The first row must be the initial state of the solver.
+    None if no solver reproduces the table. The first row must be the initial state of the solver, and have all states.
     """
     recording = task.recording
     if (
         not task.is_nearly_clean or recording.order != 1 or recording.inputs or recording.offsets or recording.groups
         or recording.states != task.variables or fit.system.sharing is not None
+        or recording.hidden or recording.observed  # a solver's first states are then not among the rows
     ):  # fmt: skip
         return None
     whole = measurements_of(recording, range(len(task.variables)), piece=max(map(len, _times(recording))))

@@ -6,8 +6,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
-import numpy as np
-
 from atoll_coordinator.data.recording import FoundMinima, Recording
 from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.batches import Spread
@@ -76,16 +74,14 @@ class ModellingTask:
         }
 
     @cached_property
-    def template(self) -> EquationTemplate | None:
-        """The given equations with parameters and unknown parts; None: there are none."""
+    def template(self) -> EquationTemplate:
+        """The given equations with parameters and unknown parts."""
         return template_of(self.config, self.dataset.names)
 
     @property
     def parameter_values(self) -> FloatArray:
         """The values of the parameters of the template with which fits start."""
-        if self.parameters is not None:
-            return self.parameters
-        return np.zeros(0) if self.template is None else self.template.starts
+        return self.template.starts if self.parameters is None else self.parameters
 
     @cached_property
     def rate_law_variables(self) -> frozenset[str]:
@@ -227,16 +223,13 @@ class ModellingTask:
         tolerance = max(error, _TOLERATED_NOISE * SETTINGS.shooting.exact)
         fixed = [index for index, name in enumerate(variables) if name in self.known]
         sides = (*variables, *self.columns_observed_with(variables))
-        template = None if self.template is None else self.template.for_equations(sides)
+        template = self.template.for_equations(sides)
         restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
         restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
         return ModelComparison(
             MultipleShooting(measurements, tolerance, self.deadline, measured_rows, self.spread), self.dataset.names,
             frozenset(fixed), tuple(self.leading(variables)), self.spread,
-            Constraints(
-                restrictions, self.grouped_rows(variables), template,
-                np.zeros(0) if template is None else self.parameter_values,
-            ),
+            Constraints(restrictions, self.grouped_rows(variables), template, self.parameter_values),
         )  # fmt: skip
 
     def restrictions(self, variable: str) -> Restrictions:

@@ -50,7 +50,7 @@ def composed_system(  # noqa: PLR0913, the arguments of `system_of`, and the tem
     before, equations = len(leading), len(fixed)
     programs, columns = [*leading, *composition.programs], len(composition.programs) - equations
     system = system_of(programs, names, variables, [*[set[int]()] * before, *held], columns)
-    system = replace(system, parts=_searched_parts(template, composition, system, before, equations))
+    system = replace(system, parts=_searched_parts(composition, system, before, equations))
     several = [places for by_node in composition.places for places in by_node.values()] + [*composition.parameters]
     shared = {
         places: tuple((place, 1.0) for place in places)
@@ -66,9 +66,7 @@ def composed_system(  # noqa: PLR0913, the arguments of `system_of`, and the tem
     return system.with_values(system.values)
 
 
-def _searched_parts(
-    template: EquationTemplate, composition: Composition, system: OdeSystem, before: int, equations: int
-) -> SearchedParts:
+def _searched_parts(composition: Composition, system: OdeSystem, before: int, equations: int) -> SearchedParts:
     firsts = system.firsts[before:]
     slots = composition.slots[:equations]
     nodes = [np.full(len(slot), -1, np.int64) for slot in slots]
@@ -78,8 +76,7 @@ def _searched_parts(
     parameters = np.array(
         [firsts[places[0][0]] + places[0][1] if places else -1 for places in composition.parameters], np.int64
     )
-    given = frozenset(index for index, name in enumerate(template.equations) if template.is_given(name))
-    return SearchedParts(slots, tuple(nodes), parameters, given)
+    return SearchedParts(slots, tuple(nodes), parameters, composition.given)
 
 
 def _ranges(

@@ -156,9 +156,8 @@ class StartsFit:
 
 
 def fit_from_many_starts(
-    estimator: MultipleShooting, system: OdeSystem, seed: int = 0, errors: ErrorModel | None = None,
-    misfit: Callable[[FloatArray], float] | None = None,
-) -> StartsFit | None:  # fmt: skip
+    estimator: MultipleShooting, system: OdeSystem, seed: int = 0, errors: ErrorModel | None = None
+) -> StartsFit | None:
     """Return the best fit of `system` to whole trajectories from many starts; None if no start can be integrated.
 
     The first start has the values of the system and the smoothed initial states.
@@ -170,12 +169,10 @@ def fit_from_many_starts(
             `has_prior`, the best fit has the prior, too.
         seed: seed of the start values.
         errors: the error model of all fits; None: variances are fitted.
-        misfit: nats of mean squares of residuals (O,); None: minus the logarithm of the likelihood with fitted
-            variances.
     """
     problem = StartsProblem(estimator.measurements, estimator.tolerance, estimator.measured_rows, system, errors)
     spread = estimator.integrator.spread
-    misfit = misfit or _misfit_of(estimator.measurements)
+    misfit = _misfit_of(estimator.measurements)
 
     def total(point: ReachedPoint) -> float:
         return misfit(point.squares) + 0.5 * system.with_values(point.values).penalty()[0]

@@ -7,7 +7,8 @@ the targets of unknown parts, the search and refining treat them as other states
 missing.
 
 Doubtful: the course belongs to the present law. If the unknown part is not nearly linear, the course is wrong, and the
-targets of the search with it. Refining fits the found law again, with the initial values of hidden states.
+targets of the search with it; `hidden.alternation` then improves both. Refining fits the found law again, with the
+initial values of hidden states.
 """
 
 from collections.abc import Iterator, Mapping
@@ -18,7 +19,7 @@ import numpy as np
 
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import FoundMinima, Preparation, Recording, Trajectory
-from atoll_coordinator.data.templates import template_of
+from atoll_coordinator.data.templates import parameter_of
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.candidates import CandidateSet
@@ -42,30 +43,6 @@ _FIRST: Final = 0.01
 not switch its term off. Along long trajectories they are smaller, so that no state grows by more than a few e-folds."""
 
 
-_SHARE_OF_TIME: Final = 0.5
-"""Largest share of ``--max-time`` for fits from many starts; the search and refining need the rest."""
-
-
-def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spread | None = None) -> Preparation:
-    """Return the preparation with the course of the hidden states; the preparation itself if there are none.
-
-    `config` is resolved; `spread` computes fits in threads or on workers. With a time limit, no further starts are
-    tried after half of it.
-
-    Raises:
-        DataError: the system can be simulated from no start.
-    """
-    recording = preparation.recording
-    if recording is None:
-        return preparation
-    recording = replace(recording, initial=initial_values(config))
-    preparation = replace(preparation, recording=recording)
-    template = template_of(config, preparation.dataset.names)
-    if template is None or not (recording.hidden or recording.observed):
-        return preparation
-    return fit_course(preparation, config, template, spread or Spread()).record(preparation)
-
-
 def initial_values(config: JobConfig) -> tuple[tuple[str, float, float], ...]:
     """Return the bounds on initial values: name of the state, lower and upper bound.
 
@@ -77,7 +54,20 @@ def initial_values(config: JobConfig) -> tuple[tuple[str, float, float], ...]:
         lower = one.start if is_given else one.lower
         upper = one.start if is_given else one.upper
         found.append((name, -np.inf if lower is None else lower, np.inf if upper is None else upper))
+    found += [(name, *config.prior.parameters[name].ends) for name in config.prior.by_run]
     return tuple(found)
+
+
+def with_initial_values(recording: Recording, config: JobConfig) -> Recording:
+    """Return the recording with the bounds on initial values, and with the start values of parameters by run as their
+    course."""
+    parts = list[Trajectory]()
+    for part in recording.trajectories if config.prior.by_run else ():
+        smoothed = part.smoothed.copy()
+        for name in config.prior.by_run:
+            smoothed[recording.states.index(name)] = parameter_of(name, config.prior.parameters[name]).first_value
+        parts.append(replace(part, smoothed=smoothed))
+    return replace(recording, initial=initial_values(config), trajectories=tuple(parts) or recording.trajectories)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,26 +143,26 @@ class HiddenCourse:
         return replace(dataset, inputs=np.ascontiguousarray(inputs), targets=tuple(targets))
 
 
-def fit_course(preparation: Preparation, config: JobConfig, template: EquationTemplate, spread: Spread) -> HiddenCourse:
+def fit_course(
+    preparation: Preparation, config: JobConfig, slots: Mapping[str, Program], spread: Spread, deadline: Deadline | None
+) -> HiddenCourse:
     """Return the fit of a template with hidden states to the trajectories, from many starts; held-out trajectories are
     simulated with its parameters.
+
+    `slots` are functions that stand for the unknown parts, by equation; their constants are fitted, too. After the
+    `deadline` no further starts are tried.
 
     Raises:
         DataError: the system can be simulated from no start.
     """
     recording, dataset = preparation.recording, preparation.dataset
     assert recording is not None
-    duration = max(float(part.times[-1] - part.times[0]) for part in recording.trajectories)
-    first = min(_FIRST, 1.0 / duration)
-    slots = {
-        unknown.home: linear_part(template, config, unknown.home, dataset.symbols[unknown.home], first)
-        for unknown in template.unknowns
-    }
     programs = [slots.get(name, ZERO) for name in dataset.variables]
     candidates = {name: CandidateSet(known=program) for name, program in zip(dataset.variables, programs, strict=True)}
-    limit = config.budget.max_time
-    deadline = None if limit is None else Deadline(_SHARE_OF_TIME * limit)
-    task = ModellingTask(dataset, recording, config, candidates, spread=spread, deadline=deadline)
+    parameters = np.array(preparation.parameters) if preparation.parameters else None
+    task = ModellingTask(
+        dataset, recording, config, candidates, spread=spread, deadline=deadline, parameters=parameters
+    )  # fmt: skip
     task = replace(task, piece=max(len(part.times) for part in recording.trajectories))
     comparison = task.make_comparison(task.measurements(task.variables), task.variables)
     system = comparison.system(programs)
@@ -185,7 +175,12 @@ def fit_course(preparation: Preparation, config: JobConfig, template: EquationTe
     fits = {False: found.fit}
     if any(part.held_out for part in recording.trajectories):
         other = task.make_comparison(task.measurements(task.variables, held_out=True), task.variables)
-        simulated = other.estimator.fit(found.fit.system.with_fixed_constants(), None, SETTINGS.effort.steps)
+        fixed = found.fit.system.with_fixed_constants()
+        if config.prior.by_run:  # their values in these trajectories may be far from the start value
+            best = fit_from_many_starts(other.estimator, fixed, config.seed)
+            simulated = None if best is None else best.fit
+        else:
+            simulated = other.estimator.fit(fixed, None, SETTINGS.effort.steps)
         if simulated is None:
             raise DataError("the held-out trajectories cannot be simulated by the given equations; leave --holdout out")
         fits[True] = simulated
@@ -236,16 +231,20 @@ def states_and_rates(
         yield own, np.array([values_of(program, points) for program in fit.system.programs[: len(own)]]), rows
 
 
-def linear_part(
-    template: EquationTemplate, config: JobConfig, equation: str, symbol: str, first: float = _FIRST
-) -> Program:
-    """Return a linear function that stands for the unknown part of an equation: of the variables that the user named
-    for it, else of the equation's own state, which has this `symbol`.
+def linear_parts(template: EquationTemplate, config: JobConfig, preparation: Preparation) -> dict[str, Program]:
+    """Return linear functions that stand for the unknown parts of equations: of the variables that the user named for
+    it, else of the equation's own state.
 
-    It has no constant term: with few rows, each further number makes the minimum flatter. Its coefficients are
-    multiples of `first`.
+    They have no constant term: with few rows, each further number makes the minimum flatter.
     """
-    named = config.space.variables_of.get(equation)
-    symbols = named if named is not None else (symbol,)
-    terms: list[Expression] = [(VARIABLE, template.names.index(symbol)) for symbol in symbols]
-    return sum_of(terms, [first * (place + 1) for place, _ in enumerate(terms)])
+    assert preparation.recording is not None
+    duration = max(float(part.times[-1] - part.times[0]) for part in preparation.recording.trajectories)
+    first, parts = min(_FIRST, 1.0 / duration), dict[str, Program]()
+    for equation in (unknown.home for unknown in template.unknowns):
+        named, by_run = config.space.variables_of.get(equation), {*config.prior.by_run}
+        if named is not None and by_run and {*named} == {*template.names} - by_run:
+            named = None  # nothing was named: these are all variables that it may depend on
+        symbols = named if named is not None else (preparation.dataset.symbols[equation],)
+        terms: list[Expression] = [(VARIABLE, template.names.index(symbol)) for symbol in symbols]
+        parts[equation] = sum_of(terms, [first * (place + 1) for place, _ in enumerate(terms)])
+    return parts

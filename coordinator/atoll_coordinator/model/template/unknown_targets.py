@@ -47,7 +47,7 @@ def with_unknown_targets(preparation: Preparation, config: JobConfig) -> Prepara
         DataError: too few rows tell anything about an unknown part.
     """
     template = template_of(config, preparation.dataset.names)
-    if template is None or preparation.recording is None:
+    if not template.sides or preparation.recording is None:
         return preparation
     dataset = preparation.dataset
     estimates = ParameterEstimates(np.array(preparation.parameters))  # by hidden states, if there are any

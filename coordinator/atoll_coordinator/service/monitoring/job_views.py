@@ -332,8 +332,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, shown: Mapping[
 def _left_side(prepared: Prepared, variable: str) -> str:
     """Return the left-hand side of an equation; for the unknown part of a given side, ``? in dx/dt``."""
     lhs = prepared.dataset.problem(variable).target.lhs
-    template = template_of(prepared.config, prepared.dataset.names)
-    unknown = None if template is None else template.unknown_of(variable)
+    unknown = template_of(prepared.config, prepared.dataset.names).unknown_of(variable)
     return lhs if unknown is None else f"{unknown.label} in {lhs}"
 
 

@@ -194,25 +194,21 @@ def test_draws_agree_with_the_data_where_constants_are_badly_determined() -> Non
 
 
 def test_a_process_is_forecast_by_its_paths() -> None:
-    contents = process_result()
-    contents["data"]["trajectories"] = [
-        {"name": "1", "times": [0.0, 0.1, 0.2], "measured": {"x": [2.0, 1.9, None]}, "inputs": {}}
-    ]
-    contents["system"] |= {"kind": "process", "states": ["x"]}
-    found = Model(contents).forecast(20.0, draws=2_000, step=1.0)
-    assert found.t[0] == 0.1
+    contents = process_result() | {"config": {"data": {"stochastic": True, "missing": "drop"}}}
+    times, noise = 0.1 * np.arange(141.0), np.random.default_rng(3).standard_normal(141)
+    x = 1.0 + 0.2 * noise
+    x[-2:] = 1.9, np.nan
+    found = Model(contents).forecast(20.0, data={"t": times, "x": x}, draws=2_000, step=1.0)
+    assert found.t[0] == pytest.approx(13.9)
     assert found.draws[:, 0, 0].tolist() == [1.9] * 2_000
     lower, upper = found.band("x")
     assert found["x"][-1] == pytest.approx(1.0, abs=0.05)
     assert 0.5 * (upper - lower)[-1] == pytest.approx(1.96 * np.sqrt(0.25 / 2.0), rel=0.1)  # dx = (1 - x) dt + 0.5 dW
 
 
-def test_a_process_without_a_complete_row_is_a_sentence() -> None:
-    contents = process_result()
-    contents["data"]["trajectories"] = [{"name": "1", "times": [0.0], "measured": {"x": [None]}, "inputs": {}}]
-    contents["system"] |= {"kind": "process", "states": ["x"]}
-    with pytest.raises(UsageError, match="no row of trajectory '1' has a value of every state"):
-        Model(contents).forecast(1.0)
+def test_a_process_needs_data() -> None:
+    with pytest.raises(UsageError, match="has no measurements; give them as data"):
+        Model(process_result()).forecast(1.0)
 
 
 def test_a_forecast_of_any_finite_duration_ends() -> None:

@@ -14,10 +14,10 @@ from atoll.experiments.fits import EquationSetFit, constants_of, equations_of, f
 from atoll.experiments.identifiability import identify
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.library.experiments.made import Course, measured
 from tests.unit.library.model.results import BIOREACTOR, given_entries, with_given
+from tests.unit.library.model.results import result as result_of
 
 NOISE = 0.005
 TIMES = np.linspace(0.0, 15.0, 61)
@@ -152,15 +152,11 @@ def test_a_template_is_compared_with_free_equations(result: Result) -> None:
     assert abs(on.nats) < 20.0
 
 
-def test_equations_move_to_other_symbols_and_another_order(result: Result) -> None:
-    equations = equations_of(result)
-    moved = equations.over(("S", "u", "X"), ("S", "X"))
-    assert moved.given is not None
-    assert moved.given.programs[1].nodes()[0][1] in (0, 2)
-    point = {"X": 0.7, "S": 1.3, "u": 9.0}
-    for variable in ("X", "S"):
-        before = values_of(equations.written_sides[equations.variables.index(variable)], np.array([[0.7], [1.3]]))
-        after = values_of(
-            moved.written_sides[moved.variables.index(variable)], np.array([[point[name]] for name in moved.names])
-        )
-        assert before.tolist() == after.tolist()
+def test_equal_constants_of_an_equation_beside_a_given_side_are_two_constants() -> None:
+    contents = result_of({"X": "1", "S": "2.0*X - 2.0*S"})
+    contents["equations"][0] |= given_entries(BIOREACTOR, {"?1": "S/(0.6 + 2.0*S)"}, {"Y": 0.5})["X"]
+    program = from_infix("2.0*X - 2.0*S", ["X", "S"], merges_constants=False)
+    contents["equations"][1]["program"] = program.to_bytes().hex()
+    of = Result.of(contents)
+    constants = constants_of(equations_of(of), of)
+    assert [one.variable for one in constants if one.is_written] == ["X", "X", "S", "S"]

@@ -51,7 +51,7 @@ def contents(name: str) -> list[str]:
         texts.append(Model(noisy).export(name))
     if name in ("python", "c", "julia", "matlab"):
         plain = result({"zqy": "2.5*zqa - sqrt(zqb)"}, ("zqa", "zqb"))
-        plain["equations"][0]["lhs"] = "zqy"
+        plain["equations"][0] |= {"lhs": "zqy", "program": None}
         texts.append(Model(plain | {"symbols": {"zqa": "zqa", "zqb": "zqb"}}).export(name))
     return texts
 

@@ -1,11 +1,12 @@
 """Results as small as a model needs them."""
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
-from atoll_core.expression.program import Program, constant_places, with_constants
-from atoll_core.expression.template import EquationTemplate, TemplateParameter, read_template
+from atoll_core.expression.program import constant_places
+from atoll_core.expression.template import ZERO, ConstantSource, TemplateParameter, read_template
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
@@ -53,6 +54,8 @@ def process_result(drift: str = "1-x", diffusion: str = "0.25", inputs: tuple[st
     """Return the content of the result.json of a process of one state that was measured in steps of 0.1 from 2."""
     contents = result({"x": drift, "[x]": diffusion}, inputs)
     del contents["symbols"]["[x]"]
+    for equation in contents["equations"]:  # a program is over the symbols
+        del equation["program"]
     ensemble = {"trajectory": "1", "times": [0.0, 0.5], "mean": {"x": [2.0, 1.6]}}
     return contents | {"process": {"step": 0.1, "ensemble": ensemble}}
 
@@ -76,16 +79,20 @@ def given_entries(
     template = read_template(sides, {name: TemplateParameter(name) for name in values}, names)
     found = {label: from_infix(text, names, merges_constants=False) for label, text in parts.items()}
     slots = {unknown.home: found[unknown.label] for unknown in template.unknowns}
+    template = replace(template, equations=names)
+    known = np.array([values[one.name] for one in template.parameters])
+    composition = template.compose([slots.get(name, ZERO) for name in names], known)
     entries = {}
-    for name, text in sides.items():
-        program, called = template.complete(name, slots, np.array([values[one.name] for one in template.parameters]))
+    for index, (name, text) in enumerate(sides.items()):
+        program, sources = composition.programs[index], composition.sources(index)
+        called = template.parameter_names(sources)
         numbers = program.constants[constant_places(program)].tolist()
         labels = [template.unknowns[place].label for place in template.unknowns_in(name)]
         constants = [constant(value, 0.01) for value in numbers]
-        for place in template_literals(template, name, slots):
+        for place in (place for place, source in enumerate(sources) if source == ConstantSource()):
             constants[place] = {"value": numbers[place], "std_error": None, "fitted": None, "interval": None}
         for place, parameter in enumerate(called):
-            constants[place]["bounds"] = (bounds or {}).get(parameter)
+            constants[place]["bounds"] = (bounds or {}).get(parameter or "")
         entries[name] = {
             "expression": to_infix(program, names),
             "program": program.to_bytes().hex(),
@@ -101,15 +108,6 @@ def given_entries(
             },
         }
     return entries
-
-
-def template_literals(template: EquationTemplate, name: str, slots: dict[str, Program]) -> list[int]:
-    """Return the places of the numbers of the user's text among the constants of a side."""
-    places = {home: dict.fromkeys(constant_places(slot), 1e-3) for home, slot in slots.items()}
-    marked = {home: with_constants(slot, places[home]) for home, slot in slots.items()}
-    program, called = template.complete(name, marked, np.full(len(template.parameters), 1e-3))
-    values = program.constants[constant_places(program)].tolist()
-    return [place for place, value in enumerate(values) if value != 1e-3 and called[place] is None]
 
 
 def bioreactor(**changes: Any) -> dict[str, Any]:

@@ -37,10 +37,14 @@ def with_candidate(contents: dict[str, Any]) -> dict[str, Any]:
 def test_sides_are_composed_to_the_programs_of_the_result() -> None:
     of = Result.of(bioreactor())
     sides = GivenSides.of(of)
-    assert sides is not None
     assert list(sides.programs) == [program_of(equation, of.names) for equation in of.equations]
     assert sides.values.tolist() == [0.5]
-    assert GivenSides.of(Result.of(result({"x": "-2.0*x"}))) is None
+    plain = Result.of(result({"x": "-2.0*x"}))
+    assert GivenSides.of(plain).programs == (program_of(plain.equations[0], plain.names),)
+    contents = bioreactor()
+    contents["equations"][0]["given"]["unknowns"] = []
+    with pytest.raises(UsageError, match="do not fit their unknown parts"):
+        GivenSides.of(Result.of(contents))
 
 
 def test_parameters_keep_their_names_and_numbers_of_the_text_have_none() -> None:
