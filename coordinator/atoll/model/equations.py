@@ -528,12 +528,18 @@ def measured_ranges(result: Result) -> dict[str, tuple[float, float]]:
     return {name: ends for name, ends in ranges.items() if name not in angles}
 
 
+def with_printed_rounding(low: float, high: float) -> tuple[float, float]:
+    """Return the ends of a range that contains its own ends when they are printed."""
+    return low - _PRINTED_ROUNDING * abs(low), high + _PRINTED_ROUNDING * abs(high)
+
+
 def outside_sentence(values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> str:
     """Return a sentence about the `values` outside of their `ranges`; "" if there are none."""
     outside = []
     for name, value in values.items():
         low, high = ranges.get(name, (value, value))
-        if not low - _PRINTED_ROUNDING * abs(low) <= value <= high + _PRINTED_ROUNDING * abs(high):
+        least, largest = with_printed_rounding(low, high)
+        if not least <= value <= largest:
             outside.append(f"{name} = {value:.4g} (measured: {low:.4g} to {high:.4g})")
     if not outside:
         return ""
