@@ -15,6 +15,7 @@ from benchmarks.harness.command_line import OUT, option, positive, program, seed
 
 _PAIRS: Final = tuple(range(1, 10))
 _PROBLEMS: Final = tuple(llm_sr.PROBLEMS)
+_SPLITS: Final = tuple(dict.fromkeys(split for problem in llm_sr.PROBLEMS.values() for split in problem.splits))
 _COMMON: Final = (
     option("--data", type=Path, metavar="DIR", required=True, help="folder of the train sets"),
     option("--seed", type=int, default=0, help="seed of the searches (%(default)s)"),
@@ -40,7 +41,8 @@ _COMMON: Final = (
             "the four problems of LLM-SR",
             *_COMMON,
             option("--problems", choices=_PROBLEMS, nargs="+", default=_PROBLEMS, help="default: all"),
-            option("--config", metavar="job.toml", help="settings of the jobs; default: none"),
+            option("--splits", choices=_SPLITS, nargs="+", default=_SPLITS, help="default: all of each problem"),
+            option("--config", metavar="job.toml", nargs="+", help="settings; each further file searches a factor"),
             option("--max-time", type=positive, metavar="SECONDS", help="end of a job; default: none"),
         ),
     ),

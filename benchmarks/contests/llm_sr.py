@@ -7,6 +7,7 @@ out, too. Published figures are of other rows of the same problems.
 """
 
 import time
+import warnings
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -17,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 import atoll
+from atoll.model.simulation import ExtrapolationWarning
 from atoll.terminal.output import note, say
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import AtollError
@@ -128,40 +130,69 @@ def normalised_error(target: FloatArray, predicted: FloatArray) -> float:
 
 
 def search(name: str, split: str, options: Namespace) -> Outcome:
-    """Search one problem without the held-out rows of a split."""
+    """Search one problem without the held-out rows of a split.
+
+    The first job file has the settings of the search for the target. Each further one searches a factor: its target is
+    the measured target over the product of the laws so far, and its weights are the squares of this product, so that
+    the squared errors of the target are compared. The equation is the product.
+    """
     problem, columns = PROBLEMS[name], load(options.data, name)
     is_held_out = problem.splits[split](columns)
     own, other = ({key: values[rows] for key, values in columns.items()} for rows in (~is_held_out, is_held_out))
-    variables = [key for key in columns if key != problem.target]
-    settings = {"max_time": options.max_time, "config": options.config}
-    settings = {option: value for option, value in settings.items() if value is not None}
-    began = time.monotonic()
+    models, began = list[atoll.Model](), time.monotonic()
     try:
-        model = atoll.discover(
-            own, target=problem.target, inputs=variables, workers=options.workers, seed=options.seed, progress=False,
-            **settings,
-        )  # fmt: skip
+        for factor, config in enumerate(options.config or [None]):
+            models.append(_search_factor(problem.target, own, models, config, options.seed + factor, options))
+            note(f"{name}, {split}: {models[-1].equations[0].expression}")
     except AtollError as error:
         return Outcome(name, split, len(own[problem.target]), time.monotonic() - began, failure=str(error))
-    seconds, equation = time.monotonic() - began, model.equations[0]
-    predicted = [np.asarray(model.predict(part)) for part in (own, other)]
+    seconds, equations = time.monotonic() - began, [model.equations[0] for model in models]
+    predicted = [_product(models, part) for part in (own, other)]
     errors = [
         normalised_error(part[problem.target], values) for part, values in zip((own, other), predicted, strict=True)
     ]
     undefined = int(np.sum(~np.isfinite(predicted[1])))
     return Outcome(
-        name, split, len(predicted[0]), seconds, equation.expression, str(equation.verdict), equation.reason or "",
-        errors[0], errors[1], undefined,
+        name, split, len(predicted[0]), seconds, " * ".join(f"({equation.expression})" for equation in equations),
+        ", ".join(str(equation.verdict) for equation in equations),
+        "; ".join(equation.reason or "" for equation in equations), errors[0], errors[1], undefined,
     )  # fmt: skip
+
+
+def _search_factor(
+    target: str, own: Columns, models: Sequence[atoll.Model], config: str | None, seed: int, options: Namespace
+) -> atoll.Model:
+    """Search the target, or the factor that the product of `models` lacks."""
+    variables = [key for key in own if key != target]
+    settings = {"max_time": options.max_time, "config": config, "weights": _WEIGHTS if models else None}
+    table = dict(own)
+    if models:
+        known = _product(models, own)
+        table |= {target: own[target] / known, _WEIGHTS: known**2 / np.mean(known**2)}
+    return atoll.discover(
+        table, target=target, inputs=variables, workers=options.workers, seed=seed, progress=False,
+        **{option: value for option, value in settings.items() if value is not None},
+    )  # fmt: skip
+
+
+_WEIGHTS: Final = "weight"
+
+
+def _product(models: Sequence[atoll.Model], columns: Columns) -> FloatArray:
+    """Return the product of the predictions of models, also for rows outside of the measured range."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExtrapolationWarning)
+        return np.asarray(np.prod([np.asarray(model.predict(columns)) for model in models], axis=0))
 
 
 def run(options: Namespace) -> None:
     """Search all problems with both splits and print the errors next to the published ones."""
     record, outcomes = Record("contests", options.words, options.out), list[Outcome]()
     for name in options.problems:
-        for split in PROBLEMS[name].splits:
+        for split in [split for split in PROBLEMS[name].splits if split in options.splits]:
             outcomes.append(search(name, split, options))
-            note(f"{name}, {split}: {outcomes[-1].failure or outcomes[-1].equation}")
+            if outcomes[-1].failure:
+                note(f"{name}, {split}: {outcomes[-1].failure}")
             record.write(runs=[asdict(outcome) | {"held": outcome.held} for outcome in outcomes])
     say(table(outcomes))
 

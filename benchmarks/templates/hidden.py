@@ -45,7 +45,7 @@ def measured(key: SystemKey) -> tuple[FloatArray, list[FloatArray], list[FloatAr
         )
         for start in system.starts
     ]  # fmt: skip
-    kept = [index for index, name in enumerate(system.states) if name not in system.hidden]
+    kept = [index for index, name in enumerate(system.states) if name in system.columns]
     computed = field_of(list(system.observed_truths.values()), system.states) if system.observed else None
     rng = np.random.default_rng([key.noise, key.seed])
     clean = [
@@ -64,7 +64,10 @@ def request_of(key: SystemKey) -> tuple[Table, JobConfig]:
     table = table_of_samples(Sampled(system.columns, (times,) * len(columns), tuple(columns)))
     prior = PriorConfig(
         equations=dict(system.given),
-        parameters={name: ParameterConfig(lower=low, upper=high) for name, (low, high) in system.parameters.items()},
+        parameters={
+            name: ParameterConfig(lower=low, upper=high, by="run" if name in system.by_run else None)
+            for name, (low, high) in system.parameters.items()
+        },
         initial={name: _initial(value) for name, value in system.initial.items()},
     )
     config = configured(key.seed)
@@ -106,14 +109,15 @@ def judge(key: SystemKey, result: Mapping[str, Any], seconds: float, failure: st
     for part in (*equations, *result.get("observations", ())):
         given = part.get("given") or {}
         found |= {name: part["constants"][place] for name, place in given.get("parameters", {}).items()}
+        found |= {f"{part['variable']}[{one['run']}]": one for one in part.get("runs", ())}
         rests |= {one["label"]: one["expression"] for one in given.get("unknowns", ())}
     errors = {
         name: abs(found[name]["value"] / value - 1.0) if name in found else np.inf
-        for name, value in system.values.items()
+        for name, value in system.known.items()
     }
-    intervals = {name: found[name].get("interval") for name in system.values if name in found}
+    intervals = {name: found[name].get("interval") for name in system.known if name in found}
     known = {name: ends for name, ends in intervals.items() if ends and None not in ends}
-    covered = sum(ends[0] <= system.values[name] <= ends[1] for name, ends in known.items())
+    covered = sum(ends[0] <= system.known[name] <= ends[1] for name, ends in known.items())
     columns = {name: np.concatenate([part[:, at] for part in states]) for at, name in enumerate(system.states)}
     forms = {label: judge_form(rests.get(label), truth, columns).kind for label, truth in system.rests.items()}
     return SystemOutcome(
@@ -164,8 +168,9 @@ def table_of(outcomes: Sequence[SystemOutcome]) -> str:
         hidden = [one.hidden for one in chosen if one.hidden is not None]
         good = [grade in ("exact", "good") for one in chosen for grade in one.grades.values()]
         forms = [form == "right" for one in chosen for form in one.forms.values()]
+        errors = [max(one.errors.values()) for one in chosen if one.errors]
         rows.append((
-            system, f"{noise} %", f"{100.0 * float(np.median([max(one.errors.values()) for one in chosen])):.2g} %",
+            system, f"{noise} %", f"{100.0 * float(np.median(errors)):.2g} %" if errors else "-",
             share(sum(one.covered for one in chosen), sum(one.intervals for one in chosen)),
             share(sum(forms), len(forms)) if forms else "-", f"{min(hidden):.4f}" if hidden else "-",
             share(sum(good), len(good)), f"{np.median([one.seconds for one in chosen]):.1f}",

@@ -15,7 +15,7 @@ class TemplateSystem:
     bounds of the parameters, `values` their true values. `rests` are the true unknown parts by label. `hidden` states
     have no column; `observed` columns are expressions of states, and `observed_truths` the same with numbers. `initial`
     are bounds on initial values or given values. `starts` are initial states of trajectories that are measured at
-    `rows` times up to `duration`.
+    `rows` times up to `duration`. Parameters `by_run` are states with the rate 0, whose initial values differ.
     """
 
     truths: Mapping[str, str]
@@ -30,6 +30,7 @@ class TemplateSystem:
     observed: Mapping[str, str] = field(default_factory=dict)
     observed_truths: Mapping[str, str] = field(default_factory=dict)
     initial: Mapping[str, float | Range] = field(default_factory=dict)
+    by_run: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -39,7 +40,17 @@ class TemplateSystem:
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the measured columns."""
-        return (*(state for state in self.states if state not in self.hidden), *self.observed)
+        return (*(state for state in self.states if state not in (*self.hidden, *self.by_run)), *self.observed)
+
+    @property
+    def known(self) -> dict[str, float]:
+        """The true values of all parameters; ``l[2]`` is the value of l in the second trajectory."""
+        of_runs = {
+            f"{name}[{number}]": start[self.states.index(name)]
+            for name in self.by_run
+            for number, start in enumerate(self.starts, start=1)
+        }
+        return {**self.values, **of_runs}
 
 
 SYSTEMS: Final[Mapping[str, TemplateSystem]] = {
@@ -48,6 +59,12 @@ SYSTEMS: Final[Mapping[str, TemplateSystem]] = {
         given={"theta": "v", "v": "-9.81/l*sin(theta) + ?(v)"},
         starts=((2.0, 0.0),), duration=12.0, rows=240,
         parameters={"l": (0.1, 10.0)}, values={"l": 1.3}, rests={"?": "-0.25*v*abs(v)"},
+    ),
+    "pendulum, length by run": TemplateSystem(
+        truths={"theta": "v", "v": "-9.81/l*sin(theta) - 0.25*v*abs(v)", "l": "0"},
+        given={"theta": "v", "v": "-9.81/l*sin(theta) + ?"},
+        starts=((2.0, 0.0, 0.5), (2.0, 0.0, 1.3), (2.0, 0.0, 2.5)), duration=6.0, rows=120,
+        parameters={"l": (0.1, 10.0)}, by_run=("l",), rests={"?": "-0.25*v*abs(v)"},
     ),
     "bioreactor": TemplateSystem(
         truths={"X": "0.5*S/(0.3 + S)*X - 0.2*X", "S": "-0.5*S/(0.3 + S)*X/0.6 + 0.2*(3.0 - S)"},

@@ -183,6 +183,7 @@ class ParameterConfig(Frozen):
     lower: float | None = None
     upper: float | None = None
     start: float | None = None
+    by: Literal["run"] | None = Field(default=None, description="run: each trajectory has a value of its own")
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -220,6 +221,11 @@ class PriorConfig(Frozen):
     limits: dict[str, tuple[str, ...]] = Field(
         default_factory=dict, description="limits of right-hand sides, such as `S -> 0: 0`, by left-hand side"
     )
+
+    @property
+    def by_run(self) -> tuple[str, ...]:
+        """The parameters of which each trajectory has a value of its own. They are states with the rate 0."""
+        return tuple(name for name, one in self.parameters.items() if one.by == "run")
 
     def shapes_of(self, equation: str) -> tuple[str, ...]:
         """Return the shapes that are demanded of an equation, or of its unknown part, as texts."""

@@ -12,7 +12,7 @@ from atoll.api.discover import discover
 from atoll.api.model import Model
 from atoll.api.tables import numbers_of
 from atoll.model.arguments import GivenInputs, numbers, read_columns
-from atoll.model.equations import DIGITS
+from atoll.model.equations import DIGITS, run_names
 from atoll.model.given_sides import fitted_parameters
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError, UsageError
@@ -104,9 +104,13 @@ class Discoverer:
 
     @property
     def parameters_(self) -> dict[str, float]:
-        """The fitted values of the parameters of a template and of observed columns, by name; empty without them."""
-        params = self._model.params
-        return {name: params[name].value for name in fitted_parameters(self._model.result)}
+        """The fitted values of the parameters of a template and of observed columns, by name; empty without them.
+
+        A parameter that differs by run has a value for each: ``l[run 2]``.
+        """
+        params, result = self._model.params, self._model.result
+        by_run = [name for equation in result.equations for name in run_names(equation)]
+        return {name: params[name].value for name in (*fitted_parameters(result), *by_run)}
 
     def equations(self, precision: int = DIGITS) -> list[str]:
         """Return the right-hand sides, with constants of `precision` significant digits."""

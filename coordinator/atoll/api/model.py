@@ -40,6 +40,7 @@ from atoll.model.equations import (
     measured_ranges,
     outside_sentence,
     quantile,
+    with_printed_rounding,
 )
 from atoll.model.simulation import (
     EarlyEndWarning,
@@ -132,7 +133,8 @@ class Model(ModelCore):
 
         Args:
             x0: the initial state, by name or in order, angles in radians. None: the initial state of the first measured
-                trajectory; its inputs are used unless `u` is given. Hidden states have given or fitted initial values.
+                trajectory; its inputs are used unless `u` is given. Hidden states have given or fitted initial values,
+                and parameters that differ by run the values of this trajectory. In `x0`, name both like states.
             t: ascending times; `x0` is the state at the first time. A number is the last time; the simulation then
                 begins at the first measured time. None: the times of the first trajectory.
             u: inputs by name: numbers, arrays (N,) at the times `t`, or functions of time; or an array (N, U), or a
@@ -163,6 +165,8 @@ class Model(ModelCore):
             return ensemble_of(model, start, times, inputs, (paths, seed))
         if parameters:
             values = {name: number(value, f"the parameter {name}") for name, value in parameters.items()}
+            by_run = {name: values.pop(name) for name in model.result.by_run if name in values}
+            start = np.array([by_run.get(name, value) for name, value in zip(model.states, start, strict=True)])
             only_columns = {*observed.named_parameters} - {*field.named_parameters}
             field = field.with_values({name: value for name, value in values.items() if name not in only_columns})
             observed = observed.with_values(
@@ -216,14 +220,19 @@ class Model(ModelCore):
             u: inputs (N, U); None if the model has no inputs, or if `x` holds them by name.
 
         Returns:
-            Derivatives (N, D), or values of a regression (N,); NaN where undefined.
+            Derivatives (N, D), or values of a regression (N,); NaN where undefined. If rows of a regression are outside
+            of the measured range, an `ExtrapolationWarning` is given.
         """
         self.require_one_group()
         x = read_columns(self, x) if has_columns(x) else x
         u = read_columns(self, u) if has_columns(u) else u
         if self.is_regression:
             program = from_infix(self.equations[0].exact, self.result.names)
-            values = values_of(program, np.ascontiguousarray(points_of(self, x, self.inputs).T))
+            rows = points_of(self, x, self.inputs)
+            remark = _rows_outside_range(self, rows)
+            if remark:
+                warnings.warn(remark, ExtrapolationWarning, stacklevel=2)
+            values = values_of(program, np.ascontiguousarray(rows.T))
             return np.asarray(np.where(np.isfinite(values), values, np.nan))
         points = points_of(self, x, self.states)
         if not self.inputs:
@@ -251,7 +260,9 @@ class Model(ModelCore):
             raise UsageError(f"a score needs columns by name, a frame or a list of these, but {shown(data)} was given")
         if self.is_regression:
             target = self._result.equations[0].variable
-            both = [stack_columns([column(part, target), self.predict(part)]) for part in parts]
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ExtrapolationWarning)
+                both = [stack_columns([column(part, target), self.predict(part)]) for part in parts]
             return _r2(*np.concatenate(both, axis=1))
         columns = self._result.columns_by_symbol
         columns = columns | {name: name for name in self.observed_columns}
@@ -676,6 +687,22 @@ def _outside_range(model: Model, start: FloatArray, inputs: Inputs | None, time:
         driven = zip(model.inputs, np.asarray(inputs(time), dtype=np.float64).tolist(), strict=True)
         values |= {name: value for name, value in driven if name != clock}
     return outside_sentence(values, measured_ranges(model.result))
+
+
+def _rows_outside_range(model: Model, rows: FloatArray) -> str:
+    """Return a sentence about the `rows` (N, U) of inputs that are outside of the measured range, or ""."""
+    ranges, outside, names = measured_ranges(model.result), np.zeros(len(rows), dtype=np.bool_), list[str]()
+    for name, values in zip(model.inputs, rows.T, strict=True):
+        low, high = ranges.get(name, (-np.inf, np.inf))
+        least, largest = with_printed_rounding(low, high)
+        is_outside = (values < least) | (values > largest)
+        if is_outside.any():
+            names.append(f"{name} (measured: {low:.4g} to {high:.4g})")
+            outside |= is_outside
+    if not names:
+        return ""
+    count = f"{np.count_nonzero(outside)} of {len(rows)} rows"
+    return f"{count} are outside of the measured range of {', '.join(names)}; the model is extrapolated there"
 
 
 def _r2(measured: FloatArray, values: FloatArray) -> float:

@@ -23,8 +23,8 @@ class Template:
         Args:
             equations: right-hand sides by left-hand side, or texts such as ``"dv/dt = -c*v + ?"``.
             parameters: for each name bounds ``(0.1, 10)`` (None: no bound), a start value, a text such as
-                ``"1 in 0.1..10"``, or None; or texts such as ``"c=0.1..10"``. Other names are parameters without
-                bounds.
+                ``"1 in 0.1..10"``, or None; or texts such as ``"c=0.1..10"``. A text that ends with ``by run`` lets
+                the value differ between trajectories. Other names are parameters without bounds.
         """
         self.equations = equations
         self.parameters = parameters

@@ -21,11 +21,12 @@ MOST_WORKERS: Final = 1024
 
 _ALL: Final = "*"
 _PARAMETER: Final = re.compile(r"(?P<name>[^\W\d]\w*)\s*(?:=\s*(?P<numbers>.*))?", re.DOTALL)
+_BY: Final = re.compile(r"(?P<parameter>.+?)\s*[\s=]\s*by\s+(?P<by>\w+)", re.DOTALL)
 _NUMBERS: Final = re.compile(
     r"(?:(?P<start>\S+)\s+in\s+)?(?=.*\d)(?P<lower>\S*?)\s*(?<!\.)\.\.(?!\.)\s*(?P<upper>\S*)|(?P<only>\S+)"
 )
 """Start value and bounds of a parameter. ``0...5`` is refused: the third dot may belong to 0.5."""
-_PARAMETER_FORMS: Final = "c, c=1, c=0.1..10 or 'c=1 in 0.1..10'"
+_PARAMETER_FORMS: Final = "c, c=1, c=0.1..10, 'c=1 in 0.1..10' or 'c=0.1..10 by run'"
 
 Read = Callable[[object, Field], object]
 """Returns the setting for a value, or a tuple for several settings; raises UsageError that names the field."""
@@ -223,7 +224,7 @@ def shapes(value: object, field: Field, *, example: str) -> dict[str, tuple[str,
 
 
 def parameters(value: object, field: Field) -> dict[str, dict[str, object]]:
-    """Return bounds and start values by parameter, from texts such as ``c=1 in 0.1..10``, or from a mapping.
+    """Return bounds and start values by parameter, from texts such as ``c=1 in 0.1..10 by run``, or from a mapping.
 
     In a mapping, a value may be None, a start value, a pair of bounds, a text, or a mapping.
     """
@@ -235,7 +236,19 @@ def parameters(value: object, field: Field) -> dict[str, dict[str, object]]:
     for name, settings in pairs:
         if name in given:
             raise UsageError("%s names %r twice; name it once", field, name)
+        by = settings.get("by", "run")
+        if by != "run":
+            raise UsageError("%s: %r differs by %s, but a parameter is shared or differs 'by run'", field, name, by)
         given[name] = settings
+    return given
+
+
+def initial_values(value: object, field: Field) -> dict[str, dict[str, object]]:
+    """Return initial values, or bounds on them, by state; see `parameters`."""
+    given = parameters(value, field)
+    name = next((name for name, settings in given.items() if "by" in settings), None)
+    if name is not None:
+        raise UsageError("%s: bounds on %r let its initial value differ by run; leave 'by run' out", field, name)
     return given
 
 
@@ -259,6 +272,10 @@ def _parameter(name: object, value: object, field: Field) -> tuple[str, dict[str
 def _parameter_text(part: object, field: Field) -> tuple[str, dict[str, object]]:
     """Return name and settings of a parameter in a text such as ``c=1 in 0.1..10``."""
     line = text(part, field).strip()
+    divided = _BY.fullmatch(line)
+    if divided is not None:
+        name, settings = _parameter_text(divided["parameter"], field)
+        return name, {**settings, "by": divided["by"]}
     match = _PARAMETER.fullmatch(line)
     numbers = _NUMBERS.fullmatch(match["numbers"] or "") if match is not None else None
     if match is None or (numbers is None and match["numbers"] is not None):
@@ -391,11 +408,12 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
             "of these variables, and ?1 in several equations is the same expression", is_repeatable=True,
         ),
         Option(
-            "parameter", "prior.parameters", parameters, '"c=1 in 0.1..10"',
-            "start value, bounds, or both, of a parameter in --equation (also c=1, c=0.., c=..10)", is_repeatable=True,
+            "parameter", "prior.parameters", parameters, '"c=1 in 0.1..10 by run"',
+            "start value, bounds, or both, of a parameter in --equation (also c=1, c=0.., c=..10); 'by run': each "
+            "trajectory has a value of its own", is_repeatable=True,
         ),
         Option(
-            "initial", "prior.initial", parameters, "h=0..10",
+            "initial", "prior.initial", initial_values, "h=0..10",
             "value of a state of given equations at the first row of each trajectory (h=10), or bounds on it",
             is_repeatable=True,
         ),

@@ -223,7 +223,7 @@ def most_errors(count: int) -> float:
 def _have_equal_states(first: Result, second: Result) -> bool:
     """Tell whether two models have equations of the same sides, and all their states are measured."""
     sides = [sorted(equation.lhs for equation in result.equations) for result in (first, second)]
-    return sides[0] == sides[1] and not any(result.hidden or result.observations for result in (first, second))
+    return sides[0] == sides[1] and not any(result.unmeasured or result.observations for result in (first, second))
 
 
 def _observed_columns(model: ModelCore) -> frozenset[str]:
@@ -235,7 +235,7 @@ def _observed_columns(model: ModelCore) -> frozenset[str]:
 
 def _measured_columns(result: Result) -> tuple[str, ...]:
     """Return the measured columns that a law of trajectories predicts."""
-    states = (equation.variable for equation in result.equations if equation.variable not in result.hidden)
+    states = (equation.variable for equation in result.equations if equation.variable not in result.unmeasured)
     return (*states, *(one.column for one in result.observations))
 
 
@@ -253,7 +253,7 @@ def _trajectories(holder: Result, other: Result, letter: str, table: Table | Non
     there = there.model_copy(update={"system": other.columns.model_copy(update={"inputs": inputs})})
     measured = measured_of(there, table).with_piece(displayed.measured.longest)
     measured = replace(measured, rows=displayed.measured.rows, source=displayed.measured.source)
-    starts = starts_of(other, measured) if other.hidden else None
+    starts = starts_of(other, measured) if other.unmeasured else None
     columns = () if _have_equal_states(holder, other) else _measured_columns(holder)
     if not columns and measured.measurements.variables == displayed.measured.measurements.variables:
         starts = displayed.fit.starts

@@ -172,11 +172,12 @@ def _listed_recording(result: Result) -> Recording:
             "the result has no measurements", python="give them as data", command="give the data file with --data"
         )
     columns, symbols = result.columns, result.symbols
-    states, inputs = (*columns.states, *result.hidden), columns.inputs
+    states, inputs = (*columns.states, *result.unmeasured), columns.inputs
     smoothing = []
     for name in states:
         noise = result.noise.get(name, Noise())
         method: Method = next((method for method in get_args(Method) if method == noise.method), "interpolation")
+        method = "hidden" if name in result.by_run else method
         smoothing.append(StateSmoothing(name, method, noise.sd or 0.0, noise.relative or 0.0))
     smoothed = {part.name: part for part in result.smoothed}
     return Recording(
@@ -190,7 +191,7 @@ def _listed_recording(result: Result) -> Recording:
         tuple(smoothing),
         tuple(_trajectory(part, smoothed.get(part.name), states, inputs) for part in result.recorded),
         tuple(config_of(result).data.offsets),
-        hidden=result.hidden,
+        hidden=result.unmeasured,
         observed=tuple(one.column for one in result.observations),
     )
 
@@ -276,7 +277,7 @@ def _prepare_recording(result: Result, table: Table) -> Recording:
         settings = config.data.model_copy(update={"group": None, "per_trajectory": False})
         config = config.model_copy(update={"data": settings})
     recording = prepare(table, config).recording
-    if recording is None or set(recording.states) != {*result.columns.states, *result.hidden}:
+    if recording is None or set(recording.states) != {*result.columns.states, *result.unmeasured}:
         raise UsageError(f"the data must have measurements of {', '.join(result.columns.states)} over time")
     return recording if group is None or column is not None else _trajectory_of_group(recording, group)
 

@@ -340,11 +340,11 @@ def suggest(
             within the bounds, or there is only one candidate and it has no constants.
     """
     request.check()
-    if result.hidden or result.observations:
-        names = ", ".join((*result.hidden, *(one.column for one in result.observations)))
+    if result.unmeasured or result.observations:
+        names = ", ".join((*result.unmeasured, *(one.column for one in result.observations)))
         raise UsageError(
-            "experiments are only suggested for models whose states are all measured; hidden or computed from states: "
-            f"{names}; `coordinator analyse --identifiability` shows which constants are not determined"
+            "experiments are only suggested for models whose states are all measured; hidden, by run, or computed from "
+            f"states: {names}; `coordinator analyse --identifiability` shows which constants are not determined"
         )
     displayed = fit_displayed(measured_of(result, table), result)
     space = space_of(result, displayed.measured, request)

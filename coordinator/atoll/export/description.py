@@ -189,9 +189,10 @@ def describe(
 
 
 def _constants(model: "ModelCore") -> tuple[Parameter, ...]:
-    """Return the constants with a name; parameters of given sides always have one."""
-    given = fitted_parameters(model.result)
-    return tuple(one for one in model.params.values() if one.name in given or _is_named(one))
+    """Return the constants with a name; parameters of given sides always have one. A parameter by run is a state."""
+    given, by_run = fitted_parameters(model.result), model.result.by_run
+    shared = (one for one in model.params.values() if one.variable not in by_run)
+    return tuple(one for one in shared if one.name in given or _is_named(one))
 
 
 def _observed(model: "ModelCore") -> tuple[ExportedColumn, ...]:

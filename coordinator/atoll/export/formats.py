@@ -21,6 +21,7 @@ from atoll.model.equations import (
     displayed_equation,
     given_words,
     remark_on_groups,
+    words_of_run,
 )
 from atoll.model.given_sides import fitted_parameters, named_side, searched_parts, with_parameter_names
 from atoll_coordinator.result.equations import Equation, Observation
@@ -101,6 +102,10 @@ def latex_lines(result: Result) -> list[str]:
     names, lines = result.names, []
     for equation in result.equations:
         if equation.expression is None:
+            continue
+        if equation.runs:
+            values = ",\\; ".join(_constant_latex(words_of_run(one)) for one in equation.runs)
+            lines.append(rf"{left_side_to_latex(equation.variable, is_name=True)} &= {values} \quad \text{{by run}}")
             continue
         left = left_side_to_latex(equation.lhs, is_name=equation.lhs == equation.variable)
         unit = displayed_equation(result, equation).unit

@@ -108,7 +108,7 @@ def _recorded_trajectories(model: ModelCore) -> list[PetabTrajectory]:
             {
                 symbols.get(name, name): values_of_curve(curve)[first:]
                 for name, curve in curves.items()
-                if name not in model.result.hidden
+                if name not in model.result.unmeasured
             }
             for curves in (part.measured, recorded)
         )
@@ -207,7 +207,7 @@ class _Tables:
         another unmeasured state, the range of all slopes."""
         values = self._measured.get(state)
         curves = [(part.values or {}).get(state.column) for part in self._model.result.simulated]
-        if values is None and state.column in self._model.result.hidden and any(curves):
+        if values is None and state.column in self._model.result.unmeasured and any(curves):
             values = np.concatenate([values_of_curve(curve) for curve in curves if curve])
         if values is None:
             parts = [(part.times, curve) for part in self._trajectories for curve in part.values.values()]

@@ -146,7 +146,7 @@ def rows_of(model: "ModelCore", part: Columns) -> tuple[FloatArray, dict[str, Fl
     is_second = all(equation.lhs.startswith(f"d2{equation.variable}/") for equation in model.result.equations)
     positions = dict(zip(model.states[half:], model.states[:half], strict=True)) if is_second else {}
     times = column(part, model.time)
-    hidden = {name for name in model.states if columns[name] in model.result.hidden}
+    hidden = {name for name in model.states if columns[name] in model.result.unmeasured}
     known = initial_conditions(model).start if hidden else {}
     measured = [
         name for name in model.states if name not in hidden and (name not in positions or has(part, columns[name]))
@@ -260,7 +260,7 @@ def initial_conditions(model: "ModelCore") -> InitialConditions:
 
 def measured_conditions(model: "ModelCore", part: Recorded | Simulated) -> InitialConditions | None:
     """Return the initial conditions from the complete rows of a trajectory; None if no row has all states."""
-    if model.result.hidden:
+    if model.result.unmeasured:
         return None
     columns = {name: values_of_curve(curve) for name, curve in part.measured.items()}
     times = values_of_curve(part.times)

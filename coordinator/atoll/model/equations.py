@@ -13,12 +13,12 @@ import itertools
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from atoll.model.given_sides import GivenSides, program_of
 from atoll_coordinator.result.base import Pair
-from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation, Observation
+from atoll_coordinator.result.equations import Constant, Equation, GivenSide, GroupEquation, Observation, RunValue
 from atoll_coordinator.result.findings import Group, Noise
 from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
@@ -59,6 +59,8 @@ class DisplayedEquation(Equation):
     nats: float = 0.0
 
     def __str__(self) -> str:
+        if self.runs:
+            return f"{self.variable} = {', '.join(f'{one.estimate:.6g}' for one in self.runs)} by run"
         return f"{self.lhs} = {self.expression}" + (f"  [{self.unit}]" if self.unit else "")
 
 
@@ -143,7 +145,7 @@ def quantile(level: float, freedom: float | None) -> float:
 def parameters_of(result: Result) -> dict[str, Parameter]:
     """Return the constants of all equations by name, in the order of the parameters of a `VectorField`.
 
-    Parameters that only occur in observed columns come last.
+    Parameters that only occur in observed columns, and then values by run, such as ``l[run 2]``, come last.
 
     A constant that differs between groups of trajectories has a value for each: ``c1[strain 2]``.
     """
@@ -151,6 +153,8 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
     parameters: dict[str, Parameter] = {}
     numbers = numbers_of(result)
     for equation in result.equations:
+        if equation.runs:
+            continue
         is_given = equation.given is not None
         by_group = [
             (f"[{label} {group.group}]", _numbers_in(group, result.names, is_given=is_given))
@@ -167,6 +171,9 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
         for name, place in one.given.parameters.items():
             known = one.constants[place]
             parameters.setdefault(name, _parameter(name, one.column, known.value or 0.0, known))
+    for equation in result.equations:
+        for name, of_run in zip(run_names(equation), equation.runs, strict=True):
+            parameters[name] = _parameter(name, equation.variable, of_run.estimate, of_run)
     return parameters
 
 
@@ -183,6 +190,11 @@ def constant_names(result: Result) -> dict[str, list[str]]:
             places.get(id(constant)) or f"{constant.value or 0.0:.6g}" for constant in equation.constants
         ]
     return names
+
+
+def run_names(equation: Equation) -> list[str]:
+    """Return the names of the values of a parameter that differs by run: ``l[run 2]``."""
+    return [f"{equation.variable}[run {one.run}]" for one in equation.runs]
 
 
 class EquationNumber(NamedTuple):
@@ -358,6 +370,14 @@ def words_of(constant: Constant) -> ConstantWords:
     return ConstantWords(displayed, tuple(notes), constant.unit)
 
 
+def words_of_run(one: RunValue) -> ConstantWords:
+    """Return the value of a parameter in one run, for display; its error determines the digits."""
+    words = _words_of_parameter(one.replaced(value=one.estimate))
+    if not one.identifiable:
+        return replace(words, notes=("not determined",))
+    return words if one.at_bound or _is_rounding(one) else replace(words, number=fitted_text(one), notes=())
+
+
 def fitted_text(constant: Constant) -> str:
     """Return the fitted value with its standard error."""
     return plus_minus(constant.estimate, constant.std_error or 0.0)
@@ -508,12 +528,18 @@ def measured_ranges(result: Result) -> dict[str, tuple[float, float]]:
     return {name: ends for name, ends in ranges.items() if name not in angles}
 
 
+def with_printed_rounding(low: float, high: float) -> tuple[float, float]:
+    """Return the ends of a range that contains its own ends when they are printed."""
+    return low - _PRINTED_ROUNDING * abs(low), high + _PRINTED_ROUNDING * abs(high)
+
+
 def outside_sentence(values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> str:
     """Return a sentence about the `values` outside of their `ranges`; "" if there are none."""
     outside = []
     for name, value in values.items():
         low, high = ranges.get(name, (value, value))
-        if not low - _PRINTED_ROUNDING * abs(low) <= value <= high + _PRINTED_ROUNDING * abs(high):
+        least, largest = with_printed_rounding(low, high)
+        if not least <= value <= largest:
             outside.append(f"{name} = {value:.4g} (measured: {low:.4g} to {high:.4g})")
     if not outside:
         return ""

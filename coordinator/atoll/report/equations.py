@@ -17,6 +17,7 @@ from atoll.model.equations import (
     r2_text,
     remark_on_groups,
     rounded,
+    run_names,
     side_text,
 )
 from atoll.model.given_sides import searched_parts
@@ -40,7 +41,7 @@ from atoll.report.markup import (
     table,
 )
 from atoll.text.conclusion import conclusion
-from atoll.text.render import ENDS, checks_text, constants_line, given_lines
+from atoll.text.render import ENDS, checks_text, constants_line, given_lines, run_lines
 from atoll_coordinator.result.equations import Check, Equation, Estimate, Observation, SimpleNumber
 from atoll_coordinator.result.findings import Correlation
 from atoll_core.redaction import without_secrets
@@ -84,6 +85,9 @@ def _equation(equation: Equation, findings: Findings) -> Element:
     else:
         formula = equation_mathml(equation, findings.result.names)
         parts = [scrolling(f"equation {lhs}", parse_mathml(formula))]
+    if equation.runs:
+        values = [element("li", element("code", line)) for line in run_lines(equation)]
+        parts = [paragraph(f"{equation.variable}, a parameter by run:"), element("ul", *values)]
     given = given_words(equation, findings.result.names)
     parts += _given(given)
     errors = constants_line(given.constants)
@@ -228,9 +232,11 @@ def _rows(equation: Equation, names: Sequence[str]) -> list[list[Child]]:
     is_given = equation.given is not None  # numbers of the user's text were not fitted
     listed: list[tuple[str, Estimate]] = [pair for pair in known if not is_given or pair[1].fitted is not None]
     listed += [(f"1 of {factor.of}", factor) for factor in equation.implied]
+    if equation.runs:
+        listed = [*zip(run_names(equation), equation.runs, strict=True)]
     return [
         [
-            equation.lhs,
+            "" if equation.runs else equation.lhs,
             element("span", name),
             number(estimate.value, 6),
             number(estimate.fitted, 6),

@@ -46,7 +46,7 @@ def trajectories(findings: Findings) -> list[Element]:
     parts = [part for part, _ in findings.curves]
     sections = []
     if parts:
-        states = list(parts[0].values or {})
+        states = [state for state in parts[0].values or {} if state not in findings.result.by_run]
         fits = pictures(_fit(state, findings) for state in states)
         residual_figures = pictures(
             _residuals(state, parts, findings) for state in states if state in parts[0].measured
@@ -127,7 +127,7 @@ def _fit(state: str, findings: Findings) -> Element:
     numbers = table(f"{state}, measured and simulated", heads, _some_rows(listed))
     names = [f"trajectory {part.name}" + (", held out" if part.held_out else "") for part, _ in parts]
     marks = [legend((f"c{index}", name) for index, name in enumerate(names))] if len(parts) > 1 else []
-    hidden = " (hidden: it has no measured values)" if state in findings.result.hidden else ""
+    hidden = " (hidden: it has no measured values)" if state in findings.result.unmeasured else ""
     return figure(drawn.svg(), findings.label(state) + hidden, numbers, *marks)
 
 
@@ -190,10 +190,10 @@ def _errors(findings: Findings) -> Element:
             _kind(noise.errors or Errors()),
         ]
         for state, noise in findings.result.noise.items()
-        if state not in findings.result.hidden
+        if state not in findings.result.unmeasured
     ]
     smoothed = findings.result.smoothed
-    measured = [name for name in (smoothed[0].measured if smoothed else ()) if name not in findings.result.hidden]
+    measured = [name for name in (smoothed[0].measured if smoothed else ()) if name not in findings.result.unmeasured]
     drawn = [_smoothing(state, smoothed, findings) for state in measured]
     explained = (
         [paragraph("Dots are measured, lines are smoothed. The search uses the smoothed values.")] if drawn else []

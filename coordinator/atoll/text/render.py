@@ -23,10 +23,12 @@ from atoll.model.equations import (
     plus_minus,
     r2_text,
     rounded,
+    run_names,
     side_text,
     unit_text,
     with_errors,
     words_of,
+    words_of_run,
 )
 from atoll.model.given_sides import GivenSides, searched_parts
 from atoll_coordinator.result.equations import (
@@ -257,7 +259,7 @@ def _simulation_line(trajectories: Sequence[Simulated]) -> list[str]:
 
 def noise_lines(result: Result) -> list[str]:
     """Return a line for each state: its noise, and how the state was smoothed."""
-    measured = {state: noise for state, noise in result.noise.items() if state not in result.hidden}
+    measured = {state: noise for state, noise in result.noise.items() if state not in result.unmeasured}
     return [f"noise of {state}: {_noise_text(noise)}" for state, noise in measured.items()]
 
 
@@ -564,6 +566,8 @@ def _equation_text(
     if equation.expression is None:
         return f"{equation.lhs} = ?\n    no equation found yet"
     lines = [f"{equation.lhs} = {side_text(equation, names)}" + ("  (hidden state)" if is_hidden else "")]
+    if equation.runs:
+        lines = [f"{equation.variable}: a parameter by run", *(f"    {line}" for line in run_lines(equation))]
     given = given_words(equation, names)
     constants = None if with_tables else constants_line(given.constants)
     lines += [f"    {line}" for line in given_lines(given)]
@@ -577,7 +581,8 @@ def _equation_text(
     if equation.verdict is not None:
         lines.append(f"    {equation.verdict}: {equation.reason}")
         lines += checks_lines(equation.checks, is_listed=with_tables)
-    lines.append(f"    {_standing(equation)}")
+    if not (equation.runs or (is_hidden and equation.why == "known")):  # a hidden state has no target
+        lines.append(f"    {_standing(equation)}")
     most = None if with_tables else NEAREST
     if with_tables:
         lines += constants_table(equation.constants, called if given.text else [])
@@ -597,6 +602,13 @@ def observation_lines(one: Observation, names: Sequence[str]) -> list[str]:
     """Return a measured column that is computed from states, as the user wrote it too, and its parameters."""
     parameters = given_words(one, names).parameters
     return [observation_text(one, names), *(f"    {name} = {_words_text(words)}" for name, words in parameters.items())]
+
+
+def run_lines(equation: Equation) -> list[str]:
+    """Return a line for each value of a parameter that differs by run."""
+    pairs = zip(run_names(equation), equation.runs, strict=True)
+    remarks = {True: " (held out, fitted to this run)", False: ""}
+    return [f"{name} = {_words_text(words_of_run(one))}{remarks[bool(one.held_out)]}" for name, one in pairs]
 
 
 def given_lines(given: GivenWords) -> list[str]:

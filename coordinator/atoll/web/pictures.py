@@ -14,7 +14,7 @@ from atoll.model.arguments import initial_conditions
 from atoll.model.equations import GivenWords, given_words, r2_text, rounded, side_text
 from atoll.model.simulation import SimulationResult
 from atoll.text.conclusion import conclusion
-from atoll.text.render import constants_line, given_lines
+from atoll.text.render import constants_line, given_lines, run_lines
 from atoll_coordinator.result.base import Number
 from atoll_coordinator.result.equations import Convergence, Equation
 from atoll_coordinator.result.listed_trajectories import Simulated
@@ -74,6 +74,7 @@ def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str
         "lhs": equation.lhs,
         **written(equation.expression),
         **(_given_side(equation, symbols, given) if given.text else {}),
+        **(_values_by_run(equation) if equation.runs else {}),
         "constants": constants.removeprefix("constants: ") if constants else None,
         "origin": equation.origin,
         "candidates": [
@@ -110,6 +111,12 @@ def _given_side(equation: Equation, names: tuple[str, ...], given: GivenWords) -
     """Return a side with its parameters by name, and lines with the user's text and the values."""
     typeset = equation_mathml(equation, names)
     return {"expression": side_text(equation, names), "mathml": typeset, "given": given_lines(given)}
+
+
+def _values_by_run(equation: Equation) -> dict[str, Any]:
+    """Return a parameter that differs by run, with a line for each value."""
+    values = ", ".join(f"{one.estimate:.4g}" for one in equation.runs)
+    return {"lhs": equation.variable, "expression": f"{values} by run", "mathml": None, "given": run_lines(equation)}
 
 
 @lru_cache(4_096)

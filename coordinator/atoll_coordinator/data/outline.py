@@ -14,7 +14,7 @@ from atoll_coordinator.data.columns.examination import Examination, examine
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.roles.roles import Roles, assign_symbols
 from atoll_coordinator.data.template_units import units_of_template
-from atoll_coordinator.data.templates import template_of
+from atoll_coordinator.data.templates import parameter_of, template_of
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.units import Unit
 from atoll_core.config import JobConfig
@@ -143,10 +143,13 @@ def outline(table: Table, config: JobConfig) -> Outline:
             None if (unit := implied.unknowns.get(name)) is None else str(unit),
         )
         for name in names
+        if name not in roles.by_run
     )
     used = {name: unit for name, unit in units.items() if unit and name in roles.used}
     warnings = tuple(finding.sentence for finding in examination.findings)
     described = tuple(_describe(one, implied.parameters.get(one.name)) for one in template.parameters)
+    given = {f"{name}, by run": resolved.prior.parameters[name] for name in roles.by_run}
+    described += tuple(_describe(parameter_of(name, one), None) for name, one in given.items())
     return Outline(
         table.files, table.read_as, table.rows, roles.time, used, equations, resolved, roles, warnings, described
     )
@@ -199,8 +202,9 @@ def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> s
     if roles.time is not None:
         lines.append(f"time {with_unit(roles.time)}: {_times(measurements, roles.time)}")
     states = tuple(name for name in roles.states if name not in roles.observed)
-    named = [("states", states), ("hidden states", roles.hidden), ("derivatives", roles.derivatives)]
-    named.append(("inputs", roles.inputs))
+    hidden = tuple(name for name in roles.hidden if name not in roles.by_run)
+    named = [("states", states), ("hidden states", hidden), ("derivatives", roles.derivatives)]
+    named += [("inputs", roles.inputs), ("parameters by run", roles.by_run)]
     if roles.target is not None:
         named = [("target", (roles.target,)), ("inputs", roles.inputs)]
     named.append(("weights", () if roles.weights is None else (roles.weights,)))

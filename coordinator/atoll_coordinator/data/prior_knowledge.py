@@ -127,6 +127,7 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
         names = (*names, *(component_name(*pair) for pair in combinations_with_replacement(roles.states, 2)))
     sides, only = _sides(config, names, symbols), config.data.only
     given = sides.single("--known", config.prior.known) | sides.single("--equation", config.prior.equations)
+    given |= dict.fromkeys(roles.by_run, "0")
     equations = tuple(name for name in names if not only or name in only or name in given)
     resolved = resolve_prior(config, equations, symbols)
     if not config.data.hidden_count:
@@ -163,8 +164,9 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     )
     equations = sides.single("--equation", config.prior.equations)
     template = _checked_template(config, equations, known, names)
-    space = space.model_copy(update={"variables_of": _variables_of_unknowns(template, space.variables_of)})
-    given = [name for name in equations if template.is_given(name)]
+    by_run = [symbols[name] for name in config.prior.by_run]
+    space = space.model_copy(update={"variables_of": _variables_of_unknowns(template, space.variables_of, by_run)})
+    given = [name for name in variables if template.is_given(name)]
     sought = [name for name in variables if name not in known and name not in given]
     bounds = _resolved_bounds(config.prior.bounds, sides, sought)
     shapes = _resolved_shapes(config.prior, sides, template)
@@ -238,6 +240,9 @@ def _checked_template(
     both = next((name for name in equations if name in known), None)
     if both is not None:
         raise UsageError(f"--known and --equation both give the equation of '{both}'; leave one of the two out")
+    both = next((name for name in config.prior.by_run if name in equations or name in known), None)
+    if both is not None:
+        raise UsageError(f"--parameter '{both} by run' is constant in each run; leave the equation of '{both}' out")
     prior = config.prior.model_copy(update={"equations": equations})
     template = template_of(config.model_copy(update={"prior": prior}), names)
     check_template(template)
@@ -245,12 +250,18 @@ def _checked_template(
 
 
 def _variables_of_unknowns(
-    template: EquationTemplate, allowed: Mapping[str, tuple[str, ...]]
+    template: EquationTemplate, allowed: Mapping[str, tuple[str, ...]], by_run: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the allowed variables by equation, with the variables that unknowns name: ``?(v, u)``."""
+    """Return the allowed variables by equation, with the variables that unknowns name: ``?(v, u)``.
+
+    An unknown part may depend on a parameter that differs by run only if the user names the parameter.
+    """
     variables = dict(allowed)
     for unknown in template.unknowns:
         if unknown.variables is None:
+            if by_run:
+                others = tuple(name for name in template.names if name not in by_run)
+                variables.setdefault(unknown.home, others)
             continue
         others = variables.setdefault(unknown.home, unknown.variables)
         if set(others) != set(unknown.variables):

@@ -2,9 +2,10 @@
 can have them. Pure."""
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
-from atoll_coordinator.data.roles.roles import RESERVED, Roles, assign_symbols
-from atoll_core.config import JobConfig
+from atoll_coordinator.data.roles.roles import RESERVED, Roles, assign_symbols, is_symbol
+from atoll_core.config import JobConfig, ParameterConfig
 from atoll_core.errors import UsageError
 from atoll_core.expression.program import tree_size, variables_of
 from atoll_core.expression.template import EquationTemplate, TemplateParameter, option_for, read_template
@@ -23,8 +24,35 @@ def template_of(config: JobConfig, names: Sequence[str]) -> EquationTemplate:
     prior = config.prior
     if not prior.equations and not prior.parameters and not config.data.observe:
         return EquationTemplate(tuple(names))
-    parameters = {name: TemplateParameter(name, *one.ends, one.start) for name, one in prior.parameters.items()}
-    return read_template({**prior.equations, **config.data.observe}, parameters, names, config.data.observe)
+    parameters = {name: parameter_of(name, one) for name, one in prior.parameters.items() if name not in prior.by_run}
+    sides = {**prior.equations, **dict.fromkeys(prior.by_run, "0"), **config.data.observe}
+    return read_template(sides, parameters, names, config.data.observe)
+
+
+def parameter_of(name: str, given: ParameterConfig) -> TemplateParameter:
+    """Return a parameter of a configuration."""
+    return TemplateParameter(name, *given.ends, given.start)
+
+
+def with_parameters_by_run(roles: Roles, config: JobConfig, columns: Sequence[str]) -> Roles:
+    """Return the roles with a hidden state for each parameter that differs by run; its given rate is 0.
+
+    Raises:
+        UsageError: the name cannot be the name of a state, or a job of this kind can have no such parameter.
+    """
+    for name in config.prior.by_run:
+        if name in columns or name in roles.hidden or not is_symbol(name):
+            what = "a column" if name in columns else "a hidden state" if name in roles.hidden else "a function"
+            raise UsageError(f"--parameter '{name} by run' has the name of {what}; choose another name")
+        if name in config.prior.initial:
+            raise UsageError(f"--initial names '{name}', a parameter; write its bounds with --parameter")
+    if config.prior.by_run and roles.order == 2:
+        example = '"dx/dt = x_dot" and "dx_dot/dt = -k*x"'
+        raise UsageError(
+            "a parameter by run and --order 2 exclude each other; write the velocity as a state of its own: "
+            f"{example}, with --hidden x_dot if it was not measured"
+        )
+    return replace(roles, hidden=(*roles.hidden, *config.prior.by_run), by_run=config.prior.by_run)
 
 
 def check_names(config: JobConfig, columns: Sequence[str], roles: Roles) -> None:
@@ -80,13 +108,20 @@ def check_hidden_states(template: EquationTemplate, roles: Roles, symbols: Mappi
     for name in roles.states:
         if name not in roles.observed and name not in template.sides:
             raise UsageError(
-                f"with --hidden every state needs a given equation, but '{name}' has none; give one with --equation "
+                f"with {'a parameter by run' if roles.by_run else '--hidden'} every state needs a given equation, but "
+                f"'{name}' has none; give one with --equation "
                 f'"d{name}/dt=…" (? alone is an unknown one), or make it an input with --inputs {name}'
             )
+    for name in roles.by_run:
+        place = template.names.index(symbols[name])
+        uses = any(place in variables_of(side) for side in template.sides.values())
+        if not uses and not any(symbols[name] in (unknown.variables or ()) for unknown in template.unknowns):
+            raise UsageError(f"--parameter {name} occurs in no --equation and no --observe; leave it out")
     unreached = next((name for name in roles.hidden if name not in _states_that_matter(template, roles, symbols)), None)
     if unreached is not None:
+        what = "parameter" if unreached in roles.by_run else "hidden state"
         raise UsageError(
-            f"nothing that is measured depends on the hidden state '{unreached}', so that the data cannot determine "
+            f"nothing that is measured depends on the {what} '{unreached}', so that the data cannot determine "
             "it; leave its equation out"
         )
 

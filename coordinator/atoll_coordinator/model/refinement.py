@@ -10,7 +10,7 @@ from typing import Literal
 
 from atoll_coordinator.dimensions import EquationUnits
 from atoll_coordinator.model.pools import Origin
-from atoll_coordinator.result.equations import Check, Constant, Estimate, Prediction, SimpleTogether
+from atoll_coordinator.result.equations import Check, Constant, Estimate, Prediction, RunValue, SimpleTogether
 from atoll_coordinator.result.findings import Chaos, Correlation, Covariance, Errors, Process
 from atoll_coordinator.result.listed_trajectories import Simulation
 from atoll_core.expression.program import Program
@@ -69,7 +69,8 @@ class Refined:
     and constants of each group by name, and the constants of `program` that are not `shared` are means over the groups.
     `units` are the units of the constants, None if no unit is known. `simple_together` are simple numbers that two or
     more constants may have together; None if no such numbers are likely. With a template, `parameters` has for each
-    constant the name of its parameter (None: it has none), and `unknowns` are the unknown parts by label.
+    constant the name of its parameter (None: it has none), and `unknowns` are the unknown parts by label. `runs` are
+    the values of a parameter that differs by run; the equation is then its rate, 0.
     """
 
     member: int | None
@@ -89,6 +90,7 @@ class Refined:
     simple_together: SimpleTogether | None = None
     parameters: tuple[str | None, ...] = ()
     unknowns: Mapping[str, Program] = field(default_factory=dict)
+    runs: tuple[RunValue, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

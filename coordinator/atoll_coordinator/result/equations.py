@@ -54,6 +54,13 @@ class Constant(Estimate):
     )
 
 
+class RunValue(Constant):
+    """The value of a parameter in one trajectory, if it differs by run."""
+
+    run: Text = Field(description="name of the trajectory")
+    held_out: Flag = Field(default=False, description="whether the trajectory was held out; its value was fitted to it")
+
+
 class Factor(Part):
     """A factor that is not written; `of` is the term that it multiplies."""
 
@@ -248,6 +255,9 @@ class Equation(Part):
     )
     units: Units | None = Field(default=None, description="units, null if no column has a unit")
     groups: tuple[GroupEquation, ...] = Field(default=(), description="the equation of each group of trajectories")
+    runs: tuple[RunValue, ...] = Field(
+        default=(), description="the values of a parameter `by run`, a state with the rate 0; missing for others"
+    )
     implied: tuple[ImpliedConstant, ...] = Field(default=(), description="factors of 1 that are not written")
     verdict: Text | None = Field(default=None, description="`exact`, `good`, `doubtful` or `no model`")
     reason: Text | None = Field(default=None, description="reason for the verdict, one sentence")

@@ -31,7 +31,7 @@ from atoll_core.errors import UsageError
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 _RARE: Final = ("group", "command", "observations", "hidden")
 """Keys that only some results have: models of one group, and results written by a command."""
-_RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups", "given", "shapes")
+_RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups", "given", "shapes", "runs")
 _RARE_OF_CANDIDATES: Final = ("unknown", "parameters")
 
 
@@ -119,6 +119,18 @@ class Result(Part):
     def proper_warnings(self) -> tuple[str, ...]:
         """The warnings that are not notes."""
         return tuple(sentence for sentence in self.warnings if sentence not in self.notes)
+
+    @property
+    def by_run(self) -> tuple[str, ...]:
+        """The parameters of which each trajectory has a value of its own: states with the rate 0."""
+        parameters = self.settings("prior").get("parameters")
+        named = parameters.items() if isinstance(parameters, dict) else ()
+        return tuple(name for name, one in named if isinstance(one, dict) and one.get("by") == "run")
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """The states without a column: hidden states, and parameters by run."""
+        return (*self.hidden, *self.by_run)
 
     @property
     def columns(self) -> System:

@@ -144,7 +144,7 @@ def _with_result(result: Result, folder: str) -> _Proposal:
         return ["simulate", folder, "-o", f"{folder}/simulation.csv"], "simulate the model along the measurements"
     if any(not constant.identifiable for equation in result.equations for constant in equation.constants):
         return ["analyse", folder, "--identifiability"], "shows which constants the data determine"
-    if result.hidden and any(equation.verdict == "doubtful" for equation in result.equations):
+    if result.unmeasured and any(equation.verdict == "doubtful" for equation in result.equations):
         return ["analyse", folder, "--identifiability"], "shows which constants the measured columns determine"
     if any(equation.verdict == "doubtful" and equation.candidates for equation in result.equations):
         return ["suggest", folder], "the experiment that would decide between the candidates"

@@ -337,9 +337,9 @@ function asTexts(name, value) {
     return ["guess", "monotone", "limit"].includes(name) ? right.map((one) => `${side}=${one}`) : [`${side}=${[right].flat().join(",")}`];
   });
 }
-/** Returns start value and bounds of a parameter or an initial value as its option has them, such as =1 in 0.1..10. */
-function parameterText({ start, lower, upper }) {
+/** Returns start value and bounds of a parameter or an initial value as its option has them, such as =1 in 0.1..10 by run. */
+function parameterText({ start, lower, upper, by }) {
   const bounds = lower === undefined && upper === undefined ? [] : [`${lower ?? ""}..${upper ?? ""}`];
   const numbers = [...(start === undefined ? [] : [start]), ...bounds].join(" in ");
-  return numbers && `=${numbers}`;
+  return (numbers && `=${numbers}`) + (by ? ` by ${by}` : "");
 }

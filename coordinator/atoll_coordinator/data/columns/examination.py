@@ -20,7 +20,7 @@ from atoll_coordinator.data.columns.values import (
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.roles.roles import Roles, assign_roles, assign_symbols
 from atoll_coordinator.data.template_units import units_of_template
-from atoll_coordinator.data.templates import check_names
+from atoll_coordinator.data.templates import check_names, with_parameters_by_run
 from atoll_coordinator.data.trajectories.measurements import Measurements, take_measurements
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.data.table import Table
@@ -54,6 +54,7 @@ def examine(table: Table, config: JobConfig) -> Examination:
     Raises UsageError if options contradict each other, DataError if the measurements cannot be used.
     """
     roles, options = assign_roles(table, config.data)
+    roles = with_parameters_by_run(roles, config, (*table.names, *table.skipped))
     check_names(config, (*table.names, *table.skipped), roles)
     if options.missing_values:  # these values are missing in all measured columns
         is_measured = np.array([name not in (roles.time, roles.trajectory, roles.group) for name in table.names])

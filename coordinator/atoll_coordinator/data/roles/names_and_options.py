@@ -61,8 +61,8 @@ _EXCLUSIONS_OF_PRIORS: Final = (
     ("equation", "stochastic", "the likelihood of a step has no given equations"),
     ("equation", "target", "parameters are fitted to trajectories, and rows of an explicit regression are not"),
     ("equation", "derivatives", "parameters are fitted to trajectories, and not to given derivatives"),
-    ("equation", "group", "given equations with constants by group are not possible yet"),
-    ("equation", "per_trajectory", "given equations with constants by trajectory are not possible yet"),
+    ("equation", "group", "name the parameters that differ with --parameter 'c by run', or submit a job for each"),
+    ("equation", "per_trajectory", "name the parameters that differ, as in --parameter 'c by run'"),
     ("equation", "preset", "the algorithm of the paper has no given equations"),
     (
         "hidden_count",

@@ -42,7 +42,8 @@ class Roles:
     inputs that keep their value from one row to the next. `angles` are the states and inputs that are angles, with
     their unit; `offsets` are the states measured up to an offset. Trajectories with different values in column `group`
     may have different constants; if `is_by_trajectory`, each trajectory may. `hidden` states have no column; `observed`
-    are the columns among `states` that are computed from states and have no equation of their own.
+    are the columns among `states` that are computed from states and have no equation of their own. `by_run` are the
+    parameters, among the hidden states, of which each trajectory has a value of its own.
     """
 
     time: str | None
@@ -60,6 +61,7 @@ class Roles:
     held: tuple[str, ...] = ()
     hidden: tuple[str, ...] = ()
     observed: tuple[str, ...] = ()
+    by_run: tuple[str, ...] = ()
 
     @property
     def used(self) -> tuple[str, ...]:
@@ -213,7 +215,7 @@ def _check_hidden_states(roles: Roles, config: DataConfig, columns: Sequence[str
     for name in roles.hidden:
         if name in columns:
             raise UsageError(f"--hidden names '{name}', which is a column; a hidden state has none, so remove it")
-        if not _is_symbol(name):
+        if not is_symbol(name):
             advice = "write a name such as h, or a number of states from 1 to 9"
             raise UsageError(f"--hidden names '{name}', which cannot be the name of a state; {advice}")
     twice = next((name for name in config.hidden if config.hidden.count(name) > 1), None)
@@ -288,7 +290,7 @@ def assign_symbols(columns: Sequence[str]) -> dict[str, str]:
     A symbol must stay the same when an expression is written as text and read by sympy's parser, with a ``local_dict``
     of these symbols. S, I, N, E and beta are possible; Python's keywords and names of functions are not.
     """
-    symbols = {column: column for column in columns if _is_symbol(column)}
+    symbols = {column: column for column in columns if is_symbol(column)}
     taken = set(symbols.values())
     for column in columns:
         if column not in symbols:
@@ -297,14 +299,14 @@ def assign_symbols(columns: Sequence[str]) -> dict[str, str]:
                 text = "x" + text
             if not text.isidentifier():
                 text = re.sub(r"[^A-Za-z0-9_]+", "_", text)
-            name = text if _is_symbol(text) else text + "_"
+            name = text if is_symbol(text) else text + "_"
             candidates = chain([name], (f"{name}_{number}" for number in count(2)))
             symbols[column] = next(symbol for symbol in candidates if symbol not in taken)
             taken.add(symbols[column])
     return {column: symbols[column] for column in columns}
 
 
-def _is_symbol(name: str) -> bool:
+def is_symbol(name: str) -> bool:
     """Tell whether `name` is one identifier for Python, which normalises to NFKC, and for sympy's tokenizer."""
     is_plain = unicodedata.normalize("NFKC", name) == name and re.fullmatch(r"\w+", name) is not None
     return is_plain and name.isidentifier() and not keyword.iskeyword(name) and name not in RESERVED

@@ -3,6 +3,7 @@
 - `conclusion`: read this module first: `conclude` calls the functions of the modules below, in this order
 - `final_model`: the equations as they are shown: fitted to all rows, rounded, simulated along whole trajectories
 - `groups`: which constants groups of trajectories share; `shared_terms`: terms that equations share, fitted together
+- `run_values`: the values of parameters that differ by run
 - `trajectory_simulation`: the model along measured trajectories, with bands
 - `long_run`: whether whole trajectories are described, and whether a chaotic model keeps the measured averages
 - `prediction`: whether the model and its alternatives predict the same from other initial states

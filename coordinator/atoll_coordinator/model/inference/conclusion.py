@@ -32,6 +32,7 @@ from atoll_coordinator.model.inference.final_model import FinalModel, estimate_e
 from atoll_coordinator.model.inference.long_run import assess_long_run
 from atoll_coordinator.model.inference.prediction import AlternativeSystem, compare_predictions, draw_systems
 from atoll_coordinator.model.inference.remarks import warn_of_random_walk
+from atoll_coordinator.model.inference.run_values import values_by_run
 from atoll_coordinator.model.inference.template_checks import TemplateChecks
 from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
@@ -85,10 +86,15 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     else:
         spread = simulated_standard_errors(measurements, final.free.fit, errors.finite_covariance, errors.scale)
     observations = _describe_observations(final, of_groups[0])
+    simulations = (final.shown_fit, spread), held_out_simulation or (None, None)
+    runs = values_by_run(task.config.prior.by_run, simulations, errors.degrees_of_freedom)
     compared: list[TrajectoryChecks] = []
     for index, prediction in enumerate(predictions):
         r2 = held_out_r2[final.columns[index]]
-        equation = _describe_equation(final, index, constants[index], by_group[index], r2, prediction)
+        equation = replace(
+            _describe_equation(final, index, constants[index], by_group[index], r2, prediction),
+            runs=runs.get(task.variables[index], ()),
+        )
         given = final, long_run, index, equation, r2, compared
         is_plain = not final.comparison.template.sides and not task.recording.hidden
         compared.append(

@@ -150,9 +150,11 @@ def warn_of_residual_pattern(recording: Recording, equations: Mapping[str, Refin
         period = period or wave or 0.0
     runs, forcing, hidden = (" and ".join(found.get(kind, ())) for kind in ("runs", "forcing", "hidden"))
     if runs:
+        is_template = any(equation.parameters for equation in equations.values())
+        option = "write --parameter 'c by run' for a parameter c" if is_template else "add --per-trajectory"
         yield (
             f"Most of the residual of the rate of {runs} is a constant for each trajectory. The trajectories may "
-            "differ in a constant of the law; to allow this, add --per-trajectory."
+            f"differ in a constant of the law; to allow this, {option}."
         )
     if forcing:
         yield (

@@ -60,6 +60,8 @@ class TemplateChecks(TrajectoryChecks):
         measurements, most = self.measurements, SETTINGS.inference.part
         if self.index not in measurements.hidden:
             return Finding("not applicable", "its state is measured")
+        if self.name in self.final.task.config.prior.by_run:
+            return Finding("not applicable", "it is a parameter that differs by run")
         if self.errors is None:
             return Finding("not made", "the errors of the hidden state are not known")
         place = len(measurements.observed) + measurements.hidden.index(self.index)
@@ -166,6 +168,9 @@ class TemplateChecks(TrajectoryChecks):
             for constant, name in zip(constants, names, strict=False)
             if constant.fitted is not None
         ]
+        loose_run = self._check_runs()
+        if loose_run is not None:
+            return loose_run
         if not fitted:
             return Finding("not applicable", "no number of the equation is fitted")
         for constant, name in fitted:
@@ -181,6 +186,24 @@ class TemplateChecks(TrajectoryChecks):
         if not any(constant.fitted is not None for constant in self.shown.constants):
             return Finding("passed", "all parameters of computed columns are determined by the data", 0.0, 0.0)
         return super().check_constants()
+
+    def _check_runs(self) -> Finding | None:
+        """Return the first fault of a parameter that differs by run; None if there is none, and for other equations.
+
+        Held-out trajectories do not count, since they did not determine the equations.
+        """
+        programs = [self.shown.program, *(column.program for column in self.observed)]
+        used = {self.final.task.dataset.names[index] for program in programs for index in variables_of(program)}
+        owners = [one for one in (self, *self.equations) if one is self or one.name in used]
+        values = [(one.name, value) for one in owners for value in one.shown.runs if not value.held_out]
+        for name, one in values:
+            if not one.identifiable:
+                reason = f"the rows of run {one.run} do not determine its value of the parameter {name}"
+                return Finding("failed", reason, 1.0, 0.0, advice="let the runs share it, or leave this run out")
+            if one.at_bound:
+                reason = f"the best value of {name} in run {one.run} lies beyond its bound {one.estimate:.3g}"
+                return Finding("failed", reason, advice=f'widen the bounds with --parameter "{name}=… by run"')
+        return Finding("passed", "the rows of each run determine its value", 0.0, 0.0) if self.shown.runs else None
 
     def check_alternative_equations(self) -> Finding | None:
         """Check that no other unknown part describes the data about as well."""

@@ -153,7 +153,7 @@ def build_result(
         refinement: the refined equations, and the findings on the model as a whole; None if there are none yet.
     """
     dataset, model, recording = preparation.dataset, refinement or Refinement(), preparation.recording
-    is_final = account.state in FINAL_STATES
+    is_final, by_run = account.state in FINAL_STATES, config.prior.by_run
     warnings = [*dataset.warnings, *model.warnings]
     if is_final and recording is not None and recording.groups and not model.by_group:
         warnings.append(NOT_BY_GROUP)
@@ -182,8 +182,8 @@ def build_result(
             _describe_observation(name, config.data.observe[name], one, dataset.names)
             for name, one in model.observations.items()
         ),
-        hidden=() if recording is None else recording.hidden,
-        noise=describe_noise(recording, model.errors),
+        hidden=() if recording is None else tuple(name for name in recording.hidden if name not in by_run),
+        noise={name: one for name, one in describe_noise(recording, model.errors).items() if name not in by_run},
         smoothing=describe_smoothing(recording),
         correlations=model.correlations,
         covariance=model.covariance,
@@ -303,6 +303,7 @@ def _describe_equation(
             )
             for factor in shown.unit_coefficients
         ),
+        runs=shown.runs,
         bounds=tuple(
             Bound(bound=one.bound.text, values=tuple(map(finite, one.values)), active=one.is_active)
             for one in (() if bounds is None else bounds.governed(shown.program))

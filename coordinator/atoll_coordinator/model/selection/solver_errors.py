@@ -80,7 +80,7 @@ class _Reproduction:
 def subtract_solver_errors(task: ModellingTask, fit: TrajectoryFit) -> ModellingTask | None:
     """Return the task without the errors of the solver that computed the table from the equations of `fit`.
 
-    None if no solver reproduces the table. The first row must be the initial state of the solver.
+    None if no solver reproduces the table. The first row must be the initial state of the solver, and have all states.
     """
     recording = task.recording
     if (

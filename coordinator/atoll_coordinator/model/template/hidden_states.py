@@ -19,6 +19,7 @@ import numpy as np
 
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.recording import FoundMinima, Preparation, Recording, Trajectory
+from atoll_coordinator.data.templates import parameter_of
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.candidates import CandidateSet
@@ -53,7 +54,20 @@ def initial_values(config: JobConfig) -> tuple[tuple[str, float, float], ...]:
         lower = one.start if is_given else one.lower
         upper = one.start if is_given else one.upper
         found.append((name, -np.inf if lower is None else lower, np.inf if upper is None else upper))
+    found += [(name, *config.prior.parameters[name].ends) for name in config.prior.by_run]
     return tuple(found)
+
+
+def with_initial_values(recording: Recording, config: JobConfig) -> Recording:
+    """Return the recording with the bounds on initial values, and with the start values of parameters by run as their
+    course."""
+    parts = list[Trajectory]()
+    for part in recording.trajectories if config.prior.by_run else ():
+        smoothed = part.smoothed.copy()
+        for name in config.prior.by_run:
+            smoothed[recording.states.index(name)] = parameter_of(name, config.prior.parameters[name]).first_value
+        parts.append(replace(part, smoothed=smoothed))
+    return replace(recording, initial=initial_values(config), trajectories=tuple(parts) or recording.trajectories)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +175,12 @@ def fit_course(
     fits = {False: found.fit}
     if any(part.held_out for part in recording.trajectories):
         other = task.make_comparison(task.measurements(task.variables, held_out=True), task.variables)
-        simulated = other.estimator.fit(found.fit.system.with_fixed_constants(), None, SETTINGS.effort.steps)
+        fixed = found.fit.system.with_fixed_constants()
+        if config.prior.by_run:  # their values in these trajectories may be far from the start value
+            best = fit_from_many_starts(other.estimator, fixed, config.seed)
+            simulated = None if best is None else best.fit
+        else:
+            simulated = other.estimator.fit(fixed, None, SETTINGS.effort.steps)
         if simulated is None:
             raise DataError("the held-out trajectories cannot be simulated by the given equations; leave --holdout out")
         fits[True] = simulated
@@ -222,7 +241,9 @@ def linear_parts(template: EquationTemplate, config: JobConfig, preparation: Pre
     duration = max(float(part.times[-1] - part.times[0]) for part in preparation.recording.trajectories)
     first, parts = min(_FIRST, 1.0 / duration), dict[str, Program]()
     for equation in (unknown.home for unknown in template.unknowns):
-        named = config.space.variables_of.get(equation)
+        named, by_run = config.space.variables_of.get(equation), {*config.prior.by_run}
+        if named is not None and by_run and {*named} == {*template.names} - by_run:
+            named = None  # nothing was named: these are all variables that it may depend on
         symbols = named if named is not None else (preparation.dataset.symbols[equation],)
         terms: list[Expression] = [(VARIABLE, template.names.index(symbol)) for symbol in symbols]
         parts[equation] = sum_of(terms, [first * (place + 1) for place, _ in enumerate(terms)])

@@ -1,9 +1,16 @@
 """Rows of the problems of LLM-SR are held out as documented, and errors are normalised by the variance."""
 
+from argparse import Namespace
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from benchmarks.contests.llm_sr import PROBLEMS, RANDOM, Outcome, at_random, beyond, normalised_error, table
+import atoll
+from benchmarks.contests.llm_sr import PROBLEMS, RANDOM, Outcome, at_random, beyond, normalised_error, search, table
 
 
 def test_a_random_quarter_is_the_same_each_time() -> None:
@@ -44,3 +51,29 @@ def test_a_prediction_holds_if_it_explains_nine_tenths() -> None:
     assert Outcome("oscillator1", RANDOM, 10, 1.0, held_out_error=0.05).held
     assert not Outcome("oscillator1", RANDOM, 10, 1.0, held_out_error=0.2).held
     assert not Outcome("oscillator1", RANDOM, 10, 1.0, failure="no rows").held
+
+
+def test_further_files_search_factors_with_the_weights_of_squared_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x, v = np.random.default_rng(0).uniform(1.0, 2.0, (2, 40))
+    np.savetxt(tmp_path / "llmsr_oscillator1_train.csv", np.stack([x, v, x * v], axis=1), "%.17g", ",", header="x,v,a",
+               comments="")  # fmt: skip
+    asked: list[tuple[dict[str, Any], dict[str, Any]]] = []
+
+    def discover(columns: dict[str, Any], **options: Any) -> Any:
+        asked.append((columns, options))
+        law: Callable[[Any], Any] = (lambda part: part["x"]) if len(asked) == 1 else (lambda part: part["v"])
+        equation = SimpleNamespace(expression="xv"[len(asked) - 1], verdict="doubtful", reason=None)
+        return SimpleNamespace(predict=law, equations=[equation])
+
+    monkeypatch.setattr(atoll, "discover", discover)
+    options = Namespace(data=tmp_path, config=["one.toml", "two.toml"], seed=5, workers=1, max_time=None)
+    outcome = search("oscillator1", RANDOM, options)
+    assert (outcome.equation, outcome.verdict) == ("(x) * (v)", "doubtful, doubtful")
+    assert outcome.held_out_error == pytest.approx(0.0, abs=1e-20)
+    (first, settings), (second, further) = asked
+    assert (settings["config"], settings["seed"], "weights" in settings) == ("one.toml", 5, False)
+    assert (further["config"], further["seed"], further["inputs"]) == ("two.toml", 6, ["x", "v"])
+    assert second["a"] == pytest.approx(first["v"])
+    assert second[further["weights"]] == pytest.approx(first["x"] ** 2 / np.mean(first["x"] ** 2))

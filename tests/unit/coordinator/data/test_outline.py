@@ -100,6 +100,17 @@ def test_hidden_states_and_observed_columns_are_described():
     ]
 
 
+def test_parameters_by_run_are_described_as_parameters():
+    parameters = {"k": ParameterConfig(lower=0.1, upper=10.0, by="run")}
+    config = JobConfig(prior=PriorConfig(equations={"dx": "-k*x", "dy": "?"}, parameters=parameters))
+    lines = describe(TABLE, config).split("\n")
+    assert lines[-4:] == ["states: x, y", "parameters by run: k", "given: dx/dt = -k*x", "given: dy/dt = ?"]
+    text = outline(TABLE, config).as_text()
+    assert "  parameter k, by run: 0.1 to 10, beginning at 1\n" in text
+    assert "dk/dt" not in text
+    assert "from x, y, of" in text  # not from k, which ? does not name
+
+
 def test_demanded_shapes_are_described():
     prior = GIVEN.prior.model_copy(update={"positive": ("?",), "monotone": {"x": ("increasing in y",)}})
     described = describe(TABLE, GIVEN.model_copy(update={"prior": prior})).split("\n")

@@ -303,6 +303,41 @@ def test_columns_that_are_no_variables_are_no_parameters(side, data, words):
 
 
 @pytest.mark.parametrize(
+    ("name", "prior", "data", "words"),
+    [
+        ("k", {}, {}, ["parameter k", "no equation"]),
+        ("k", {"equations": {"dx": "-x", "dy": "y"}}, {}, ["--parameter k occurs in no --equation"]),
+        ("k", {"equations": {"dx": "-x", "dy": "?"}}, {}, ["--parameter k occurs in no --equation"]),
+        ("k", {"equations": {"dx": "-k*x"}}, {}, ["with a parameter by run every state", "'y' has none"]),
+        ("k", {"equations": {"dx": "-k*x", "dy": "y", "k": "1"}}, {}, ["'k by run' is constant", "equation of 'k'"]),
+        ("k", {"equations": {"dx": "-k*x", "dy": "y"}, "known": {"dk": "1"}}, {}, ["'k by run' is constant"]),
+        ("y", {"equations": {"dx": "-y*x"}}, {}, ["'y by run'", "a column"]),
+        ("sin", {"equations": {"dx": "-x"}}, {}, ["'sin by run'", "a function"]),
+        ("k", {"equations": {"dx": "-k*x", "dk": "0"}}, {"hidden": ("k",)}, ["'k by run'", "a hidden state"]),
+        ("k", {"equations": {"dx": "-k*x"}, "initial": {"k": {"start": 1.0}}}, {}, ["--initial names 'k'"]),
+        ("k", {"equations": {"dx": "-k*x"}}, {"order": 2}, ["by run and --order 2", "velocity"]),
+        ("h", {"equations": {"dx": "-x", "dy": "y", "du": "h"}}, {"hidden": ("u",)}, ["nothing", "depends on", "'u'"]),
+    ],
+)
+def test_wrong_parameters_by_run_are_refused(name, prior, data, words):
+    parameters = {name: ParameterConfig(by="run")}
+    config = JobConfig(prior=PriorConfig(parameters=parameters, **prior), data=DataConfig(**data))
+    with pytest.raises(UsageError) as caught:
+        prepare(table_of(oscillator()), config)
+    assert [word for word in words if word not in str(caught.value)] == []
+
+
+def test_an_unknown_part_may_use_a_parameter_by_run_only_if_it_names_it():
+    def allowed(side):
+        config = config_of(equations={"dx": side, "dy": "-k*y"}, parameters={"k": {"by": "run"}})
+        preparation = prepare(table_of(oscillator()), config)
+        return resolve_prior(config, preparation.dataset.variables, preparation.dataset.symbols).space.variables_of
+
+    assert allowed("?") == {"x": ("x", "y")}
+    assert allowed("?(x, k)") == {"x": ("x", "k")}
+
+
+@pytest.mark.parametrize(
     ("equations", "data", "initial", "words"),
     [
         ({}, {"hidden": ("h",)}, {}, ["--hidden names 'h'", "no equation", "dh/dt=…"]),

@@ -22,6 +22,9 @@ EQUATIONS = {"dv/dt": "-g/l*sin(theta) - c*v + ?", "dtheta/dt": "v"}
         (None, {}),
         ("1 in 0.1..10", {"start": 1.0, "lower": 0.1, "upper": 10.0}),
         ({"start": 1, "lower": 0}, {"start": 1.0, "lower": 0.0}),
+        ("0.1..10 by run", {"lower": 0.1, "upper": 10.0, "by": "run"}),
+        ("by run", {"by": "run"}),
+        ({"lower": 0, "by": "run"}, {"lower": 0.0, "by": "run"}),
     ],
 )
 def test_a_template_stands_for_the_options(value, expected):
@@ -58,6 +61,11 @@ def test_the_constructor_stores_what_it_gets_and_params_can_be_set():
         ({"template": atoll.Template(EQUATIONS, {"c": (1, 2, 3)})}, ["parameter", "two bounds for c", "(1, 2, 3)"]),
         ({"template": atoll.Template(EQUATIONS, {"c": {"low": 1}})}, ["parameter", "lower, upper, start"]),
         ({"template": atoll.Template(EQUATIONS, {"c": True})}, ["parameter", "True"]),
+        ({"template": atoll.Template(EQUATIONS, {"c": "1..2 by strain"})}, ["'c' differs by strain", "by run"]),
+        (
+            {"template": atoll.Template(EQUATIONS), "initial": {"v": "0..1 by run"}},
+            ["initial", "'v'", "leave 'by run'"],
+        ),
         ({"template": atoll.Template(EQUATIONS), "target": "v"}, ["equation and target exclude each other"]),
     ],
 )

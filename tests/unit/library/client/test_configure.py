@@ -107,6 +107,10 @@ def test_a_job_file_may_hold_what_is_known_beforehand(tmp_path: Path) -> None:
         ("c=..10", {"upper": 10.0}),
         ("c=1 in ..10", {"start": 1.0, "upper": 10.0}),
         ("c=0..inf", {"lower": 0.0}),
+        ("c by run", {"by": "run"}),
+        ("c=by run", {"by": "run"}),
+        ("c=2 by run", {"start": 2.0, "by": "run"}),
+        ("c = 1 in 0.1..10  by run", {"start": 1.0, "lower": 0.1, "upper": 10.0, "by": "run"}),
     ],
 )
 def test_a_parameter_has_a_start_value_bounds_or_both(text: str, expected: dict[str, float]) -> None:
@@ -143,6 +147,7 @@ def test_further_operators_may_be_tried_where_none_are_named(line: str, further:
     ("line", "words"),
     [
         ("--islands 0", ["--islands", "1", "0 was given"]),
+        ("--equation dx=-k*x --per-trajectory", ["--equation and --per-trajectory exclude each other", "'c by run'"]),
         ("--islands many", ["--islands", "whole number", "'many'"]),
         ("--seed -1", ["--seed", "greater than or equal to 0", "-1"]),
         ("--max-epochs 0", ["--max-epochs"]),

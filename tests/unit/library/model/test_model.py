@@ -220,6 +220,7 @@ def test_predictions_are_derivatives_of_rows_and_of_columns() -> None:
         model.predict(rows)
 
 
+@OUTSIDE
 def test_a_regression_predicts_its_target() -> None:
     contents = result({"z": "x"}, ("x",))
     contents["equations"][0] |= {"lhs": "z", "expression": "2.0*x + 1.0"}
@@ -229,6 +230,26 @@ def test_a_regression_predicts_its_target() -> None:
     assert model.score({"x": [1.0, 2.0], "z": [3.0, 5.0]}) == 1.0
     with pytest.raises(UsageError, match="not differential"):
         model.simulate([1.0], TIMES)
+
+
+def test_rows_of_a_regression_outside_of_what_was_measured_are_warned_of() -> None:
+    contents = result({"z": "x"}, ("x", "u"))
+    contents["equations"][0] |= {"lhs": "z", "expression": "2.0*x + u"}
+    contents["system"]["ranges"] = {"x": [0.0, 3.0], "u": [-1.0, 1.0]}
+    del contents["symbols"]["z"]
+    model, inside = Model(contents), [[0.0, -1.0], [3.0, 1.0]]
+    with pytest.warns(
+        ExtrapolationWarning, match=r"^2 of 4 rows are outside of .* range of x \(measured: 0 to 3\); the"
+    ):
+        assert model.predict([*inside, [3.5, 0.0], [-1.0, 0.0]]).tolist() == [-1.0, 7.0, 7.0, -2.0]
+    with pytest.warns(
+        ExtrapolationWarning, match=r"^1 of 3 rows .* of x \(measured: 0 to 3\), u \(measured: -1 to 1\);"
+    ):
+        model.predict([*inside, [4.0, 2.0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert model.predict(inside).tolist() == [-1.0, 7.0]
+        assert model.score({"x": [4.0, 5.0], "u": [0.0, 0.0], "z": [8.0, 10.0]}) == 1.0
 
 
 def test_scores_are_r2_of_simulations_of_all_trajectories() -> None:

@@ -189,6 +189,87 @@ def test_clean_rows_of_a_wrong_law_with_a_hidden_state_are_simulated():
     assert check(refinement, "x", "simulation").outcome == "passed"
 
 
+RUNS = Known(("y", "k"), lambda _, z: [-z[1] * (z[0] - 0.5), 0.0])
+RUN_TIMES = 0.1 * np.arange(50.0)
+BY_RUN = {"k": ParameterConfig(lower=0.01, upper=10.0, by="run"), "b": ParameterConfig(lower=0.1, upper=10.0)}
+
+
+def runs(*starts, sides=None, parameters=BY_RUN, **options):
+    """Return the refinement of decays from 3 to 0.5 in several runs, each with a rate of its own."""
+    made = without(table(RUNS, starts, RUN_TIMES, noise=0.01), "k")
+    return refined(made, sides or {"y": "-k*(y - b)"}, parameters, **options)
+
+
+def contain(values, truth):
+    return [one.interval[0] < true < one.interval[1] for one, true in zip(values, truth, strict=True)]
+
+
+def test_a_parameter_by_run_has_a_value_and_an_interval_in_each_run():
+    rates = (0.2, 0.5, 1.0, 2.0)
+    refinement = runs(*([3.0, rate] for rate in rates))
+    assert grades(refinement) == {"y": "good", "k": "good"}
+    values = refinement.equations["k"].runs
+    assert [one.run for one in values] == ["1", "2", "3", "4"]
+    assert all(contain(values, rates)), values
+    assert not any(one.held_out or one.at_bound for one in values)
+
+
+def test_an_equal_value_in_all_runs_is_determined():
+    assert grades(runs([3.0, 0.7], [2.0, 0.7], [1.5, 0.7])) == {"y": "good", "k": "good"}
+
+
+def test_an_unknown_part_is_found_beside_a_parameter_by_run():
+    law = Known(("theta", "v", "l"), lambda _, z: [z[1], -9.81 / z[2] * np.sin(z[0]) - 0.3 * z[1], 0.0])
+    made = without(table(law, ([1.0, 0.0, 0.5], [1.5, 0.0, 1.0]), TIMES, noise=0.01), "l")
+    lengths = {"l": ParameterConfig(lower=0.1, upper=10.0, by="run")}
+    pool = {"v": ("v", "-0.2*v", "theta", "-0.2*v - 0.01*theta")}
+    refinement = refined(made, {"theta": "v", "v": "-9.81/l*sin(theta) + ?"}, lengths, pool=pool)
+    assert grades(refinement) == {"theta": "good", "v": "good", "l": "good"}
+    assert all(contain(refinement.equations["l"].runs, (0.5, 1.0)))
+
+
+def test_a_run_that_does_not_determine_its_value_is_named_and_not_good():
+    refinement = runs([3.0, 0.3], [3.0, 1.0], [0.5, 0.7])  # the third run begins where it ends
+    assert set(grades(refinement).values()) == {"doubtful"}
+    finding = check(refinement, "y", "constants")
+    assert (finding.outcome, "run 3" in finding.reason, "k" in finding.reason) == ("failed", True, True)
+    assert [one.identifiable for one in refinement.equations["k"].runs] == [True, True, False]
+
+
+def test_a_value_beyond_its_bound_is_named_and_not_good():
+    narrow = BY_RUN | {"k": ParameterConfig(lower=0.01, upper=0.8, by="run")}
+    refinement = runs([3.0, 0.3], [3.0, 1.0], parameters=narrow)
+    finding = check(refinement, "y", "constants")
+    assert (finding.outcome, "run 2" in finding.reason) == ("failed", True)
+    assert refinement.equations["k"].runs[1].at_bound
+
+
+def test_the_value_of_a_held_out_run_is_fitted_to_this_run():
+    refinement = runs([3.0, 0.3], [3.0, 1.0], [3.0, 6.0], data=DataConfig(holdout=1))
+    assert grades(refinement) == {"y": "good", "k": "good"}
+    values = refinement.equations["k"].runs
+    assert [one.held_out for one in values] == [False, False, True]
+    assert all(contain(values, (0.3, 1.0, 6.0))), values
+
+
+def test_a_parameter_of_an_observed_column_may_differ_by_run():
+    tank = Known(("y", "V"), lambda _, z: [(1.0 - 0.4 * z[0] * z[1]) / z[1], 0.0])  # y = c/V, dc/dt = 1 - 0.4*c
+    made = without(table(tank, ([10.0, 1.0], [5.0, 2.0]), DAYS, noise=0.01), "V")
+    parameters = {"V": ParameterConfig(lower=0.1, upper=10.0, by="run"), "a": ParameterConfig(lower=0.1, upper=10.0)}
+    data = DataConfig(hidden=("c",), observe={"y": "c/V"})
+    initial = {"c": ParameterConfig(start=10.0)}
+    refinement = refined(made, {"c": "a - 0.4*c"}, parameters, data=data, initial=initial)
+    assert all(contain(refinement.equations["V"].runs, (1.0, 2.0)))
+
+
+def test_with_one_run_a_parameter_by_run_is_as_a_shared_one():
+    by_run = runs([3.0, 0.7]).equations["k"].runs[0]
+    shared = runs([3.0, 0.7], parameters=BY_RUN | {"k": ParameterConfig(lower=0.01, upper=10.0)}).equations["y"]
+    found = dict(zip(shared.parameters, shared.constants, strict=True))["k"]
+    assert by_run.fitted == pytest.approx(found.fitted, rel=2e-3)
+    assert by_run.std_error == pytest.approx(found.std_error, rel=0.05)
+
+
 def test_equal_seeds_give_equal_bits_with_hidden_states():
     made = without(table(DRUG, ([10.0, 0.0],), DAYS, noise=0.01), "p")
     first, second = (refined(made, DRUG_SIDES, RATES, data=HIDDEN) for _ in range(2))
