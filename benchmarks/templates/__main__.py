@@ -4,7 +4,8 @@
 five draws each) and prints the table; ``information`` says what these rows can tell of the frequency at best, see
 `benchmarks.templates.information`; ``systems`` searches the systems of `benchmarks.templates.systems`, clean and
 with 1 % of noise; ``one-column``, ``tanks`` and ``emps`` forecast with a hidden state, see
-`benchmarks.templates.forecasts`. A file that exists is gone on with.
+`benchmarks.templates.forecasts`; ``tank-physics`` fits the tanks by their physics, without a search. A file that exists
+is gone on with.
 """
 
 import sys
@@ -23,8 +24,9 @@ from benchmarks.templates.glycolysis import NOISE, POINTS, GlycolysisKey, Glycol
 from benchmarks.templates.hidden import SystemKey, SystemOutcome
 from benchmarks.templates.information import table_of_information
 from benchmarks.templates.systems import SYSTEMS
+from benchmarks.templates.tank_physics import table_of_physics
 
-KINDS: Final = ("glycolysis", "information", "systems", "one-column", "tanks", "emps")
+KINDS: Final = ("glycolysis", "information", "systems", "one-column", "tanks", "tank-physics", "emps")
 
 
 _SYSTEMS: Final[Mapping[str, Sequence[str]]] = {
@@ -113,6 +115,8 @@ def main(options: Namespace) -> int:
         _glycolysis(options)
     elif options.kind == "information":
         say(table_of_information(options.points, options.noise))
+    elif options.kind == "tank-physics":
+        say(table_of_physics(forecasts.case_of(ForecastKey(forecasts.BY_NUMBER, 0, 0), options.data)))
     elif options.kind in _SYSTEMS:
         _forecasts(options)
     else:

@@ -1,14 +1,14 @@
 """Systems with a state that no column measures: the end of a trajectory is held out and forecast in open loop.
 
-``one column``: a damped oscillator, the van der Pol oscillator and the Lotka-Volterra equations, of which one column is
-given, searched with ``--hidden 1``. ``tanks``: cascaded tanks (Schoukens & Noël 2016, nonlinearbenchmark.org): the
-voltage of a pump is given, and the level of the lower tank is measured; of the 1,024 rows of the file for estimation
-the first 768 are given. They are searched with ``--hidden 1``, and with templates of two tanks: with unknown outflows,
-with an unknown lower tank, and with square roots as outflows, where only numbers are fitted. ``emps``: an
-electro-mechanical positioning system (Janot, Gautier & Brunot 2019, nonlinearbenchmark.org): the force signal is given
-and the position is measured; the friction is unknown, and the velocity is a hidden state. Of the 4,969 rows of the file
-the first 3,726 are given. A forecast begins at the simulated state of the last given row and uses no measured state
-after it.
+``one column``: oscillators of second and third order, the van der Pol oscillator and the Lotka-Volterra equations, of
+which one column is given, searched with ``--hidden 1`` or ``--hidden 2``. ``tanks``: cascaded tanks (Schoukens & Noël
+2016, nonlinearbenchmark.org): the voltage of a pump is given, and the level of the lower tank is measured; of the 1,024
+rows of the file for estimation the first 768 are given. They are searched with ``--hidden 1``, and with templates of
+two tanks: with unknown outflows, with an unknown lower tank, and with square roots as outflows, also with an overflow,
+where only numbers are fitted. ``emps``: an electro-mechanical positioning system (Janot, Gautier & Brunot 2019,
+nonlinearbenchmark.org): the force signal is given and the position is measured; the friction is unknown, and the
+velocity is a hidden state. Of the 4,969 rows of the file the first 3,726 are given. A forecast begins at the simulated
+state of the last given row and uses no measured state after it.
 """
 
 import csv
@@ -41,6 +41,21 @@ TANK_TEMPLATES: Final[Mapping[str, tuple[Mapping[str, str], Mapping[str, tuple[f
         {"h": "k*u - a*sqrt(h)", "y": "a*sqrt(h) - b*sqrt(y - c)"},
         {"k": (0.005, 1.0), "a": (0.005, 1.0), "b": (0.005, 1.0), "c": (-5.0, 2.5)},
     ),
+    "square roots and overflow given": (
+        {
+            "h": "k*u - a*sqrt(h) - s*(h - m + abs(h - m))",
+            "y": "a*sqrt(h) + r*s*(h - m + abs(h - m)) - b*sqrt(y - c)",
+        },
+        {
+            "k": (0.005, 1.0),
+            "a": (0.005, 1.0),
+            "b": (0.005, 1.0),
+            "c": (-5.0, 2.5),
+            "s": (0.01, 10.0),
+            "m": (1.0, 30.0),
+            "r": (0.1, 2.0),
+        },
+    ),
 }
 """Ways to search the tanks with given equations: their sides, and the bounds of their parameters."""
 TANK_WAYS: Final = (BY_NUMBER, *TANK_TEMPLATES)
@@ -51,8 +66,9 @@ ONE_COLUMN: Final[Mapping[str, tuple[Mapping[str, str], tuple[float, ...], float
     "damped oscillator": ({"x": "v", "v": "-4*x - 0.3*v"}, (1.0, 0.0), 12.0, 300),
     "van der Pol": ({"x": "v", "v": "1.2*(1 - x*x)*v - x"}, (0.5, 0.0), 26.0, 520),
     "Lotka-Volterra": ({"x": "x - 0.5*x*y", "y": "0.3*x*y - 0.8*y"}, (2.0, 1.0), 32.0, 520),
+    "oscillator of third order": ({"x": "v", "v": "a", "a": "-0.4*a - 2*v - 0.6*x"}, (1.0, 0.0, 0.5), 26.0, 520),
 }
-"""Right-hand sides, initial state, duration and rows; the first state is measured."""
+"""Right-hand sides, initial state, duration and rows; the first state is measured, and the others are hidden."""
 
 
 @dataclass(frozen=True, order=True)
@@ -115,7 +131,8 @@ def request_of(key: ForecastKey, case: Case) -> tuple[Table, JobConfig]:
     if key.system in EMPS_WAYS:
         return table, _with_known_part(key, inputs)
     if key.system not in TANK_TEMPLATES:
-        return table, configured(key.seed, {"hidden": ("1",), "inputs": inputs})
+        hidden = len(ONE_COLUMN[key.system][0]) - 1 if key.system in ONE_COLUMN else 1
+        return table, configured(key.seed, {"hidden": (str(hidden),), "inputs": inputs})
     config = configured(key.seed, operators=("+", "-", "*", "/", "sqrt"))
     sides, bounds = TANK_TEMPLATES[key.system]
     prior = PriorConfig(

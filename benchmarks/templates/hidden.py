@@ -168,8 +168,9 @@ def table_of(outcomes: Sequence[SystemOutcome]) -> str:
         hidden = [one.hidden for one in chosen if one.hidden is not None]
         good = [grade in ("exact", "good") for one in chosen for grade in one.grades.values()]
         forms = [form == "right" for one in chosen for form in one.forms.values()]
+        errors = [max(one.errors.values()) for one in chosen if one.errors]
         rows.append((
-            system, f"{noise} %", f"{100.0 * float(np.median([max(one.errors.values()) for one in chosen])):.2g} %",
+            system, f"{noise} %", f"{100.0 * float(np.median(errors)):.2g} %" if errors else "-",
             share(sum(one.covered for one in chosen), sum(one.intervals for one in chosen)),
             share(sum(forms), len(forms)) if forms else "-", f"{min(hidden):.4f}" if hidden else "-",
             share(sum(good), len(good)), f"{np.median([one.seconds for one in chosen]):.1f}",

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Final, Literal
 
@@ -260,18 +260,18 @@ def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Se
 @dataclass(frozen=True, eq=False)
 class Restrictions:
     """The conditions on one equation. `bounds` are the bounds on its constants; None: there are no bounds. `required`
-    are the indices of the variables that it must contain. It must have the `shapes` at the points (V, G); None: nothing
-    is demanded of its shape."""
+    are the indices of the variables that it must contain. It must have the `shapes` at the points (V, G); None: shapes
+    are not demanded, or not tested."""
 
     bounds: EquationBounds | None = None
     required: frozenset[int] = frozenset()
-    shapes: Shapes | None = None
+    shapes: Shapes = field(default_factory=Shapes)
     points: FloatArray | None = None
 
     @property
     def are_none(self) -> bool:
         """Whether there are no restrictions, so that every program satisfies them."""
-        return self.bounds is None and not self.required and self.shapes is None
+        return self.bounds is None and not self.required and self.points is None
 
     def admitted(self, program: Program) -> Program | None:
         """Return `program` laid out for a fit within the bounds. None if the program is not allowed."""
@@ -289,7 +289,7 @@ class Restrictions:
 
     def has_shapes(self, program: Program) -> bool:
         """Tell whether a program with its present constants has the demanded shapes."""
-        return self.shapes is None or self.points is None or self.shapes.are_kept(program, self.points)
+        return self.points is None or self.shapes.are_kept(program, self.points)
 
     def ranges(self, program: Program, fixed: Collection[int] = ()) -> FloatArray:
         """Return the smallest and the largest values (2, K) of the constants of an admitted program. They are infinite
@@ -319,17 +319,16 @@ def restrictions_of(
     """
     required = frozenset(map(names.index, config.space.required_of.get(variable, ())))
     bounds = equation_bounds(config.prior.bounds, variable, names)
-    shapes = None if inputs is None else equation_shapes(config.prior.shapes_of(variable), names)
-    if shapes is None or inputs is None:
-        return Restrictions(bounds, required)
-    return Restrictions(bounds, required, shapes, shape_points(inputs))
+    shapes = equation_shapes(config.prior.shapes_of(variable), names)
+    points = None if inputs is None or shapes == Shapes() else shape_points(inputs)
+    return Restrictions(bounds, required, shapes, points)
 
 
-def equation_shapes(texts: Sequence[str], names: Sequence[str]) -> Shapes | None:
-    """Return the shapes of these valid texts; None if there are none. A shape has no effect if its variable is not
-    among the `names` that the equation may use."""
+def equation_shapes(texts: Sequence[str], names: Sequence[str]) -> Shapes:
+    """Return the shapes of these valid texts. A shape has no effect if its variable is not among the `names` that the
+    equation may use."""
     shapes = Shapes()
     for text in texts:
         with suppress(UsageError):
             shapes = shapes.with_all(read_shapes([text], names, "a shape"))
-    return None if shapes.are_none else shapes
+    return shapes

@@ -57,11 +57,6 @@ class Shapes:
     monotone: tuple[tuple[int, int], ...] = ()
     limits: tuple[Limit, ...] = ()
 
-    @property
-    def are_none(self) -> bool:
-        """Whether every expression has these shapes."""
-        return not (self.is_positive or self.monotone or self.limits)
-
     def with_all(self, other: "Shapes") -> "Shapes":
         """Return the shapes of both."""
         return Shapes(

@@ -167,10 +167,10 @@ class Model(ModelCore):
             values = {name: number(value, f"the parameter {name}") for name, value in parameters.items()}
             by_run = {name: values.pop(name) for name in model.result.by_run if name in values}
             start = np.array([by_run.get(name, value) for name, value in zip(model.states, start, strict=True)])
-            of_equations = field.named_parameters
-            observed = observed.with_values(values)
-            field = field.with_values(
-                {name: value for name, value in values.items() if name in of_equations or name not in observed.nodes}
+            only_columns = {*observed.named_parameters} - {*field.named_parameters}
+            field = field.with_values({name: value for name, value in values.items() if name not in only_columns})
+            observed = observed.with_values(
+                {name: value for name, value in values.items() if name in observed.named_parameters}
             )
         errors = model.joint_errors if has_bands and not parameters else None
         bands = None if errors is None else (errors, quantile(LEVEL, model.degrees_of_freedom))
@@ -265,12 +265,12 @@ class Model(ModelCore):
                 both = [stack_columns([column(part, target), self.predict(part)]) for part in parts]
             return _r2(*np.concatenate(both, axis=1))
         columns = self._result.columns_by_symbol
-        columns = columns | {name: name for name in self.observed.programs}
+        columns = columns | {name: name for name in self.observed_columns}
         states = [
-            name for name in (*self.states, *self.observed.programs) if all(has(part, columns[name]) for part in parts)
+            name for name in (*self.states, *self.observed_columns) if all(has(part, columns[name]) for part in parts)
         ]
         if not states:
-            names = ", ".join(columns[name] for name in (*self.states, *self.observed.programs))
+            names = ", ".join(columns[name] for name in (*self.states, *self.observed_columns))
             raise UsageError(f"the data have none of the columns {names} in every part; give a measured state")
         simulated, measured = [], []
         for part in parts:

@@ -184,7 +184,7 @@ def _from_start(
     """Return the simulation from the fitted initial state; None if it differs from the listed rows."""
     columns = [model.result.columns_by_symbol[state] for state in model.states]
     start = np.array([(part.start or {}).get(column) for column in columns], dtype=np.float64)
-    every = [*columns, *model.observed.programs]
+    every = [*columns, *model.observed_columns]
     places = [every.index(state) for state in known.states if state in every]
     if not np.isfinite(start).all() or len(places) < len(known.states):
         return None

@@ -60,7 +60,7 @@ def plot_forecast(
     `columns` (N,) are the columns of a forecast, `measured` (R,) the measured columns and their times, by name.
     """
     time, by_symbol = model.time, model.result.columns_by_symbol
-    states = (*model.states, *model.observed.programs)
+    states = (*model.states, *model.observed_columns)
     each = _axes_over_time(model, [by_symbol.get(state, state) for state in states], axes)
     for at, state in zip(each, states, strict=True):
         for suffix in ("", "50"):

@@ -549,7 +549,7 @@ def _paths(
             if done >= 0:
                 break
         paths[draw, :, :states] = found.T
-        if law.observed:
+        if law.target.recording.observed:
             points = np.concatenate([found, course[1]])
             computed = [values_of(program, points) for program in system.observation_programs]
             paths[draw, :, states:] = np.where(np.isfinite(found).all(axis=0), computed, np.nan).T

@@ -155,7 +155,7 @@ def smooth(result: Result, table: Table | None = None) -> SmoothedStates:
     law = KnownLaw.of(result, table)
     width = quantile(LEVEL, law.fitted.degrees_of_freedom)
     parts = tuple(_smoothed(law, name, part, width) for name, part in law.trajectories())
-    return SmoothedStates(law.shown, parts, result.time, law.source)
+    return SmoothedStates(law.shown, parts, result.time, law.target.source)
 
 
 def _smoothed(law: KnownLaw, name: str, trajectory: TrajectoryMeasurements, width: float) -> SmoothedTrajectory:

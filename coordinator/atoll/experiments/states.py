@@ -40,19 +40,15 @@ _SHORTEST: Final = 3
 class KnownLaw:
     """A fitted law, and the trajectories along which its states are estimated.
 
-    `fitted` has the constants with their covariance. `measurements` are all trajectories, held-out ones too, each as
-    one piece. `offset` is added to their times. `noise` (O,) are the standard deviations of the measurement errors,
-    and `share` (O,) are the independent rows divided by the rows. `observed` are the M measured columns that are
-    computed from states.
+    `fitted` has the constants with their covariance. `target` has the trajectories, and `measurements` all their rows,
+    of held-out trajectories too, each trajectory as one piece. `noise` (O,) are the standard deviations of the
+    measurement errors.
     """
 
     fitted: EquationSetFit
+    target: FitData
     measurements: TrajectoryMeasurements
-    offset: float
     noise: FloatArray
-    share: FloatArray
-    source: str
-    observed: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, result: Result, table: Table | None) -> "KnownLaw":
@@ -67,18 +63,12 @@ class KnownLaw:
         """
         target = measured_of(result, table)
         fitted = fit_displayed(measured_of(result) if result.recorded else target, result)
-        return cls.along(fitted, target)
-
-    @classmethod
-    def along(cls, fitted: EquationSetFit, target: FitData) -> "KnownLaw":
-        """Return a fitted law along the trajectories of `target`."""
-        noise = fitted.errors.sigmas * np.sqrt(fitted.measured.share)
         parts = tuple(replace(part, held_out=False) for part in target.recording.trajectories)
         longest = max(len(part.times) for part in parts)
         recording = replace(target.recording, trajectories=parts)
         whole = measurements_of(recording, target.modelled, piece=longest, observed=target.observed)
         measurements = replace(whole, known_limits=whole.limits)  # a few rows have a range as small as their noise
-        law = cls(fitted, measurements, recording.offset, noise, target.share, target.source, recording.observed)
+        law = cls(fitted, target, measurements, fitted.errors.sigmas * np.sqrt(fitted.measured.share))
         found = law.fit_states(measurements) if measurements.hidden else None
         return law if found is None else replace(law, measurements=measurements.with_course(found.fit.simulated))
 
@@ -90,7 +80,7 @@ class KnownLaw:
     @property
     def shown(self) -> tuple[str, ...]:
         """The names of the states, and then of the measured columns that are computed from states."""
-        return (*self.states, *self.observed)
+        return (*self.states, *self.target.recording.observed)
 
     def shown_columns(self, measurements: TrajectoryMeasurements) -> list[str]:
         """Return the names of the O measured columns."""
@@ -98,7 +88,7 @@ class KnownLaw:
 
     def times_of(self, measurements: TrajectoryMeasurements) -> FloatArray:
         """Return the times (N,) of rows, as in the data: fits use centred times."""
-        return rounded_times(measurements.times + self.offset)
+        return rounded_times(measurements.times + self.target.recording.offset)
 
     def trajectories(self) -> Iterator[tuple[str, TrajectoryMeasurements]]:
         """Yield each trajectory with its name."""
@@ -114,7 +104,7 @@ class KnownLaw:
         fitted, steps = self.fitted, SETTINGS.effort.steps
         order = fitted.measured.recording.order
         system = fitted.equations.system(measurements, order).with_values(fitted.values)
-        fixed, errors = system.with_fixed_constants(), ErrorModel.independent(self.noise / np.sqrt(self.share))
+        fixed, errors = system.with_fixed_constants(), ErrorModel.independent(self.noise / np.sqrt(self.target.share))
         errors = replace(errors, is_known=True)
         estimator = MultipleShooting(measurements, fitted.fit.estimator.tolerance)
         if measurements.hidden and starts is None:
@@ -158,7 +148,7 @@ class KnownLaw:
         more = sum(other.fit.starts.size for other in shorter) - longer.fit.starts.size
         if more <= 0:
             return True
-        rows_in_row = max(1.0, float(self.share.max()))  # errors of a result that lists some of its rows
+        rows_in_row = max(1.0, float(self.target.share.max()))  # errors of a result that lists some of its rows
         return longer.cost - sum(other.cost for other in shorter) <= rows_in_row * float(chdtri(more, _LEVEL))
 
 

@@ -125,7 +125,7 @@ def _read_trajectories(model: ModelCore, data: Sequence[Columns]) -> list[PetabT
     columns, trajectories = model.result.columns_by_symbol, []
     for number, part in enumerate((read_columns(model, part) for part in data), start=1):
         times, values, start = rows_of(model, part)
-        values |= {name: column(part, name) for name in model.observed.programs if has(part, name)}
+        values |= {name: column(part, name) for name in model.observed_columns if has(part, name)}
         first = tuple(start[name] for name in model.states)
         inputs = {name: column(part, columns[name]) for name in model.inputs if has(part, columns[name])}
         trajectories.append(PetabTrajectory(str(number), times, values, first, inputs))

@@ -19,8 +19,7 @@ from atoll.model.equations import (
     remark_on_groups,
 )
 from atoll.model.given_sides import GivenSides
-from atoll.model.observed_columns import ObservedColumns
-from atoll.model.vector_field import JointErrors, VectorField
+from atoll.model.vector_field import JointErrors, VectorField, columns_of
 from atoll_coordinator.process_steps.moments import Pair
 from atoll_coordinator.result.equations import Candidate, Equation
 from atoll_coordinator.result.findings import InputKind
@@ -97,9 +96,14 @@ class ModelCore:
         return VectorField.from_result(self._result)
 
     @cached_property
-    def observed(self) -> ObservedColumns:
+    def observed(self) -> VectorField:
         """The measured columns that are computed from states; raises UsageError for a regression."""
-        return ObservedColumns.of(self._result, self.field)
+        return columns_of(self._result, self.field)
+
+    @property
+    def observed_columns(self) -> tuple[str, ...]:
+        """The names of the measured columns that are computed from states."""
+        return tuple(one.column for one in self._result.observations)
 
     @cached_property
     def equations(self) -> tuple[DisplayedEquation, ...]:

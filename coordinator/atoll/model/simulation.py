@@ -21,12 +21,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.observed_columns import ColumnCurve, ColumnErrors, ObservedColumns
 from atoll.model.vector_field import JointErrors, VectorField
 from atoll_coordinator.process_steps.moments import StepMoments, predict_step_moments
 from atoll_coordinator.process_steps.paths import (
@@ -86,6 +85,16 @@ class EarlyEndWarning(SimulationWarning):
 
 class ExtrapolationWarning(SimulationWarning):
     """The initial state of a simulation is outside of the measured range."""
+
+
+class ColumnCurve(NamedTuple):
+    """A state or a computed column along a simulation: values, standard errors and the 95 % band (N,); None: not
+    known."""
+
+    values: FloatArray
+    stderr: FloatArray | None = None
+    lower: FloatArray | None = None
+    upper: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +185,7 @@ def simulate(  # noqa: PLR0913, the parts of a simulation
     inputs: Inputs | None = None,
     bands: tuple[JointErrors, float] | None = None,
     most: int = MOST_EVALUATIONS,
-    observed: ObservedColumns | None = None,
+    observed: VectorField | None = None,
 ) -> SimulationResult:
     """Integrate from the state `x0` (D,) at the first of the ascending times `t` (N,).
 
@@ -201,19 +210,37 @@ def simulate(  # noqa: PLR0913, the parts of a simulation
     sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
     sentence += _ROUGH_REMARK if course.is_rough else ""
     found = None if bands is None or status != "finished" else _sensitivities(task, bands[0], course, t)
-    spread, errors = None, None
-    if bands is not None and found is not None:
-        sensitivities, root = found
-        spread = np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities))
-        own = dict(zip(bands[0].observed, root[len(bands[0].columns) :], strict=True))
-        errors = ColumnErrors(sensitivities, own, bands[1])
+    spread = None if found is None else np.sqrt(np.einsum("dkn,dkn->nd", found[0], found[0]))
     curves = dict[str, ColumnCurve]()
-    if observed is not None and observed.programs:
-        driven = [] if inputs is None else [inputs(at) for at in t[:count].tolist()]
-        curves = observed.curves(np.concatenate([states.T, np.array(driven).reshape(count, -1).T]), errors)
+    if observed is not None and observed.outputs:
+        driven = None if inputs is None else np.array([inputs(at) for at in t[:count].tolist()])
+        curves = _column_curves(observed, states, driven, None if bands is None or found is None else (*bands, *found))
     reach = None if spread is None or bands is None else bands[1] * spread
     lower, upper = (None, None) if reach is None else (states - reach, states + reach)
     return SimulationResult(field.states, t[:count], states, status, sentence, spread, lower, upper, observed=curves)
+
+
+def _column_curves(
+    columns: VectorField, x: FloatArray, u: FloatArray | None,
+    errors: tuple[JointErrors, float, FloatArray, FloatArray] | None,
+) -> dict[str, ColumnCurve]:  # fmt: skip
+    """Return the `columns` at states `x` (N, D) and inputs `u` (N, U).
+
+    The standard errors are first-order: of the states, and of the constants of the columns, which are fitted together.
+    They follow from the changes of states (D, M, N) and constants (K, M) along independent directions. None: there are
+    no standard errors.
+    """
+    names, values = columns.outputs or (), columns.values(x, u)
+    if errors is None:
+        return dict(zip(names, map(ColumnCurve, values.T), strict=True))
+    joint, width, sensitivities, root = errors
+    owners, own = [one.variable for one in columns.parameters], np.zeros((len(columns.parameters), root.shape[1]))
+    for (column, number), change in zip(joint.observed, root[len(joint.columns) :], strict=True):
+        own[owners.index(column) + number] = change
+    changes = np.einsum("nod,dmn->nom", columns.jacobian(x, u), sensitivities)
+    spread = np.sqrt(((changes + columns.parameter_derivatives(x, u) @ own) ** 2).sum(axis=2))
+    ends = values - width * spread, values + width * spread
+    return dict(zip(names, map(ColumnCurve, values.T, spread.T, *(end.T for end in ends)), strict=True))
 
 
 def state_sizes(

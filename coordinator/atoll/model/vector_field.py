@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.model.equations import Parameter, numbers_of
-from atoll.model.given_sides import GivenSides, over_variables
+from atoll.model.given_sides import GivenSides, over_variables, program_of
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
@@ -55,6 +55,8 @@ class VectorField:
     `programs` are the right-hand sides over states and inputs; if empty, they are parsed from `expressions`.
     `constant_names` has the name of each constant of the programs: "" for a number that is no parameter, and equal
     names for one parameter at several places. If it is empty, all constants have the names c1, c2, ….
+
+    The programs may also compute other `outputs` than the rates of all states: the values of columns (`columns_of`).
     """
 
     states: tuple[str, ...]
@@ -63,10 +65,12 @@ class VectorField:
     sizes: tuple[float, ...] = ()
     programs: tuple[Program, ...] = field(default=(), repr=False)
     constant_names: tuple[str, ...] = field(default=(), repr=False)
+    outputs: tuple[str, ...] | None = field(default=None, repr=False)
     parameters: tuple[Parameter, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not 1 <= len(self.states) <= MOST_STATES or len(self.expressions) != len(self.states):
+        outputs = self.states if self.outputs is None else self.outputs
+        if not 1 <= len(self.states) <= MOST_STATES or len(self.expressions) != len(outputs):
             counts = f"{len(self.expressions)} expressions for {len(self.states)} states"
             raise UsageError(f"there are {counts}; give one expression for each state, for 1 to {MOST_STATES} states")
         names = (*self.states, *self.inputs)
@@ -74,8 +78,8 @@ class VectorField:
             raise UsageError(f"a name occurs twice in {', '.join(names)}; give each state and input its own name")
         programs = self.programs or tuple(from_infix(text, names) for text in self.expressions)
         constants = [
-            (state, value)
-            for state, program in zip(self.states, programs, strict=True)
+            (output, value)
+            for output, program in zip(outputs, programs, strict=True)
             for value in program.constants[constant_places(program)].tolist()
         ]
         called = self.constant_names or [f"c{number}" for number, _ in enumerate(constants, start=1)]
@@ -192,7 +196,7 @@ class VectorField:
 
     @cached_property
     def _rates(self) -> "CompiledPrograms":
-        return self._function(self._sides, (len(self.states),))
+        return self._function(self._sides, (len(self.programs),))
 
     @cached_property
     def _by_states(self) -> "CompiledPrograms":
@@ -208,7 +212,7 @@ class VectorField:
 
     def _slopes(self, begin: int, count: int) -> "CompiledPrograms":
         slopes = [derivative(side, variable) for side in self._sides for variable in range(begin, begin + count)]
-        return self._function(slopes, (len(self.states), count))
+        return self._function(slopes, (len(self.programs), count))
 
     def _function(self, programs: Sequence[Program], shape: tuple[int, ...]) -> "CompiledPrograms":
         return CompiledPrograms(programs, shape, len(self.states) + len(self.inputs) + len(self.parameters))
@@ -229,6 +233,29 @@ class VectorField:
         rows = max(len(array) for array in (points, inputs) if array.ndim == 2)
         columns = [*points.T, *inputs.T]
         return function.at_points(columns, values.tolist(), rows).reshape(rows, *function.shape)
+
+
+def columns_of(result: Result, field: VectorField) -> VectorField:
+    """Return the measured columns of a result that are computed from states, over the states and inputs of `field`.
+
+    Only parameters have names among their constants.
+    """
+    names, observations = (*field.states, *field.inputs), result.observations
+    places = [names.index(name) if name in names else -1 for name in result.names]
+    programs = [over_variables(program_of(one, result.names), places) for one in observations]
+    called = [{place: name for name, place in one.given.parameters.items()} for one in observations]
+    return VectorField(
+        field.states,
+        field.inputs,
+        tuple(one.expression for one in observations),
+        programs=tuple(programs),
+        constant_names=tuple(
+            named.get(number, "")
+            for named, program in zip(called, programs, strict=True)
+            for number, _ in enumerate(constant_places(program))
+        ),
+        outputs=tuple(one.column for one in observations),
+    )
 
 
 def _with_given_sides(field: VectorField, given: GivenSides, result: Result) -> VectorField:

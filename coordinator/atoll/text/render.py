@@ -581,7 +581,8 @@ def _equation_text(
     if equation.verdict is not None:
         lines.append(f"    {equation.verdict}: {equation.reason}")
         lines += checks_lines(equation.checks, is_listed=with_tables)
-    lines += [] if equation.runs else [f"    {_standing(equation)}"]
+    if not (equation.runs or (is_hidden and equation.why == "known")):  # a hidden state has no target
+        lines.append(f"    {_standing(equation)}")
     most = None if with_tables else NEAREST
     if with_tables:
         lines += constants_table(equation.constants, called if given.text else [])

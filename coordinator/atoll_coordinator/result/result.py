@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from pydantic import Field, JsonValue, TypeAdapter
 
@@ -103,17 +103,11 @@ class Result(Part):
 
     def as_dict(self) -> dict[str, JsonValue]:
         """Return the content of ``result.json`` as plain values."""
-        content: dict[str, JsonValue] = self.model_dump(mode="json", by_alias=True)
+        content: dict[str, Any] = self.model_dump(mode="json", by_alias=True)
         _drop_empty(content, _RARE)
-        equations = content["equations"]
-        assert isinstance(equations, list)
-        for equation in equations:
-            assert isinstance(equation, dict)
+        for equation in content["equations"]:
             _drop_empty(equation, _RARE_OF_EQUATIONS)
-            candidates = equation["candidates"]
-            assert isinstance(candidates, list)
-            for candidate in candidates:
-                assert isinstance(candidate, dict)
+            for candidate in equation["candidates"]:
                 _drop_empty(candidate, _RARE_OF_CANDIDATES)
         return content
 

@@ -120,7 +120,7 @@ def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spre
     recording = with_initial_values(recording, config)
     preparation = replace(preparation, recording=recording)
     template = template_of(config, preparation.dataset.names)
-    if template is None or not (recording.hidden or recording.observed):
+    if not template.sides or not (recording.hidden or recording.observed):
         return preparation
     spread, limit = spread or Spread(), config.budget.max_time
     deadline = None if limit is None else Deadline(_SHARE_OF_TIME * limit)
@@ -229,7 +229,7 @@ def _improve(problem: CourseProblem, course: Course, deadline: Deadline | None =
             break
         own = simulated_course(task, fits, course.coordinates)
         is_like_noise = comparison.score.excess(fitted) <= SETTINGS.inference.excess
-        if task.template is None:
+        if not task.template.sides:
             best = CourseOutcome(fitted.programs, own, fitted.nats, is_like_noise)
             corrected = None if is_like_noise else course_by_segments(task, fitted, fits, course.coordinates)
         else:
@@ -238,7 +238,7 @@ def _improve(problem: CourseProblem, course: Course, deadline: Deadline | None =
             preparation = _with_parts(preparation, dict(zip(task.variables, fitted.programs, strict=True)), fitted)
         if corrected is None:
             break
-        course = corrected.normalised(task.recording) if task.template is None else corrected
+        course = corrected if task.template.sides else corrected.normalised(task.recording)
     return () if best is None else (best,)
 
 
@@ -258,7 +258,7 @@ def _task_of(preparation: Preparation, config: JobConfig) -> ModellingTask:
     preparation = with_unknown_targets(preparation, config)
     recording = preparation.recording
     assert recording is not None
-    known = None if template_of(config, preparation.dataset.names) is None else ZERO
+    known = ZERO if template_of(config, preparation.dataset.names).sides else None
     candidates = {
         name: CandidateSet(known=None if name in preparation.parts else known) for name in preparation.dataset.variables
     }

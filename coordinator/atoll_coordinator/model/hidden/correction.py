@@ -157,7 +157,6 @@ def _smoother_of(task: ModellingTask, model: FittedModel) -> KalmanSmoother:
     order = [measurements.variables.index(name) for name in task.dataset.names]
     programs = dict(zip(task.variables, model.programs, strict=True))
     searched = [name for name in task.variables if name not in task.known]
-    assert template is not None
     homes = [searched.index(unknown.home) for unknown in template.unknowns]
 
     def rates(states: FloatArray, inputs: FloatArray, forces: FloatArray) -> FloatArray:

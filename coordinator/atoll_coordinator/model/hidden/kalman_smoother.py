@@ -205,7 +205,9 @@ class _Filtered:
 
 
 def _solve(matrix: FloatArray, sides: FloatArray) -> FloatArray:
-    """Return the solution for a covariance that may be singular."""
+    """Return the solution for a covariance that may be singular; NaN if it is not finite."""
+    if not np.isfinite(matrix).all():
+        return np.full_like(sides, np.nan)
     sizes = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
     scaled = matrix / np.outer(sizes, sizes) + 1e-12 * np.eye(len(matrix))
     by_row = sizes if sides.ndim == 1 else sizes[:, None]

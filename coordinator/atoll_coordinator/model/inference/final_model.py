@@ -33,7 +33,6 @@ from atoll_coordinator.model.constants.standard_errors import (
     make_explicit_if_free,
     write_refuted_factors,
 )
-from atoll_coordinator.model.inference.composed_equations import compose_equations
 from atoll_coordinator.model.inference.groups import choose_shared_constants
 from atoll_coordinator.model.inference.residual_covariance import estimate_variance_inflation, residual_covariances
 from atoll_coordinator.model.inference.shared_terms import fit_shared_terms
@@ -52,6 +51,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import CONSTANT, SUBTRACT, VARIABLE
 from atoll_core.expression.program import Program, constant_places, structure, variables_of
+from atoll_core.expression.template import Composition, ConstantSource, written_sources
 from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written
 from atoll_core.expression.writing.expansion import Shape
 from atoll_core.expression.writing.shortest import shortest_over
@@ -381,19 +381,43 @@ def _compose_shown(comparison: ModelComparison, shown: ShownEquations) -> ShownE
     template = comparison.template
     if not template.sides:
         return shown
-    composed = compose_equations(template, shown.explicit, shown.programs, shown.rounded.simple)
+    none, explicit, simple = np.zeros(len(template.parameters)), shown.explicit, shown.rounded.simple
+    composed, written = (
+        template.compose([one.program for one in explicit], none),
+        template.compose(shown.programs, none),
+    )
+    sources = [written.sources(index) for index, _ in enumerate(written.programs)]
+    sides = tuple(_compose_side(composed, index, explicit, own) for index, own in enumerate(sources))
+    near = [
+        tuple(None if one.home is None or not simple[one.home] else simple[one.home][one.number] for one in own)
+        for own in sources
+    ]
     programs = comparison.equations_of(shown.fit)
     count = len(programs)
     return replace(
         shown,
         observations=shown.fit.fit.system.programs[len(comparison.leading) + count :],
-        explicit_observations=composed.explicit[count:],
-        rounded=RoundedEquations(programs, composed.simple[:count], (), shown.rounded.parameters),
+        explicit_observations=sides[count:],
+        rounded=RoundedEquations(programs, tuple(near[:count]), (), shown.rounded.parameters),
         fit=replace(shown.fit, programs=programs),
-        explicit=composed.explicit[:count],
+        explicit=sides[:count],
         free=replace(shown.free, programs=comparison.equations_of(shown.free)),
-        names=composed.names,
+        names=[template.parameter_names(own) for own in sources],
     )
+
+
+def _compose_side(
+    composed: Composition, index: int, explicit: Sequence[ExplicitCoefficients], written: Sequence[ConstantSource]
+) -> ExplicitCoefficients:
+    """Return a whole side that was composed of the `explicit` programs; its origins only count fitted constants.
+
+    `written` are the origins of the constants of the side as it is shown.
+    """
+    numbers, sources = {source: number for number, source in enumerate(written)}, composed.sources(index)
+    origins = [None if one is None else numbers[one] for _, one in written_sources(sources, explicit)]
+    homes = sorted({source.home for source in sources if source.home is not None})
+    terms = [term for home in homes for term in explicit[home].terms]
+    return ExplicitCoefficients(composed.programs[index], tuple(origins), tuple(terms))
 
 
 def _write_refuted_factors(

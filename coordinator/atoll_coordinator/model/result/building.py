@@ -425,9 +425,8 @@ def _describe_shapes(config: JobConfig, dataset: Dataset, variable: str, shown: 
     program = shown.program if unknown is None else shown.unknowns.get(unknown.label, shown.program)
     points = shape_points(dataset.inputs)
     return tuple(
-        DemandedShape(shape=text, kept=shapes is None or shapes.are_kept(program, points))
+        DemandedShape(shape=text, kept=equation_shapes([text], dataset.names).are_kept(program, points))
         for text in config.prior.shapes_of(variable)
-        for shapes in (equation_shapes([text], dataset.names),)
     )
 
 

@@ -29,7 +29,7 @@ from atoll_coordinator.model.description_length import least_term_length
 from atoll_coordinator.model.least_squares import SETTLED
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.score import FittedModel, Score, SummarizedFit
-from atoll_coordinator.model.shooting.composed_system import composed_system, constants_in
+from atoll_coordinator.model.shooting.composed_system import composed_system
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.measurements import TrajectoryMeasurements
@@ -429,7 +429,7 @@ class ModelComparison:
 
     def places(self, system: OdeSystem) -> list[Place]:
         """Return equation and node of each fitted constant of a system of this comparison."""
-        return constants_in(system, len(self.leading))
+        return system.fitted_constants(len(self.leading))
 
     def _ranges(
         self, programs: Sequence[Program], fixed: Sequence[Collection[int]]

@@ -86,12 +86,6 @@ def _ranges(
     known = dict(bounds)
     for parameter, places in zip(template.parameters, composition.parameters, strict=True):
         known |= dict.fromkeys(places, (parameter.lower, parameter.upper))
-    pairs = [known.get(place, (-math.inf, math.inf)) for place in constants_in(system, before)]
+    pairs = [known.get(place, (-math.inf, math.inf)) for place in system.fitted_constants(before)]
     ends = np.array(pairs).reshape(-1, 2)
     return (None, None) if np.isinf(ends).all() else (ends[:, 0].copy(), ends[:, 1].copy())
-
-
-def constants_in(system: OdeSystem, before: int) -> list[Place]:
-    """Return equation and node of each fitted constant; the first `before` equations are not counted."""
-    pairs = zip(system.places.tolist(), system.owners.tolist(), strict=True)
-    return [(owner - before, node - system.firsts[owner]) for node, owner in pairs]

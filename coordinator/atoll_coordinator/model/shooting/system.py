@@ -145,6 +145,11 @@ class OdeSystem:
         ends = [*self.outputs.tolist(), *self.observations.tolist()]
         return [0, *(end + 1 for end in ends[:-1])]
 
+    def fitted_constants(self, leading: int) -> list[Place]:
+        """Return equation and node of each fitted constant; the first `leading` equations are not counted."""
+        pairs = zip(self.places.tolist(), self.owners.tolist(), strict=True)
+        return [(owner - leading, node - self.firsts[owner]) for node, owner in pairs]
+
     @cached_property
     def integrated(self) -> int:
         """Number of the P fitted constants that belong to equations; the other constants belong to observations."""
