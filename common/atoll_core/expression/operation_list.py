@@ -56,12 +56,15 @@ def placed(program: Program, operators: Collection[int], terminals: int, operato
     nodes = _Rewriting(frozenset(operators)).rewritten(simplify_program(program, merges_constants=False))
     leaves = [index for index, node in enumerate(nodes) if not op.ARITY[node[0]]]
     inner = [index for index, node in enumerate(nodes) if op.ARITY[node[0]]]
-    for count, possible, kind in (
-        (len(leaves), terminals, "different variables and constants"),
-        (len(inner), operator_nodes, "operators"),
+    for count, possible, kind, option in (
+        (len(leaves), terminals, "different variables and constants", "terminals"),
+        (len(inner), operator_nodes, "operators", "operator_nodes"),
     ):
         if count > possible:
-            raise UsageError(f"has {count} {kind}, but an operation list has room for {possible}; shorten it")
+            raise UsageError(
+                f"has {count} {kind}, but an operation list has room for {possible}; shorten it, or give a job file "
+                f"with more {option} in [space]"
+            )
     end = terminals + operator_nodes
     place = {old: new for new, old in enumerate(leaves)}
     place |= {old: end - len(inner) + number for number, old in enumerate(inner)}

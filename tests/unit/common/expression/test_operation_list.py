@@ -110,7 +110,7 @@ def test_what_the_operators_cannot_write_is_refused(text, operators, words):
 
 def test_a_list_has_room_for_so_many_nodes_and_no_more():
     nodes_of("1*x + 2*y", terminals=4, inner=3)
-    with pytest.raises(UsageError, match=r"has 4 different variables and constants, .* room for 3"):
+    with pytest.raises(UsageError, match=r"has 4 different variables and constants, .* room for 3; .* more terminals"):
         nodes_of("1*x + 2*y", terminals=3, inner=3)
     with pytest.raises(UsageError, match=r"has 3 operators, .* room for 2"):
         nodes_of("1*x + 2*y", terminals=4, inner=2)
