@@ -50,9 +50,12 @@ _ROOT_70: Final = math.sqrt(70.0)
 
 
 def check_second_order(columns: ExaminedColumns) -> Iterator[ColumnFinding]:
-    """Yield a finding if the states do not determine velocities, but states and velocities determine accelerations."""
+    """Yield a finding if the states do not determine velocities, but states and velocities determine accelerations.
+
+    Not with hidden states: one of them may be the velocity, and order 2 excludes them.
+    """
     roles = columns.roles
-    is_first = columns.is_in_time and roles.order == 1 and not columns.config.data.stochastic
+    is_first = columns.is_in_time and roles.order == 1 and not columns.config.data.stochastic and not roles.hidden
     if not is_first or len(roles.states) > _MOST_POSITIONS:
         return
     slopes = local_slopes(columns.times, columns.values, roles.states)

@@ -150,8 +150,10 @@ def warn_of_residual_pattern(recording: Recording, equations: Mapping[str, Refin
         period = period or wave or 0.0
     runs, forcing, hidden = (" and ".join(found.get(kind, ())) for kind in ("runs", "forcing", "hidden"))
     if runs:
-        is_template = any(equation.parameters for equation in equations.values())
-        option = "write --parameter 'c by run' for a parameter c" if is_template else "add --per-trajectory"
+        is_template = any(equation.parameters or equation.unknowns for equation in equations.values())
+        option = "add --per-trajectory"
+        if is_template or recording.hidden:  # which exclude it
+            option = "write --parameter 'c by run' for a parameter c of given equations"
         yield (
             f"Most of the residual of the rate of {runs} is a constant for each trajectory. The trajectories may "
             f"differ in a constant of the law; to allow this, {option}."
@@ -162,7 +164,9 @@ def warn_of_residual_pattern(recording: Recording, equations: Mapping[str, Refin
             f"do not explain. There may be a forcing; to search for laws that depend on time, add --inputs {time}."
         )
     if hidden:
-        advice = "measure another quantity" if recording.order == 2 else "measure another quantity, or add --order 2"
+        advice = "measure another quantity, or add --order 2"
+        if recording.order == 2 or recording.hidden:  # hidden states exclude order 2
+            advice = "measure another quantity"
         yield (
             f"Equal measured states have different rates of {hidden}, far beyond the noise. A state may be hidden or "
             f"act with a delay; {advice}."

@@ -23,7 +23,8 @@ from atoll_core.expression.program import variables_of
 _LEAST_REACHED: Final = 2
 """Fewest fits that must end at the best minimum: a minimum that is met once may be one of many."""
 _DOUBT_GIVEN_TERMS: Final = "a given term may be wrong or missing, so put ? in its place, or add ?"
-"""The advice if the residuals of given equations are larger than the noise: more rows would not help."""
+"""The advice if the residuals of given equations are larger than the noise, unless the job was stopped early: more rows
+would not help."""
 
 
 class TemplateChecks(TrajectoryChecks):
@@ -53,7 +54,7 @@ class TemplateChecks(TrajectoryChecks):
         are_doubtful = bool(template.sides) and size is not None and size.outcome == "failed"
         if finding is None or finding.outcome != "failed" or not are_doubtful:
             return finding
-        return finding._replace(advice=_DOUBT_GIVEN_TERMS)
+        return finding._replace(advice=self.check_time().advice if self.stopped else _DOUBT_GIVEN_TERMS)
 
     def check_hidden_state(self) -> Finding:
         """Check that the data determine the course of a hidden state."""

@@ -1,5 +1,7 @@
 """What residuals of rates follow: a constant of each run, a wave in time, a hidden state; nothing for a right law."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,7 +45,11 @@ def growth(rates, seed=0):
 
 
 def test_runs_that_differ_in_a_constant_propose_constants_of_their_own():
-    assert "add --per-trajectory" in remarks(growth([0.5, 0.8, 1.1, 1.4]), x="0.95*x*(1 - x)")
+    recorded = growth([0.5, 0.8, 1.1, 1.4])
+    assert "add --per-trajectory" in remarks(recorded, x="0.95*x*(1 - x)")
+    said = remarks(replace(recorded, hidden=("h",)), x="0.95*x*(1 - x)")
+    assert "by run" in said
+    assert "--per-trajectory" not in said  # hidden states exclude it
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -81,3 +87,4 @@ def test_one_state_that_swings_has_a_hidden_one():
     times = 0.05 * np.arange(1200)
     recorded = recording([(times, np.cos(times)[None], -np.sin(times)[None])])
     assert "add --order 2" in remarks(recorded, x="-0.01*x")
+    assert "--order 2" not in remarks(replace(recorded, hidden=("v",)), x="-0.01*x")  # they exclude each other

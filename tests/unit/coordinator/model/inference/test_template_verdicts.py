@@ -8,6 +8,7 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.prior_knowledge import resolve_prior
 from atoll_coordinator.data.templates import template_of
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.hidden.alternation import with_hidden_states
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.template.unknown_targets import with_unknown_targets
@@ -24,7 +25,10 @@ DRUG_SIDES = {"c": "-k*c - a*c + b*p", "p": "a*c - b*p"}
 RATES = {name: ParameterConfig(lower=0.01, upper=10.0) for name in "kab"}
 
 
-def refined(made: Table, sides, parameters=None, *, data=None, initial=None, pool=None, variables_of=None, limits=None):
+def refined(
+    made: Table, sides, parameters=None, *, data=None, initial=None, pool=None, variables_of=None, limits=None,
+    deadline=None,
+):  # fmt: skip
     """Return the refinement of a table by a template; `pool` has what a search might hand on, by equation."""
     prior = PriorConfig(equations=sides, parameters=parameters or {}, initial=initial or {}, limits=limits or {})
     space = SpaceConfig(operators=("+", "-", "*"), variables_of=variables_of or {})
@@ -33,7 +37,7 @@ def refined(made: Table, sides, parameters=None, *, data=None, initial=None, poo
     config = resolve_prior(config, preparation.dataset.variables, preparation.dataset.symbols)
     preparation = with_unknown_targets(with_hidden_states(preparation, config), config)
     assert template_of(config, preparation.dataset.names) is not None
-    return refine_all(preparation, config, pools(preparation, **(pool or {})))
+    return refine_all(preparation, config, pools(preparation, **(pool or {})), deadline)
 
 
 def without(made: Table, *names: str) -> Table:
@@ -105,6 +109,15 @@ def test_a_wrong_given_form_is_called_the_likely_reason():
     for equation in refinement.equations.values():
         assert "given term may be wrong" in equation.reason, equation.reason
         assert "easure more rows" not in equation.reason
+
+
+def test_a_stopped_job_needs_time_and_no_other_terms():
+    made, deadline = table(PENDULUM, ([2.0, 0.0],), TIMES, noise=0.01), Deadline()
+    deadline.has_cut_short = True
+    refinement = refined(made, {"theta": "v", "v": "-g*theta - c*v"}, deadline=deadline)
+    for equation in refinement.equations.values():
+        assert "Give more time" in equation.reason, equation.reason
+        assert "given term may be wrong" not in equation.reason
 
 
 def test_a_demanded_shape_is_no_evidence_for_an_unknown_part():
