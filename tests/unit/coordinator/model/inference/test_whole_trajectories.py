@@ -27,7 +27,7 @@ from tests.unit.coordinator.model.shooting.made import DECAY, DRIVEN, SWING, Kno
 @pytest.fixture(autouse=True)
 def _little_work(monkeypatch):
     """Few neighbours are looked at, so that a test takes a second or two."""
-    monkeypatch.setattr(joint_search, "SETTINGS", settings("effort", work=2_000_000))
+    monkeypatch.setattr(joint_search, "SETTINGS", settings("effort", work=6_000_000))
 
 
 @pytest.mark.parametrize(("system", "start", "candidates"), [
