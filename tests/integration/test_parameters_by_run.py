@@ -43,6 +43,7 @@ def test_values_by_run_are_in_every_form_of_the_result(tmp_path: Path) -> None:
         assert low < model.params[name].value < high
     assert model.simulate(t=[0.0, 1.0])["k"][-1] == model.params["k[run a]"].value
     changed = model.simulate({"y": 1.5, "k": 1.0}, [0.0, 1.0], parameters={"k": 2.0, "b": 0.5})
+    assert model.simulate({"y": 1.5}, [0.0, 1.0], parameters={"k": 2.0, "b": 0.5})["y"][-1] == changed["y"][-1]
     assert changed["y"][-1] == pytest.approx(0.5 + np.exp(-2.0), rel=1e-4)
     smoothed = model.smooth()
     for name, rate in RATES.items():

@@ -156,6 +156,10 @@ class Model(ModelCore):
             process_of(model)
             if parameters:
                 raise UsageError("paths are drawn with the constants of the model; leave out parameters")
+        values = {name: number(value, f"the parameter {name}") for name, value in (parameters or {}).items()}
+        by_run = {name: values.pop(name) for name in model.result.by_run if name in values}
+        if isinstance(x0, Mapping):
+            x0 = {**x0, **by_run}
         field, observed, times, start = model.field, model.observed, times_of(model, t), start_of(model, x0)
         inputs = inputs_along(model, u, times, recorded_inputs(model) if x0 is None else {})
         remark = "" if x0 is None else _outside_range(model, start, None if u is None else inputs, float(times[0]))
@@ -164,8 +168,6 @@ class Model(ModelCore):
         if paths is not None:
             return ensemble_of(model, start, times, inputs, (paths, seed))
         if parameters:
-            values = {name: number(value, f"the parameter {name}") for name, value in parameters.items()}
-            by_run = {name: values.pop(name) for name in model.result.by_run if name in values}
             start = np.array([by_run.get(name, value) for name, value in zip(model.states, start, strict=True)])
             only_columns = {*observed.named_parameters} - {*field.named_parameters}
             field = field.with_values({name: value for name, value in values.items() if name not in only_columns})

@@ -258,15 +258,16 @@ def _parameter(name: object, value: object, field: Field) -> tuple[str, dict[str
         return _parameter_text(name, field)
     if isinstance(value, str):
         return _parameter_text(f"{name}={value}", field)
-    name, _ = _parameter_text(name, field)
+    name, named = _parameter_text(name, field)  # "c by run" is a name, too
     if isinstance(value, Mapping):
         bounds = _bounds(value.get("lower"), value.get("upper"), field)
-        return name, {**{str(key): part for key, part in value.items() if key not in ("lower", "upper")}, **bounds}
+        others = {str(key): part for key, part in value.items() if key not in ("lower", "upper")}
+        return name, {**named, **others, **bounds}
     if isinstance(value, (list, tuple)):
         if len(value) != 2:
             raise UsageError("%s must have two bounds for %s, such as (0.1, 10), but %r was given", field, name, value)
-        return name, _bounds(value[0], value[1], field)
-    return name, {"start": number(value, field)}
+        return name, {**named, **_bounds(value[0], value[1], field)}
+    return name, {**named, "start": number(value, field)}
 
 
 def _parameter_text(part: object, field: Field) -> tuple[str, dict[str, object]]:

@@ -135,7 +135,8 @@ def with_hidden_states(preparation: Preparation, config: JobConfig, spread: Spre
     programs = dict(zip(preparation.dataset.variables, found.programs, strict=True))
     slots = {name: programs[name] for name in first.slots}
     if any(structure(slots[name]) != structure(part) for name, part in first.slots.items()):
-        first = fit_course(start, config, slots, spread, deadline)
+        scaled = first.record(preparation).recording if first.is_rescaled else recording
+        first = fit_course(replace(start, recording=scaled), config, slots, spread, deadline)
     if found.corrected is None:
         return first.record(preparation)
     start = replace(preparation, parameters=first.parameters, parts=first.slots, minima=first.minima)

@@ -26,6 +26,7 @@ from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.fit_result import TrajectoryFit
 from atoll_coordinator.model.shooting.many_starts import StartsFit, fit_from_many_starts
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.sparse.atoms import sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
@@ -41,6 +42,10 @@ _DIGITS: Final = 12
 _FIRST: Final = 0.01
 """First value of the coefficients of a function that stands for an unknown part. They are not 0, so that a factor does
 not switch its term off. Along long trajectories they are smaller, so that no state grows by more than a few e-folds."""
+
+_OTHER_SCALE: Final = 100.0
+"""Ratio of two scales of a hidden state above which fits from many starts are repeated. It is set by hand: tolerances
+of the solver are 1e-6 of a scale, and fits to noise of a per cent bear errors of 1e-4."""
 
 
 def initial_values(config: JobConfig) -> tuple[tuple[str, float, float], ...]:
@@ -81,6 +86,7 @@ class HiddenCourse:
         parameters: values (P,) of the parameters of the template.
         slots: the linear functions that stand for the unknown parts, by equation.
         minima: what the fits from many starts found; None: it was not found by such fits.
+        is_rescaled: whether the hidden states have other magnitudes than was assumed before the fits.
     """
 
     variables: tuple[str, ...]
@@ -89,6 +95,7 @@ class HiddenCourse:
     parameters: tuple[float, ...]
     slots: Mapping[str, Program]
     minima: FoundMinima | None
+    is_rescaled: bool = False
 
     def record(self, preparation: Preparation) -> Preparation:
         """Return the preparation with the hidden states as smoothed states."""
@@ -167,6 +174,9 @@ def fit_course(
     comparison = task.make_comparison(task.measurements(task.variables), task.variables)
     system = comparison.system(programs)
     found = fit_from_many_starts(comparison.estimator, system, config.seed)
+    is_rescaled = found is not None and _has_other_scales(comparison.estimator, found.fit)
+    if found is not None and is_rescaled:
+        found = fit_from_many_starts(found.fit.estimator, system, config.seed) or found
     if found is None:
         raise DataError(
             "the given equations with hidden states can be simulated from no start values of their parameters; give "
@@ -184,7 +194,15 @@ def fit_course(
         if simulated is None:
             raise DataError("the held-out trajectories cannot be simulated by the given equations; leave --holdout out")
         fits[True] = simulated
-    return _along_trajectories(task, fits, slots, _summarize_minima(found))
+    return replace(_along_trajectories(task, fits, slots, _summarize_minima(found)), is_rescaled=is_rescaled)
+
+
+def _has_other_scales(estimator: MultipleShooting, fit: TrajectoryFit) -> bool:
+    """Tell whether the hidden states have other magnitudes than the fits of `estimator` assumed. An integration is then
+    too coarse, or fails since its steps are too short."""
+    hidden = list(estimator.measurements.hidden)
+    ratios = fit.estimator.measurements.scales[hidden] / estimator.measurements.scales[hidden]
+    return bool(((ratios > _OTHER_SCALE) | (ratios < 1.0 / _OTHER_SCALE)).any())
 
 
 def _summarize_minima(found: StartsFit) -> FoundMinima:

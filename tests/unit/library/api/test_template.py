@@ -34,6 +34,12 @@ def test_a_template_stands_for_the_options(value, expected):
     assert prior == config_of({"equation": EQUATIONS, "parameter": {"c": value}}).prior
 
 
+def test_a_name_with_by_run_is_not_a_shared_parameter():
+    for value in ((0.1, 10), {"lower": 0.1, "upper": 10}):
+        prior = config_of({"template": atoll.Template(EQUATIONS, {"c by run": value})}).prior
+        assert prior.parameters == {"c": ParameterConfig(lower=0.1, upper=10.0, by="run")}
+
+
 def test_texts_of_the_command_line_are_possible():
     texts = atoll.Template(["dv/dt = -g/l*sin(theta) - c*v + ?", "dtheta/dt = v"], ("c=0.1..10",))
     mapping = atoll.Template(EQUATIONS, {"c": (0.1, 10)})

@@ -190,6 +190,27 @@ def test_a_velocity_that_was_not_measured_shows_a_friction_that_is_not_linear():
     assert np.allclose(simulated.values["v"], truth, atol=0.03 * truth.max())
 
 
+def test_the_unit_of_a_hidden_state_changes_nothing():
+    system = Known(("x", "v"), lambda _, z: [z[1], -4.0 * z[0] - 0.4 * z[1] * abs(z[1])])
+    made = without(table(system, ([1.0, 0.5],), TIMES, noise=0.01), "v")
+    prior = PriorConfig(
+        equations={"x": "v", "v": "-k*x + ?(v)"}, parameters={"k": ParameterConfig(lower=0.1, upper=50)}
+    )
+    found = []
+    for unit in (1.0, 1e-9, 1e9):
+        columns = made.columns.copy()
+        columns[1] *= unit
+        config = JobConfig(prior=prior, data=DataConfig(hidden=("v",)), space=SpaceConfig(variables_of={"v": ("v",)}))
+        preparation = prepare(replace(made, columns=columns), config)
+        config = resolve_prior(config, preparation.dataset.variables, preparation.dataset.symbols)
+        preparation = with_hidden_states(preparation, config)
+        assert preparation.minima is not None
+        assert preparation.minima.reached > 1, unit
+        course = preparation.recording.trajectories[0].smoothed[1] / unit
+        found.append([*preparation.parameters, *course.tolist()])
+    assert np.allclose(found[1:], found[0], rtol=1e-4, atol=1e-4)
+
+
 def test_clean_rows_of_a_wrong_law_with_a_hidden_state_are_simulated():
     system = Known(("x", "v"), lambda _, z: [z[1], -7.0 * np.sin(z[0]) - 0.4 * z[1] * abs(z[1])])
     made = without(table(system, ([2.0, 0.0],), TIMES), "v")
