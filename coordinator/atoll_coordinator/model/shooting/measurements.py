@@ -501,14 +501,13 @@ def _inverse_variances(
     all are 1."""
     if all(part.weights is None for part in parts) and not any(variance.proportional for variance in variances):
         return None
-    by_value = (
-        [variance.weights(part.smoothed[index]) for index, variance in zip(chosen, variances, strict=True)]
-        for part in parts
-    )
-    return _stacked(
-        np.array(weights) if part.weights is None else np.array(weights) * part.weights
-        for part, weights in zip(parts, by_value, strict=True)
-    )
+    several = list[FloatArray]()
+    for part in parts:
+        weights = np.ones((len(chosen), len(part.times)))  # a hidden state alone has no measured column
+        for row, (index, variance) in enumerate(zip(chosen, variances, strict=True)):
+            weights[row] = variance.weights(part.smoothed[index])
+        several.append(weights if part.weights is None else weights * part.weights)
+    return _stacked(iter(several))
 
 
 def _stacked(arrays: Iterator[FloatArray]) -> FloatArray:

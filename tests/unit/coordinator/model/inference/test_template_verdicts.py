@@ -190,6 +190,18 @@ def test_a_velocity_that_was_not_measured_shows_a_friction_that_is_not_linear():
     assert np.allclose(simulated.values["v"], truth, atol=0.03 * truth.max())
 
 
+def test_rows_with_weights_and_a_hidden_state_are_refined():
+    made = without(table(PENDULUM, ([2.0, 0.0],), TIMES, noise=0.01), "v")
+    weights = 1.0 + np.arange(len(TIMES)) % 2
+    made = replace(made, names=(*made.names, "w"), units=(*made.units, ""), columns=np.vstack([made.columns, weights]))
+    refinement = refined(
+        made, {"theta": "v", "v": "-g*sin(theta) + ?(v)"}, {"g": ParameterConfig(lower=1.0, upper=30.0)},
+        data=DataConfig(hidden=("v",), weights="w"), initial={"v": ParameterConfig(lower=-5.0, upper=5.0)},
+        pool={"v": ("v", "-0.2*v")}, variables_of={"v": ("v",)},
+    )  # fmt: skip
+    assert grades(refinement) == {"theta": "good", "v": "good"}
+
+
 def test_the_unit_of_a_hidden_state_changes_nothing():
     system = Known(("x", "v"), lambda _, z: [z[1], -4.0 * z[0] - 0.4 * z[1] * abs(z[1])])
     made = without(table(system, ([1.0, 0.5],), TIMES, noise=0.01), "v")
