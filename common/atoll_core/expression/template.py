@@ -216,9 +216,9 @@ class EquationTemplate:
         """Return the name of each constant that is a parameter; None for other constants."""
         return tuple(None if one.parameter is None else self.parameters[one.parameter].name for one in sources)
 
-    def first_program(self, equation: str) -> Program:
-        """Return the side of this equation with the start values of its parameters; its unknown parts are 0."""
-        return replace(self, equations=(equation,)).compose([], self.starts).programs[0]
+    def given_program(self, equation: str, values: FloatArray) -> Program:
+        """Return the side of this equation with these values (P,) of the parameters; its unknown parts are 0."""
+        return replace(self, equations=(equation,)).compose([], values).programs[0]
 
     def compose(self, slots: Sequence[Program], values: FloatArray) -> Composition:
         """Return the right-hand sides of the equations (D).

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from itertools import chain, combinations, combinations_with_replacement
 from typing import Final, TypeVar
 
+import numpy as np
+
 from atoll_coordinator.data.recording import component_name
 from atoll_coordinator.data.roles.names_and_options import check_given_equations, split_unit
 from atoll_coordinator.data.roles.roles import Roles
@@ -205,15 +207,19 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     return resolved
 
 
-def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
+def known_programs(dataset: Dataset, config: JobConfig, parameters: Sequence[float] = ()) -> dict[str, Program]:
     """Return the programs of the known equations by variable, in the order in which they are targets of the dataset.
 
-    Sides of the job's template in which nothing is searched are also known equations; their parameters have start
-    values. `config` is resolved. Raises UsageError if an equation is not an expression over the dataset's symbols.
+    Sides of the job's template in which nothing is searched are also known equations, with these values (P,) of the
+    `parameters`; empty: their start values. `config` is resolved. Raises UsageError if an equation is not an expression
+    over the dataset's symbols.
     """
     known, template = config.prior.known, template_of(config, dataset.names)
+    values = np.array(parameters) if len(parameters) else template.starts
     return {
-        name: _known_program(name, known[name], dataset.names) if name in known else template.first_program(name)
+        name: _known_program(name, known[name], dataset.names)
+        if name in known
+        else template.given_program(name, values)
         for name in dataset.variables
         if name in known or template.is_given(name)
     }

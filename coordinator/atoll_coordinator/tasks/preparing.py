@@ -133,7 +133,7 @@ def prepare_job(
     data = dataset_to_bytes(preparation.dataset)
     blob = hashlib.sha256(data).hexdigest()
     resolved = screen_variables(preparation, resolve(config, preparation.dataset))
-    known = known_entries(preparation.dataset, resolved)
+    known = known_entries(preparation.dataset, resolved, preparation.parameters)
     preparation = warn_of_missing_values(preparation, resolved)
     resolved = with_units(resolved, preparation.source)
     with spreading(batches, batches.threads if batches else 1, Deadline()) as spread:

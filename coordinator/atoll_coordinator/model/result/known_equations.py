@@ -1,5 +1,6 @@
 """Known equations (given by the user): their errors and missing values on the data. Pure."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,14 +14,14 @@ from atoll_core.expression.evaluation import values_of
 from atoll_core.search.pareto import FrontEntry
 
 
-def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:
+def known_entries(dataset: Dataset, config: JobConfig, parameters: Sequence[float] = ()) -> dict[str, FrontEntry]:
     """Return each known equation as the only member of its front, in the order of the dataset; `config` is resolved.
 
-    Errors are measured on all rows, and are infinite if the equation has no finite value on some row. Epoch, generation
-    and island are 0.
+    Given equations have these values of the `parameters`, as they were estimated before refining. Errors are measured on
+    all rows, and are infinite if the equation has no finite value on some row. Epoch, generation and island are 0.
     """
     entries = {}
-    for name, program in known_programs(dataset, config).items():
+    for name, program in known_programs(dataset, config, parameters).items():
         error, mse = measure_errors(dataset.problem(name), program, config.evolution.loss)
         entries[name] = FrontEntry(len(program), error, mse, 0, 0, 0, program.to_bytes())
     return entries
@@ -34,7 +35,7 @@ def warn_of_missing_values(preparation: Preparation, config: JobConfig) -> Prepa
     """
     dataset = preparation.dataset
     remarks = []
-    for name, program in known_programs(dataset, config).items():
+    for name, program in known_programs(dataset, config, preparation.parameters).items():
         rows = dataset.inputs.shape[1]
         failed = rows - int(np.isfinite(values_of(program, dataset.inputs)).sum())
         if failed:

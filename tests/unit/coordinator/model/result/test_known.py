@@ -10,7 +10,7 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result, result_digest
 from atoll_coordinator.model.result.known_equations import known_entries, warn_of_missing_values
-from atoll_core.config import EvolutionConfig, JobConfig, PriorConfig
+from atoll_core.config import EvolutionConfig, JobConfig, ParameterConfig, PriorConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.data.notes import Note
 from atoll_core.expression.text.parsing import from_infix
@@ -36,6 +36,13 @@ def test_a_known_equation_is_measured_by_the_loss_of_the_job(loss):
     assert entry.mse == pytest.approx(1e-4)
     assert entry.program == from_infix("-x/10", DATASET.names).to_bytes()
     assert entry.complexity == 4
+
+
+def test_a_given_equation_has_the_parameters_that_were_estimated():
+    prior = PriorConfig(equations={"x": "a*x"}, parameters={"a": ParameterConfig(lower=0.1, upper=10.0)})
+    entry = known_entries(DATASET, JobConfig(prior=prior), (3.0,))["x"]
+    assert entry.program == from_infix("3*x", DATASET.names).to_bytes()
+    assert entry.error == pytest.approx(0.0, abs=1e-15)
 
 
 def test_one_without_a_value_everywhere_has_no_finite_error():
