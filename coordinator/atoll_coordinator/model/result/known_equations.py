@@ -17,8 +17,8 @@ from atoll_core.search.pareto import FrontEntry
 def known_entries(dataset: Dataset, config: JobConfig, parameters: Sequence[float] = ()) -> dict[str, FrontEntry]:
     """Return each known equation as the only member of its front, in the order of the dataset; `config` is resolved.
 
-    Given equations have these values of the `parameters`, as they were estimated before refining. Errors are measured on
-    all rows, and are infinite if the equation has no finite value on some row. Epoch, generation and island are 0.
+    Given equations have these values of the `parameters`, as they were estimated before refining. Errors are measured
+    on all rows, and are infinite if the equation has no finite value on some row. Epoch, generation and island are 0.
     """
     entries = {}
     for name, program in known_programs(dataset, config, parameters).items():
