@@ -36,7 +36,7 @@ from atoll_coordinator.data.templates import template_of
 from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.description_length import log, structure_length
-from atoll_coordinator.model.hidden.coordinates import Course, propose_courses
+from atoll_coordinator.model.hidden.coordinates import Course, propose_courses, scale_hidden_states
 from atoll_coordinator.model.hidden.correction import (
     course_by_segments,
     course_by_smoother,
@@ -180,11 +180,17 @@ def with_proposed_states(
             "no law with hidden states could be simulated along the measured trajectories; give equations with "
             "--equation, or leave --hidden out"
         )
-    prepared = _record(preparation, best.course)
-    variables = preparation.dataset.variables
+    variables, symbols = preparation.dataset.variables, preparation.dataset.names
+    hidden = {
+        name: symbols.index(symbol)
+        for name, symbol in zip(recording.states, recording.state_symbols, strict=True)
+        if name in recording.hidden
+    }
+    programs, factors = scale_hidden_states(dict(zip(variables, best.programs, strict=True)), hidden)
+    prepared = _record(preparation, best.course.scaled([factors[name] for name in recording.hidden]))
     laws = {
         name: (Law(program, structure_length(program), 1.0 if best.is_like_noise else math.inf, is_tested=True),)
-        for name, program in zip(variables, best.programs, strict=True)
+        for name, program in programs.items()
     }
     return prepared, [laws]
 

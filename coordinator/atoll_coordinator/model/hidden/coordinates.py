@@ -18,7 +18,7 @@ replaces it by a course that fits the measured states. Coordinates of two and mo
 Letters: H hidden states, S measured states, U inputs, R rows of one trajectory, T trajectories.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -26,7 +26,11 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.recording import Recording, Trajectory
+from atoll_coordinator.model.sparse.atoms import Product, expression_of, sum_of
 from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import Program
+from atoll_core.expression.writing.expansion import terms_of
 
 _REAL: Final = 1e-9
 """Largest relative imaginary part of an eigenvalue that counts as real: rounding errors."""
@@ -56,6 +60,62 @@ class Course:
             tuple(np.ascontiguousarray((part - mean) / scale) for part in self.values),
             tuple(np.ascontiguousarray(part / scale) for part in self.rates),
         )
+
+    def scaled(self, factors: Sequence[float]) -> "Course":
+        """Return the course with each hidden state multiplied by its factor (H)."""
+        by = np.array(factors)[:, None]
+        return Course(
+            self.coordinates, tuple(np.ascontiguousarray(by * part) for part in self.values),
+            tuple(np.ascontiguousarray(by * part) for part in self.rates),
+        )  # fmt: skip
+
+
+def scale_hidden_states(
+    programs: Mapping[str, Program], hidden: Mapping[str, int]
+) -> tuple[dict[str, Program], dict[str, float]]:
+    """Return sums of products in which a coefficient of each hidden state is 1, and the factors of the states.
+
+    Nothing else fixes the scale of a hidden state h, and a coefficient that only fixes the scale is not determined by
+    the data. The coefficient is of the first equation that has h times known states, measured or scaled before, and
+    there of the product with the fewest factors. A state without such a product keeps its scale.
+
+    Args:
+        programs: sums of products by equation, the measured states first.
+        hidden: the variable (index) of each hidden state, by equation.
+    """
+    sums = {name: _products_of(program) for name, program in programs.items()}
+    factors, unknown = dict.fromkeys(hidden, 1.0), dict(hidden)
+    while unknown:
+        name, factor = next(
+            (
+                (name, factor)
+                for name, place in unknown.items()
+                for other, terms in sums.items()
+                if other not in unknown
+                for term, factor in sorted(terms, key=lambda one: len(one[0]))
+                if term.count(place) == 1
+            ),
+            (None, 1.0),
+        )
+        if name is None:
+            break
+        place, factors[name] = unknown.pop(name), factor
+        for other, terms in sums.items():
+            own = factor if other == name else 1.0
+            sums[other] = [(term, own * one / factor ** term.count(place)) for term, one in terms]
+    scaled = {
+        name: sum_of([expression_of(term) for term, _ in terms], [one for _, one in terms])
+        for name, terms in sums.items()
+    }
+    return scaled, factors
+
+
+def _products_of(program: Program) -> list[tuple[Product, float]]:
+    """Return the products of a sum of products, each with its coefficient."""
+    return [
+        (tuple(sorted(atom[1] for atom, power in monomial for _ in range(power))), factor)
+        for monomial, factor in terms_of(program)
+    ]
 
 
 def propose_courses(recording: Recording, count: int) -> list[Course]:

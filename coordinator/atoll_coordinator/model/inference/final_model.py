@@ -483,9 +483,12 @@ def _fit_all_constants(
     comparison: ModelComparison, best: FittedModel, shown: Sequence[Program], shared: Collection[SharedNumber]
 ) -> tuple[tuple[ExplicitCoefficients, ...], FittedModel | None]:
     """Fit the shown system with all its constants free. If possible, factors of one that are not written are also
-    fitted."""
+    fitted, unless they fix the coordinates of hidden states."""
+    fix_coordinates = bool(comparison.estimator.measurements.hidden) and not comparison.template.sides
     explicit = tuple(
-        make_explicit_if_free(program, comparison.restrictions(equation), is_given=equation in comparison.fixed)
+        make_explicit_if_free(
+            program, comparison.restrictions(equation), is_given=fix_coordinates or equation in comparison.fixed
+        )
         for equation, program in enumerate(shown)
     )
     nodes = {}

@@ -11,7 +11,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.batches import Spread, spreading
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.hidden.alternation import with_proposed_states
-from atoll_coordinator.model.hidden.coordinates import propose_courses
+from atoll_coordinator.model.hidden.coordinates import propose_courses, scale_hidden_states
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.tasks.defaults import resolve
@@ -19,6 +19,8 @@ from atoll_core.config import DataConfig, JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
 from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
 from tests.batches import ScatteredBatches
 from tests.unit.coordinator.model.shooting.made import Known
 
@@ -64,6 +66,29 @@ def test_the_position_of_an_oscillator_determines_its_law(noise, accuracy):
     matrix = values[:, 1:] - values[:, :1]
     assert np.trace(matrix) == pytest.approx(-0.3, abs=accuracy)
     assert np.linalg.det(matrix) == pytest.approx(4.0, rel=accuracy)
+
+
+def test_a_coefficient_of_each_hidden_state_is_one_and_nothing_else_changes():
+    names, rng = ("x", "h1", "h2"), np.random.default_rng(0)
+    texts = ("2*h1 - 0.3*x", "0.5*h1 + 3*h2*x - 4", "h1*h2 - x + 0.1*h2*h2")
+    programs = {name: from_infix(text, names) for name, text in zip(names, texts, strict=True)}
+    scaled, factors = scale_hidden_states(programs, {"h1": 1, "h2": 2})
+    assert factors == {"h1": 2.0, "h2": 6.0}  # h2 occurs only with x in the equation of h1, which was scaled by 2
+    points, by = rng.standard_normal((3, 5)), np.array([[1.0], [2.0], [6.0]])
+    for name, factor in (("x", 1.0), *factors.items()):
+        assert values_of(scaled[name], by * points) == pytest.approx(factor * values_of(programs[name], points))
+    assert to_infix(scaled["x"], names) == to_infix(from_infix("1.0*h1 - 0.3*x", names, merges_constants=False), names)
+
+
+def test_the_scale_of_a_hidden_state_leaves_no_constant_that_the_data_do_not_determine():
+    system = Known(("x", "v"), lambda _, s: (s[1], 1.2 * (1.0 - s[0] ** 2) * s[1] - s[0]))
+    preparation, laws, config = found(table_of(system, (0.5, 0.0), np.linspace(0.0, 15.0, 300)))
+    pools = {name: Pool(()) for name in ("x", "h")}
+    refinement = refine_all(preparation, config, pools, laws=laws)
+    assert to_infix(refinement.equations["x"].program, ("x", "h")) == "h"
+    for equation in refinement.equations.values():
+        assert all(constant.identifiable for constant in equation.constants)
+        assert equation.grade == "good"
 
 
 def test_prey_alone_determines_the_cycle_of_prey_and_predator():
