@@ -28,10 +28,12 @@ import numpy as np
 from atoll_coordinator.data.recording import Recording, Trajectory
 from atoll_coordinator.model.sparse.atoms import Product, expression_of, sum_of
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program
 from atoll_core.expression.writing.expansion import terms_of
 
+_LARGEST_SCALE: Final = 10.0
+"""Largest factor of a hidden state, or its inverse. It is set by hand: searches draw constants of the order of one.
+With values of h of 0.01, the forecasts of the cascaded tanks had an RMSE of 0.44 to 0.49 V instead of 0.35 V."""
 _REAL: Final = 1e-9
 """Largest relative imaginary part of an eigenvalue that counts as real: rounding errors."""
 
@@ -77,7 +79,8 @@ def scale_hidden_states(
 
     Nothing else fixes the scale of a hidden state h, and a coefficient that only fixes the scale is not determined by
     the data. The coefficient is of the first equation that has h times known states, measured or scaled before, and
-    there of the product with the fewest factors. A state without such a product keeps its scale.
+    there of the product with the fewest factors. A state without such a product keeps its scale, and so does one that
+    would get values far from one.
 
     Args:
         programs: sums of products by equation, the measured states first.
@@ -93,7 +96,7 @@ def scale_hidden_states(
                 for other, terms in sums.items()
                 if other not in unknown
                 for term, factor in sorted(terms, key=lambda one: len(one[0]))
-                if term.count(place) == 1
+                if term.count(place) == 1 and 1.0 / _LARGEST_SCALE <= abs(factor) <= _LARGEST_SCALE
             ),
             (None, 1.0),
         )
