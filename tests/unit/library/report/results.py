@@ -48,6 +48,7 @@ def regression() -> dict[str, Any]:
     contents = dynamics(simulation=None, noise={})
     equation = {**contents["equations"][0], "variable": "y", "lhs": "y", "expression": "2.0*x", "convergence": []}
     contents["system"] |= {"states": [], "target": "y", "time": None}
+    contents["system"]["ranges"] = {"x": [0.0, 2.0]}
     rows = {"variables": {"x": [0.0, 2.0, 1.0]}, "measured": [0.5, 4.0, 2.0], "fitted": [0.0, 4.0, 2.0]}
     return {**contents, "equations": [equation], "regression": {"rows": 3, "listed": 3, **rows}}
 
