@@ -96,7 +96,8 @@ def scale_hidden_states(
                 for other, terms in sums.items()
                 if other not in unknown
                 for term, factor in sorted(terms, key=lambda one: len(one[0]))
-                if term.count(place) == 1 and 1.0 / _LARGEST_SCALE <= abs(factor) <= _LARGEST_SCALE
+                if term.count(place) == 1 and not any(term.count(one) for one in unknown.values() if one != place)
+                if 1.0 / _LARGEST_SCALE <= abs(factor) <= _LARGEST_SCALE
             ),
             (None, 1.0),
         )
@@ -106,8 +107,8 @@ def scale_hidden_states(
         for other, terms in sums.items():
             own = factor if other == name else 1.0
             sums[other] = [(term, own * one / factor ** term.count(place)) for term, one in terms]
-    scaled = {
-        name: sum_of([expression_of(term) for term, _ in terms], [one for _, one in terms])
+    scaled = {  # a sum whose terms cancel has no products
+        name: sum_of([expression_of(term) for term, _ in terms], [one for _, one in terms]) if terms else programs[name]
         for name, terms in sums.items()
     }
     return scaled, factors

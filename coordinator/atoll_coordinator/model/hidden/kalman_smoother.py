@@ -32,15 +32,17 @@ Columns = Callable[[FloatArray, FloatArray], FloatArray]
 _DIFFERENCE: Final = 1e-6
 """Step of a difference, in units of the scale: its error is about as large as rounding errors over it."""
 _MOST_STEPS: Final = 64
-"""Most steps of an integration between two rows."""
+"""Most steps of an integration between two rows, set by hand: a stiffer system has no course by this smoother."""
 _STEP: Final = 0.3
-"""Step of an integration, in units of the fastest time of the linear system."""
+"""Step of an integration, in units of the fastest time of the linear system. Set by hand: errors of a step are then
+below 1e-4 of its change."""
 _DECADES: Final = (-8.0, 4.0)
-"""Range of the factor's logarithm to base 10: a force that hardly moves, and one that is free at each row."""
+"""Range of the factor's logarithm to base 10: a force that hardly moves, and one that is free at each row. Set by
+hand."""
 _TRIALS: Final = 8
 """Evaluations of the likelihood: the factor is then known within about half a decade."""
 _ROWS_OF_TRIALS: Final = 512
-"""Rows, of all trajectories together, whose likelihood chooses the factor."""
+"""Rows, of all trajectories together, whose likelihood chooses the factor. Set by hand, to bound the time."""
 
 
 @dataclass(frozen=True, eq=False)

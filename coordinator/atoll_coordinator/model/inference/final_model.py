@@ -173,21 +173,24 @@ class FinalModel(ShownEquations):
         return min(lengths) - model.nats
 
     @cached_property
+    def has_forms_of_starts(self) -> bool:
+        """Whether the unknown parts have the forms of the functions that stood for them in fits from many starts."""
+        programs = self.ranking.selection.model.programs
+        return all(
+            candidates.simulated is None or structure(program) == structure(candidates.simulated)
+            for program, candidates in zip(programs, self.task.candidates.values(), strict=True)
+        )
+
+    @cached_property
     def other_minima(self) -> list[tuple[float, FloatArray]]:
         """The other minima of fits from many starts: by how many nats each is worse, and its parameters (P,).
 
-        In these fits, simple functions stand for unknown parts. If the model has other functions, it is fitted from the
-        parameters of each minimum.
+        If the model does not have the forms of these fits, it is fitted from the parameters of each minimum.
         """
         task, selection = self.task, self.ranking.selection
         rivals = () if task.minima is None else task.minima.rivals
         model, comparison = selection.model, selection.comparison
-        stood = {
-            index: candidates.simulated
-            for index, candidates in enumerate(task.candidates.values())
-            if candidates.simulated is not None
-        }
-        if all(structure(model.programs[index]) == structure(program) for index, program in stood.items()):
+        if self.has_forms_of_starts:
             return [(nats, np.array(values)) for nats, values in rivals]
         minima = list[tuple[float, FloatArray]]()
         for parameters in dict.fromkeys(values for _, values in rivals):

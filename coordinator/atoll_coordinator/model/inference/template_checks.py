@@ -154,7 +154,10 @@ class TemplateChecks(TrajectoryChecks):
                         f"{value:.3g}"
                     )
                     return Finding("failed", reason, nats, SETTINGS.inference.distinct_nats)
-        return Finding("passed", f"{minima.reached} of {minima.starts} fits from different starts reached the best fit")
+        reason = f"{minima.reached} of {minima.starts} fits from different starts reached the best fit"
+        if not self.final.has_forms_of_starts:
+            reason += ", with other functions as unknown parts; the equations were fitted from its other minima only"
+        return Finding("passed", reason)
 
     def check_constants(self) -> Finding | None:
         """Check that the data determine all constants and parameters, and that none lies on a bound.

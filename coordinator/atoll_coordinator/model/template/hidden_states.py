@@ -84,7 +84,7 @@ class HiddenCourse:
         states: the states (D, R) at all rows of all trajectories.
         rates: their derivatives (D, R) by the equations.
         parameters: values (P,) of the parameters of the template.
-        slots: the linear functions that stand for the unknown parts, by equation.
+        slots: the functions that stand for the unknown parts, by equation.
         minima: what the fits from many starts found; None: it was not found by such fits.
         is_rescaled: whether the hidden states have other magnitudes than was assumed before the fits.
     """

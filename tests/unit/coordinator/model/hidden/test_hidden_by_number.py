@@ -80,6 +80,21 @@ def test_a_coefficient_of_each_hidden_state_is_one_and_nothing_else_changes():
     assert to_infix(scaled["x"], names) == to_infix(from_infix("1.0*h1 - 0.3*x", names, merges_constants=False), names)
 
 
+def test_a_product_of_two_hidden_states_fixes_no_scale_and_a_sum_that_cancels_stays():
+    names = ("x", "h1", "h2")
+    texts = ("4*h1*h2", "2*x - h1", "x - x")
+    programs = {name: from_infix(text, names) for name, text in zip(names, texts, strict=True)}
+    scaled, factors = scale_hidden_states(programs, {"h1": 1, "h2": 2})
+    assert factors == {"h1": 1.0, "h2": 1.0}
+    points = np.random.default_rng(0).standard_normal((3, 5))
+    for name in names:
+        assert values_of(scaled[name], points) == pytest.approx(values_of(programs[name], points))
+    _, factors = scale_hidden_states(programs | {"x": from_infix("3*h1*x", names)}, {"h1": 1, "h2": 2})
+    assert factors == {"h1": 3.0, "h2": 1.0}
+    _, factors = scale_hidden_states(programs | {"x": from_infix("300*h1*x", names)}, {"h1": 1, "h2": 2})
+    assert factors == {"h1": 1.0, "h2": 1.0}  # values far from one
+
+
 def test_the_scale_of_a_hidden_state_leaves_no_constant_that_the_data_do_not_determine():
     system = Known(("x", "v"), lambda _, s: (s[1], 1.2 * (1.0 - s[0] ** 2) * s[1] - s[0]))
     preparation, laws, config = found(table_of(system, (0.5, 0.0), np.linspace(0.0, 15.0, 300)))
